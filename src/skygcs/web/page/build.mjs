@@ -1,0 +1,91 @@
+// Builds the page into ../static: index.html, assets/app.js with its chunks, assets/app.css, assets/licenses.txt.
+// `--tests` bundles the unit tests into build/tests instead.
+import { cpSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { dirname, join, resolve } from "node:path";
+import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
+import { build } from "esbuild";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const common = {
+  absWorkingDir: here,
+  bundle: true,
+  format: "esm",
+  target: ["es2022"],
+  jsx: "automatic",
+  jsxImportSource: "preact",
+  legalComments: "none",
+  logLevel: "warning",
+};
+
+/** The names of the packages whose code or files are in the bundle. */
+function packagesOf(metafile) {
+  const found = new Set();
+  for (const input of Object.keys(metafile.inputs)) {
+    const match = /node_modules\/((?:@[^/]+\/)?[^/]+)\//.exec(input);
+    if (match) found.add(match[1]);
+  }
+  return [...found].sort();
+}
+
+function licences(names) {
+  const parts = ["The page contains the following packages, each under the licence below.\n"];
+  for (const name of names) {
+    const folder = join(here, "node_modules", name);
+    const info = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
+    const file = readdirSync(folder).find((entry) => /^licen[cs]e/i.test(entry));
+    if (file === undefined) throw new Error(`${name} has no licence file: it cannot be shipped`);
+    const rule = "-".repeat(78);
+    parts.push(`${rule}\n${name} ${info.version} (${info.license})\n${rule}\n\n${readFileSync(join(folder, file), "utf8").trim()}\n`);
+  }
+  return parts.join("\n");
+}
+
+async function page() {
+  const out = resolve(here, "../static");
+  rmSync(out, { recursive: true, force: true });
+  mkdirSync(join(out, "assets"), { recursive: true });
+  const result = await build({
+    ...common,
+    entryPoints: { app: "src/main.ts" },
+    outdir: join(out, "assets"),
+    splitting: true,
+    chunkNames: "[name]-[hash]",
+    minify: true,
+    metafile: true,
+    define: { "process.env.NODE_ENV": '"production"' },
+  });
+  const styles = await build({
+    ...common,
+    entryPoints: { app: "src/styles/app.css" },
+    outdir: join(out, "assets"),
+    minify: true,
+    metafile: true,
+    loader: { ".woff2": "file" },
+    assetNames: "[name]",
+  });
+  const names = new Set([...packagesOf(result.metafile), ...packagesOf(styles.metafile)]);
+  writeFileSync(join(out, "assets", "licenses.txt"), licences([...names].sort()));
+  cpSync(join(here, "public"), out, { recursive: true });
+  let total = 0;
+  for (const name of readdirSync(join(out, "assets"))) {
+    if (/\.(js|css)$/.test(name)) total += gzipSync(readFileSync(join(out, "assets", name)), { level: 9 }).length;
+  }
+  console.log(`page: ${(total / 1000).toFixed(1)} kB of scripts and styles, compressed`);
+}
+
+async function tests() {
+  const out = join(here, "build", "tests");
+  rmSync(out, { recursive: true, force: true });
+  const files = readdirSync(join(here, "test")).filter((name) => /\.test\.tsx?$/.test(name));
+  await build({
+    ...common,
+    entryPoints: files.map((name) => join("test", name)),
+    outdir: out,
+    platform: "node",
+    packages: "external",
+    sourcemap: "inline",
+  });
+}
+
+await (process.argv.includes("--tests") ? tests() : page());

@@ -1,0 +1,158 @@
+// The page: top bar with STOP, banners, the fleet with its panels, other pages, and on phones one pane at a time.
+
+import type { ComponentType } from "preact";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import type { Connection } from "./connection.ts";
+import { FleetCanvas } from "./fleet_canvas.tsx";
+import { useStore } from "./hooks.ts";
+import { OrdersPanel } from "./orders_panel.tsx";
+import { OrderList } from "./order_list.tsx";
+import { PANELS } from "./panels/index.ts";
+import type { Panel, PanelProps } from "./panels/registry.ts";
+import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
+import { StopButton } from "./stop.tsx";
+import type { State, Store } from "./store.ts";
+import { FleetTable } from "./table.tsx";
+import { FleetView } from "./view/fleet_view.ts";
+import { Shortcuts } from "./shortcuts.tsx";
+
+const FLEET = "fleet";
+
+export function App({ store, connection }: { store: Store; connection: Connection }) {
+  const view = useMemo(() => new FleetView(store), [store]);
+  const [page, go] = usePage();
+  const shown = useStore(store, (state) => visiblePanels(state).map((panel) => panel.id).join(" "));
+  const panels = PANELS.filter((panel) => shown.split(" ").includes(panel.id));
+  const open = panels.find((panel) => panel.id === page && panel.place === "page");
+  const props = { store, connection, view };
+  return (
+    <div class="app">
+      <a class="skip" href="#main">Skip to the fleet</a>
+      <header class="top">
+        <span class="brand" aria-hidden="true">
+          <svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>
+          skygcs
+        </span>
+        <nav class="pages" aria-label="Pages">
+          <PageTab id={FLEET} title="Fleet" now={open === undefined} go={go} />
+          {panels.filter((panel) => panel.place === "page").map((panel) => (
+            <PageTab key={panel.id} id={panel.id} title={panel.title} now={panel === open} go={go} badge={<Badge store={store} panel={panel} />} />
+          ))}
+        </nav>
+        <FleetSummary store={store} />
+        <ThemeButton />
+        <Shortcuts />
+        <StopButton store={store} connection={connection} />
+      </header>
+      <Banner store={store} connection={connection} />
+      {panels.filter((panel) => panel.place === "dock").map((panel) => (
+        <section key={panel.id} class="dock" aria-label={panel.title}><LazyPanel panel={panel} {...props} /></section>
+      ))}
+      <main id="main" class={open === undefined ? "main" : "main paged"}>
+        <Fleet hidden={open !== undefined} sides={panels.filter((panel) => panel.place === "side")} {...props} />
+        {open !== undefined && <section class="page" aria-label={open.title}><LazyPanel key={open.id} panel={open} {...props} /></section>}
+      </main>
+      <OrderList store={store} />
+    </div>
+  );
+}
+
+function visiblePanels(state: State): Panel[] {
+  return PANELS.filter((panel) => panel.when === undefined || panel.when(state));
+}
+
+/** The page named after # in the address: a reload and the back button keep it. */
+function usePage(): [string, (id: string) => void] {
+  const read = (): string => location.hash.slice(1) || FLEET;
+  const [page, setPage] = useState(read);
+  useEffect(() => {
+    const onHash = (): void => setPage(read());
+    addEventListener("hashchange", onHash);
+    return () => removeEventListener("hashchange", onHash);
+  }, []);
+  return [page, (id) => { location.hash = id; }];
+}
+
+function PageTab({ id, title, now, go, badge }: { id: string; title: string; now: boolean; go: (id: string) => void; badge?: preact.ComponentChildren }) {
+  return (
+    <button type="button" class="tab" aria-current={now ? "page" : undefined} onClick={() => go(id)}>
+      {title}
+      {badge}
+    </button>
+  );
+}
+
+function Badge({ store, panel }: { store: Store; panel: Panel }) {
+  const count = useStore(store, (state) => panel.badge?.(state) ?? 0);
+  return count === 0 ? null : <span class="badge">{count > 99 ? "99+" : count}</span>;
+}
+
+/** The panes of a phone's bottom bar; on a wide screen all of them are there at once. */
+const VIEW = "view";
+const TABLE = "table";
+const ORDERS = "orders";
+
+function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; sides: readonly Panel[] }) {
+  const { store } = props;
+  const [pane, setPane] = useState(TABLE);
+  const [side, setSide] = useState(ORDERS);
+  const panel = sides.find((one) => one.id === side);
+  const openSide = (id: string): void => {
+    setSide(id);
+    setPane(id);
+  };
+  return (
+    <div class="fleet" hidden={hidden} data-pane={pane === VIEW || pane === TABLE ? pane : "side"}>
+      <section class="viewpane" aria-label="Fleet view"><FleetCanvas {...props} /></section>
+      <section class="tablepane" aria-label="Fleet table"><FleetTable store={store} /></section>
+      <aside class="sidepane" aria-label="Orders and panels">
+        <div class="tabs" role="tablist" aria-label="Panels">
+          <SideTab id={ORDERS} title="Orders" now={panel === undefined} open={openSide} />
+          {sides.map((one) => (
+            <SideTab key={one.id} id={one.id} title={one.title} now={one === panel} open={openSide} badge={<Badge store={store} panel={one} />} />
+          ))}
+        </div>
+        <div class="sidebody" role="tabpanel" aria-label={panel?.title ?? "Orders"}>
+          {panel === undefined ? <OrdersPanel {...props} /> : <LazyPanel key={panel.id} panel={panel} {...props} />}
+        </div>
+      </aside>
+      <nav class="bottom" aria-label="Panes">
+        {[[VIEW, "View"], [TABLE, "Table"], [ORDERS, "Orders"], ...sides.map((one) => [one.id, one.title])].map(([id = "", title = ""]) => (
+          <button key={id} type="button" class="tab" aria-current={pane === id ? "true" : undefined}
+            onClick={() => (id === VIEW || id === TABLE ? setPane(id) : openSide(id))}>
+            {title}
+          </button>
+        ))}
+      </nav>
+    </div>
+  );
+}
+
+function SideTab({ id, title, now, open, badge }: { id: string; title: string; now: boolean; open: (id: string) => void; badge?: preact.ComponentChildren }) {
+  return (
+    <button type="button" role="tab" class="tab" aria-selected={now} onClick={() => open(id)}>
+      {title}
+      {badge}
+    </button>
+  );
+}
+
+/** A panel whose module is loaded when it is first shown. */
+function LazyPanel({ panel, ...props }: PanelProps & { panel: Panel }) {
+  const [loaded, setLoaded] = useState<{ component: ComponentType<PanelProps> } | null>(null);
+  const [failed, setFailed] = useState(false);
+  const wanted = useRef(panel);
+  wanted.current = panel;
+  useEffect(() => {
+    let here = true;
+    panel.load().then(
+      (module) => here && setLoaded({ component: module.default }),
+      () => here && setFailed(true),
+    );
+    return () => { here = false; };
+  }, [panel]);
+  if (failed) return <p class="note">This part of the page could not be loaded: the ground station was updated or has ended. Reload the page.</p>;
+  if (loaded === null) return <p class="note">Loading …</p>;
+  const Component = loaded.component;
+  return <Component {...props} />;
+}

@@ -1,0 +1,72 @@
+// The canvas as a part of the page: pointer, wheel, fingers and keys, and the buttons on it.
+
+import { useEffect, useReducer, useRef } from "preact/hooks";
+import type { PanelProps } from "./panels/registry.ts";
+import type { FleetView } from "./view/fleet_view.ts";
+import { beginInput } from "./view/input.ts";
+
+export function FleetCanvas({ store, view }: PanelProps) {
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const readout = useRef<HTMLOutputElement>(null);
+  const band = useRef<HTMLDivElement>(null);
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  useEffect(() => view.onChange(() => redraw(0)), [view]);
+  useEffect(() => {
+    const element = canvas.current;
+    if (element === null) return;
+    const detach = view.attach(element);
+    const end = beginInput(element, view, store, {
+      place: (text) => { if (readout.current !== null) readout.current.value = text; },
+      band: (box) => showBand(band.current, box),
+    });
+    return () => {
+      end();
+      detach();
+    };
+  }, [view, store]);
+  return (
+    <div class="canvasbox">
+      <canvas ref={canvas} tabIndex={0} role="img"
+        aria-label="Fleet view: arrows move it, plus and minus zoom, F shows all, C follows the selected vehicles. The table has the same vehicles as text." />
+      <div ref={band} class="band" hidden />
+      <ViewButtons view={view} hasMap={store.state.hello?.map != null} />
+      <output ref={readout} class="readout" aria-hidden="true" />
+      {view.tool !== null && (
+        <div class="toolhint" role="status">
+          <span>{view.tool.hint}</span>
+          <button type="button" onClick={() => view.setTool(null)}>Cancel</button>
+        </div>
+      )}
+    </div>
+  );
+}
+
+function showBand(element: HTMLDivElement | null, box: { left: number; top: number; width: number; height: number } | null): void {
+  if (element === null) return;
+  element.hidden = box === null;
+  if (box === null) return;
+  for (const key of ["left", "top", "width", "height"] as const) element.style[key] = `${box[key]}px`;
+}
+
+function ViewButtons({ view, hasMap }: { view: FleetView; hasMap: boolean }) {
+  const { options } = view;
+  const toggles = [["labels", "Labels"], ["trails", "Trails"], ["side", "Heights"], ...(hasMap ? [["map", "Map"]] : [])] as const;
+  return (
+    <div class="viewbuttons" role="toolbar" aria-label="View">
+      <div class="group">
+        <button type="button" aria-label="Zoom in" title="Zoom in (+)" onClick={() => view.zoom(1.5)}>+</button>
+        <button type="button" aria-label="Zoom out" title="Zoom out (−)" onClick={() => view.zoom(1 / 1.5)}>−</button>
+        <button type="button" title="Show all vehicles (F)" onClick={() => view.fit("all")}>Fit</button>
+        <button type="button" title="Keep the selected vehicles in the middle (C)" aria-pressed={view.follow} onClick={() => view.setFollow(!view.follow)}>Follow</button>
+      </div>
+      <div class="group layers">
+        {toggles.map(([key, title]) => {
+          const name = key as keyof typeof options;
+          return (
+            <button key={key} type="button" aria-pressed={options[name]} onClick={() => view.setOptions({ [name]: !options[name] })}>{title}</button>
+          );
+        })}
+      </div>
+    </div>
+  );
+}

@@ -1,0 +1,33 @@
+// Numbers as people read them. Null is "not known" and gives null: what is shown then is for the place to say.
+
+export function fixed(value: number | null | undefined, digits: number): string | null {
+  if (value === null || value === undefined || !Number.isFinite(value)) return null;
+  const text = value.toFixed(digits);
+  return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replace("-", "−");
+}
+
+/** An age or a duration in two places at most: 0.4 s, 12 s, 3 min, 2 h. */
+export function ageText(seconds: number): string {
+  if (seconds < 9.95) return `${Math.max(seconds, 0).toFixed(1)} s`;
+  if (seconds < 100) return `${seconds.toFixed(0)} s`;
+  if (seconds < 5400) return `${(seconds / 60).toFixed(0)} min`;
+  return `${(seconds / 3600).toFixed(0)} h`;
+}
+
+export function percentText(ratio: number | null | undefined): string | null {
+  if (ratio === null || ratio === undefined) return null;
+  const percent = ratio * 100;
+  return `${percent === 0 || percent >= 9.95 ? percent.toFixed(0) : percent.toFixed(1)} %`;
+}
+
+/** "alpha, bravo and 3 more": who an order is for. */
+export function namesText(names: readonly string[], most = 3): string {
+  if (names.length === 0) return "nothing";
+  if (names.length <= most) return listText(names);
+  return `${names.slice(0, most - 1).join(", ")} and ${names.length - most + 1} more`;
+}
+
+function listText(names: readonly string[]): string {
+  if (names.length === 1) return names[0] ?? "";
+  return `${names.slice(0, -1).join(", ")} and ${names.at(-1) ?? ""}`;
+}

@@ -1,0 +1,112 @@
+// A button that acts once it was held down for a second, by pointer, by Space or Enter, or by a key of its own.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import type { ComponentChildren } from "preact";
+import { isTextField } from "./stop.tsx";
+
+export const HOLD_MS = 1_000;
+
+export interface HoldButtonProps {
+  /** What it does, with its targets: "Arm alpha and bravo". Shown while it is held, and read aloud. */
+  what: string;
+  act: () => void;
+  children: ComponentChildren;
+  disabled?: boolean;
+  /** A letter that does the same while it is held, outside of text fields. */
+  hotkey?: string;
+  danger?: boolean;
+  class?: string;
+  title?: string;
+}
+
+export function HoldButton({ what, act, children, disabled = false, hotkey, danger = false, title, ...rest }: HoldButtonProps) {
+  const [holding, setHolding] = useState(false);
+  const timer = useRef<ReturnType<typeof setTimeout> | null>(null);
+  const action = useRef(act);
+  action.current = act;
+
+  const release = (): void => {
+    if (timer.current !== null) clearTimeout(timer.current);
+    timer.current = null;
+    setHolding(false);
+  };
+  const press = (): void => {
+    if (disabled || timer.current !== null) return;
+    setHolding(true);
+    timer.current = setTimeout(() => {
+      release();
+      action.current();
+    }, HOLD_MS);
+  };
+  useEffect(() => release, []);
+  useEffect(() => {
+    if (disabled) release();
+  }, [disabled]);
+  // what it is for changed under the finger: begin anew
+  useEffect(() => release, [what]);
+  useHotkey(hotkey, press, release, disabled);
+
+  const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";
+  return (
+    <button
+      type="button"
+      class={`hold ${danger ? "danger" : ""} ${rest.class ?? ""}`}
+      data-holding={holding}
+      disabled={disabled}
+      title={title ?? `Hold down for a second: ${what}`}
+      aria-label={`${what}: hold down for a second`}
+      aria-keyshortcuts={hotkey?.toUpperCase()}
+      onPointerDown={(event) => {
+        if (event.button !== 0 || !event.isTrusted) return;
+        event.currentTarget.setPointerCapture(event.pointerId);
+        press();
+      }}
+      onPointerUp={release}
+      onPointerCancel={release}
+      onContextMenu={(event) => event.preventDefault()}
+      onKeyDown={(event) => {
+        if (!isKey(event)) return;
+        event.preventDefault();
+        if (!event.repeat && event.isTrusted) press();
+      }}
+      onKeyUp={(event) => {
+        if (isKey(event)) release();
+      }}
+      onBlur={release}
+    >
+      {children}
+      {holding && <HoldHint what={what} />}
+    </button>
+  );
+}
+
+/** What is about to happen and to whom, large, where no finger covers it. */
+function HoldHint({ what }: { what: string }) {
+  return <span class="holdhint" role="status">{what}: keep holding</span>;
+}
+
+function useHotkey(hotkey: string | undefined, press: () => void, release: () => void, disabled: boolean): void {
+  const calls = useRef({ press, release });
+  calls.current = { press, release };
+  useEffect(() => {
+    if (hotkey === undefined || disabled) return undefined;
+    const isIt = (event: KeyboardEvent): boolean => event.key.toLowerCase() === hotkey;
+    const onDown = (event: KeyboardEvent): void => {
+      if (!isIt(event) || event.repeat || !event.isTrusted || isTextField(event.target)) return;
+      if (event.shiftKey || event.ctrlKey || event.metaKey || event.altKey) return;
+      calls.current.press();
+    };
+    const onUp = (event: KeyboardEvent): void => {
+      if (isIt(event)) calls.current.release();
+    };
+    const onBlur = (): void => calls.current.release();
+    addEventListener("keydown", onDown);
+    addEventListener("keyup", onUp);
+    addEventListener("blur", onBlur);
+    return () => {
+      removeEventListener("keydown", onDown);
+      removeEventListener("keyup", onUp);
+      removeEventListener("blur", onBlur);
+    };
+  }, [hotkey, disabled]);
+}

@@ -1,0 +1,41 @@
+// Parts of the store as component state.
+
+import { useEffect, useReducer, useRef, useState } from "preact/hooks";
+import type { State, Store } from "./store.ts";
+
+/** A part of the state; the component is drawn again when it changed. */
+export function useStore<T>(store: Store, pick: (state: State) => T): T {
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  const value = pick(store.state);
+  const shown = useRef(value);
+  const picker = useRef(pick);
+  shown.current = value;
+  picker.current = pick;
+  useEffect(() => {
+    const check = (): void => {
+      if (!Object.is(picker.current(store.state), shown.current)) redraw(0);
+    };
+    check();
+    return store.subscribe(check);
+  }, [store]);
+  return value;
+}
+
+/** Draws the component again so often, for ages and what changes at every update. Returns the page's time. */
+export function useTick(everyMs: number): number {
+  const [now, setNow] = useState(() => performance.now());
+  useEffect(() => {
+    const timer = setInterval(() => setNow(performance.now()), everyMs);
+    return () => clearInterval(timer);
+  }, [everyMs]);
+  return now;
+}
+
+/** The state as it is every so many milliseconds: for lists of vehicles, which change faster than anybody reads. */
+export function useSlowState(store: Store, everyMs: number): { state: State; nowMs: number } {
+  const nowMs = useTick(everyMs);
+  // selection and orders answer a person: at once
+  useStore(store, (state) => state.selection);
+  useStore(store, (state) => state.names);
+  return { state: store.state, nowMs };
+}

@@ -1,0 +1,94 @@
+// What became of orders, per vehicle, in the daemon's own words.
+
+import { ageText, namesText } from "./format.ts";
+import { useStore, useTick } from "./hooks.ts";
+import type { OrderRun, Store } from "./store.ts";
+import type { Outcome } from "./types.ts";
+
+const SHOWN = 3;
+/** What went well goes away by itself; what did not stays until a person dismisses it. */
+const DONE_SHOWN_MS = 6_000;
+
+/** The newest orders, above everything else. */
+export function OrderList({ store }: { store: Store }) {
+  const orders = useStore(store, (state) => state.orders);
+  useTick(500);
+  const now = performance.now();
+  const shown = orders.filter((order) => order.dismissed !== true && !(order.state === "done" && now - (order.endedMs ?? now) > DONE_SHOWN_MS)).slice(0, SHOWN);
+  return (
+    <div class="toasts" role="log" aria-label="Orders" aria-live="polite">
+      {shown.map((order) => <OrderCard key={order.id} order={order} store={store} />)}
+    </div>
+  );
+}
+
+/** All orders of this page. */
+export function OrderHistory({ store }: { store: Store }) {
+  const orders = useStore(store, (state) => state.orders);
+  if (orders.length === 0) return null;
+  return (
+    <section class="history" aria-label="Orders of this page">
+      <h3>Orders of this page</h3>
+      <ul>
+        {orders.map((order) => (
+          <li key={order.id} data-state={order.state}>
+            <b>{order.label}</b> <span class="muted">{namesText(order.targets)}</span>
+            <OutcomeList order={order} />
+          </li>
+        ))}
+      </ul>
+    </section>
+  );
+}
+
+function OrderCard({ order, store }: { order: OrderRun; store: Store }) {
+  return (
+    <div class="toast" data-state={order.state}>
+      <div class="toasthead">
+        <StateMark order={order} />
+        <b>{order.label}</b>
+        <span class="muted">{namesText(order.targets)}</span>
+        {order.state !== "pending" && (
+          <button type="button" class="quiet close" aria-label="Dismiss" onClick={() => store.dispatch({ type: "orderDismissed", id: order.id })}>×</button>
+        )}
+      </div>
+      <OutcomeList order={order} />
+    </div>
+  );
+}
+
+function StateMark({ order }: { order: OrderRun }) {
+  const text = { pending: "…", done: "✓", failed: "✕", unknown: "?" }[order.state];
+  const name = { pending: "under way", done: "done", failed: "failed", unknown: "not known" }[order.state];
+  return <span class="mark" role="img" aria-label={name}>{text}</span>;
+}
+
+function OutcomeList({ order }: { order: OrderRun }) {
+  if (order.error !== null) return <p class="outcome bad">{order.error}</p>;
+  if (order.state === "pending") return <p class="outcome muted">sent {ageText((performance.now() - order.startedMs) / 1000)} ago</p>;
+  return (
+    <ul class="outcomes">
+      {groupOutcomes(order.outcomes).map(({ ok, text, names }) => (
+        <li key={text} class={ok ? "outcome" : "outcome bad"}><span class="who">{ok ? namesText(names) : names.join(", ")}</span> {text}</li>
+      ))}
+    </ul>
+  );
+}
+
+export interface OutcomeGroup {
+  ok: boolean;
+  text: string;
+  names: string[];
+}
+
+/** Vehicles of which the same is said together, failures first. */
+export function groupOutcomes(outcomes: Readonly<Record<string, Outcome>>): OutcomeGroup[] {
+  const groups = new Map<string, OutcomeGroup>();
+  for (const [name, { ok, message }] of Object.entries(outcomes)) {
+    const key = `${ok ? 1 : 0}${message}`;
+    const group = groups.get(key);
+    if (group === undefined) groups.set(key, { ok, text: message, names: [name] });
+    else group.names.push(name);
+  }
+  return [...groups.values()].sort((a, b) => Number(a.ok) - Number(b.ok));
+}

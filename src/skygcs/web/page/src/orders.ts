@@ -1,0 +1,70 @@
+// Orders to vehicles: what they are, how each is sent, and what is said of it. An order is sent once.
+
+import { ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S, type Connection } from "./connection.ts";
+import type { OrderState, Store } from "./store.ts";
+import type { Outcome } from "./types.ts";
+
+export interface OrderRequest {
+  /** As a person reads it: "Take off to 10 m". */
+  label: string;
+  method: string;
+  params: object;
+  /** Vehicles that it is for, or null: all that the daemon knows. */
+  targets: readonly string[] | null;
+  withinS?: number;
+}
+
+let nextId = 1;
+
+/** Sends an order and keeps its course in the store. Never rejects: what went wrong is the order's state. */
+export async function sendOrder(store: Store, connection: Connection, request: OrderRequest): Promise<OrderState> {
+  const id = nextId++;
+  const targets = request.targets ?? store.state.names;
+  store.dispatch({
+    type: "orderBegun",
+    order: {
+      id,
+      label: request.label,
+      method: request.method,
+      targets,
+      startedMs: performance.now(),
+      endedMs: null,
+      state: "pending",
+      outcomes: {},
+      error: null,
+    },
+  });
+  const end = (state: OrderState, outcomes: Readonly<Record<string, Outcome>>, error: string | null): OrderState => {
+    store.dispatch({ type: "orderEnded", id, atMs: performance.now(), state, outcomes, error });
+    return state;
+  };
+  try {
+    const params = { targets: request.targets === null ? "all" : [...request.targets], ...request.params };
+    const answer = await connection.order<{ outcomes?: Record<string, Outcome> } | null>(
+      request.method,
+      params,
+      request.withinS ?? ORDER_DEADLINE_S,
+    );
+    const outcomes = answer?.outcomes ?? {};
+    return end(Object.values(outcomes).every((outcome) => outcome.ok) ? "done" : "failed", outcomes, null);
+  } catch (error) {
+    const state = error instanceof ConnectionLost ? "unknown" : "failed";
+    return end(state, {}, refusalText(error));
+  }
+}
+
+/** STOP: all vehicles hold where they are, by every link. */
+export function sendStop(store: Store, connection: Connection): Promise<OrderState> {
+  return sendOrder(store, connection, {
+    label: "STOP all",
+    method: "vehicles.stop",
+    params: {},
+    targets: null,
+    withinS: STOP_DEADLINE_S,
+  });
+}
+
+export function refusalText(error: unknown): string {
+  if (error instanceof RpcError) return error.message;
+  return error instanceof Error ? error.message : String(error);
+}

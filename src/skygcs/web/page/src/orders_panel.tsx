@@ -1,0 +1,237 @@
+// Orders for the selected vehicles. Hold and STOP act at once; everything else is held down for a second.
+
+import { useEffect, useState } from "preact/hooks";
+import { namesText, fixed } from "./format.ts";
+import { beginGoto, type GotoDraft } from "./goto_draft.ts";
+import { HoldButton } from "./hold_button.tsx";
+import { useStore } from "./hooks.ts";
+import { OrderHistory } from "./order_list.tsx";
+import { sendOrder, type OrderRequest } from "./orders.ts";
+import type { PanelProps } from "./panels/registry.ts";
+import { modesFor } from "./modes.ts";
+import { isTextField } from "./stop.tsx";
+import { isHeard, serverNowS, type State } from "./store.ts";
+
+const DEFAULT_HEIGHT_M = 10;
+const MOST_HEIGHT_M = 500;
+
+export function OrdersPanel(props: PanelProps) {
+  const { store, connection } = props;
+  const names = useStore(store, selectedNames);
+  const role = useStore(store, (state) => state.hello?.role ?? null);
+  const replay = useStore(store, (state) => state.hello?.replay ?? false);
+  const open = useStore(store, (state) => state.phase.kind === "open" && state.daemon?.connected === true);
+  const targets = names === "" ? [] : names.split("\n");
+  if (replay) return <p class="note">A recording: nothing can be ordered.</p>;
+  if (role === "view") return <p class="note">This address may only look. <code>skygcs web link</code> prints one that may order.</p>;
+  const send = (request: Omit<OrderRequest, "targets">): void => void sendOrder(store, connection, { ...request, targets });
+  const enabled = open && targets.length > 0;
+  return (
+    <div class="orders">
+      <Targets {...props} targets={targets} />
+      <OrderButtons {...props} targets={targets} enabled={enabled} send={send} />
+      <OrderHistory store={store} />
+    </div>
+  );
+}
+
+/** In the order of the fleet, as one string: it changes only if the names do. */
+function selectedNames(state: State): string {
+  return state.names.filter((name) => state.selection.has(name)).join("\n");
+}
+
+function Targets({ store, targets }: PanelProps & { targets: readonly string[] }) {
+  const all = useStore(store, (state) => state.names);
+  const groups = useStore(store, (state) => [...new Set([...state.vehicles.values()].flatMap((v) => v.groups))].sort().join("\n"));
+  const select = (names: readonly string[]): void => store.dispatch({ type: "select", names, how: "only" });
+  const where = (test: (name: string) => boolean): readonly string[] => all.filter(test);
+  const { state } = store;
+  return (
+    <section class="targets" aria-label="Targets">
+      <p class="for" aria-live="polite">
+        {targets.length === 0 ? (
+          <span class="muted">Select vehicles in the view or the table.</span>
+        ) : (
+          <><b>{targets.length === all.length && all.length > 1 ? `All ${all.length}` : targets.length === 1 ? targets[0] : `${targets.length} vehicles`}</b>
+            {targets.length > 1 && <span class="muted"> {namesText(targets, 6)}</span>}</>
+        )}
+      </p>
+      <div class="chips">
+        <button type="button" title="Select all vehicles (Ctrl+A)" onClick={() => select(all)}>All</button>
+        <button type="button" title="Select none (Escape)" onClick={() => select([])}>None</button>
+        <button type="button" onClick={() => {
+          const now_s = serverNowS(state, performance.now());
+          select(where((name) => { const v = store.state.vehicles.get(name); return v?.armed === true && isHeard(v, now_s); }));
+        }}>Armed</button>
+        {groups.split("\n").filter(Boolean).map((group) => (
+          <button key={group} type="button" onClick={() => select(where((name) => store.state.vehicles.get(name)?.groups.includes(group) === true))}>{group}</button>
+        ))}
+      </div>
+    </section>
+  );
+}
+
+interface ButtonsProps extends PanelProps {
+  targets: readonly string[];
+  enabled: boolean;
+  send: (request: Omit<OrderRequest, "targets">) => void;
+}
+
+function OrderButtons(props: ButtonsProps) {
+  const { targets, enabled, send } = props;
+  const who = namesText(targets);
+  const [heightText, setHeightText] = useState(String(DEFAULT_HEIGHT_M));
+  const height = Number(heightText);
+  const heightOk = heightText.trim() !== "" && height > 0 && height <= MOST_HEIGHT_M;
+  useHoldKey(enabled, () => send({ label: "Hold", method: "vehicles.hold", params: {} }));
+  return (
+    <>
+      <section class="buttons" aria-label="Orders">
+        <button type="button" class="order primary" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
+          onClick={(event) => event.isTrusted && send({ label: "Hold", method: "vehicles.hold", params: {} })}>
+          <span>Hold</span><Key letter="H" />
+        </button>
+        <HoldButton class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => send({ label: "Arm", method: "vehicles.arm", params: {} })}>
+          <span>Arm</span><Key letter="A" />
+        </HoldButton>
+        <div class="pair">
+          <HoldButton class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
+            act={() => send({ label: `Take off to ${height} m`, method: "vehicles.takeoff", params: { height_m: height } })}>
+            <span>Take off</span><Key letter="T" />
+          </HoldButton>
+          <label class="field">
+            <input type="text" inputMode="decimal" value={heightText} aria-label="Height of the take-off in metres" aria-invalid={!heightOk}
+              onInput={(event) => setHeightText(event.currentTarget.value)} />
+            <span>m</span>
+          </label>
+        </div>
+        <HoldButton class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => send({ label: "Return", method: "vehicles.rtl", params: {} })}>
+          <span>Return</span><Key letter="R" />
+        </HoldButton>
+        <HoldButton class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => send({ label: "Land", method: "vehicles.land", params: {} })}>
+          <span>Land</span><Key letter="L" />
+        </HoldButton>
+        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
+          <span>Disarm</span><Key letter="D" />
+        </HoldButton>
+      </section>
+      <Goto {...props} />
+      <Mode {...props} />
+      <Emergency {...props} />
+    </>
+  );
+}
+
+function Key({ letter }: { letter: string }) {
+  return <kbd aria-hidden="true">{letter}</kbd>;
+}
+
+/** H acts at once: it is the one order that makes things calmer. */
+function useHoldKey(enabled: boolean, act: () => void): void {
+  useEffect(() => {
+    if (!enabled) return undefined;
+    const onKey = (event: KeyboardEvent): void => {
+      if (event.key.toLowerCase() !== "h" || event.repeat || !event.isTrusted || isTextField(event.target)) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
+      act();
+    };
+    addEventListener("keydown", onKey);
+    return () => removeEventListener("keydown", onKey);
+  });
+}
+
+function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
+  const [draft, setDraft] = useState<GotoDraft | null>(null);
+  const [fields, setFields] = useState({ x: "", y: "", height: "" });
+  const x = Number(fields.x);
+  const y = Number(fields.y);
+  const height = fields.height.trim() === "" ? null : Number(fields.height);
+  const valid = fields.x.trim() !== "" && fields.y.trim() !== "" && Number.isFinite(x) && Number.isFinite(y) && (height === null || Number.isFinite(height));
+  const place = valid ? view.geodeticOf(x, y) : null;
+  const pick = (): void => {
+    setDraft(beginGoto(store, view, (at) => setFields((before) => ({ ...before, x: at.x.toFixed(1), y: at.y.toFixed(1) }))));
+  };
+  useEffect(() => () => draft?.end(), [draft]);
+  useEffect(() => {
+    if (valid) draft?.show(x, y);
+  }, [draft, valid, x, y, targets]);
+  useEffect(() => {
+    const onKey = (event: KeyboardEvent): void => {
+      if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target)) return;
+      if (!(event.ctrlKey || event.metaKey || event.altKey)) pick();
+    };
+    addEventListener("keydown", onKey);
+    return () => removeEventListener("keydown", onKey);
+  });
+  const up = height === null ? "" : `, ${fixed(height, 1) ?? ""} m up`;
+  return (
+    <section class="goto" aria-label="Go to">
+      <div class="heading"><h3>Go to</h3>
+        <button type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={draft !== null && view.tool !== null}>Choose in the view<Key letter="G" /></button>
+      </div>
+      <div class="fields">
+        {([["x", "x"], ["y", "y"], ["height", "height"]] as const).map(([key, label]) => (
+          <label key={key} class="field">
+            <span>{label}</span>
+            <input type="text" inputMode="decimal" value={fields[key]} placeholder={key === "height" ? "as now" : ""}
+              aria-label={key === "height" ? "Height above home in metres; empty: as it is" : `${label} in metres from the origin`}
+              onInput={(event) => setFields({ ...fields, [key]: event.currentTarget.value })} />
+            <span>m</span>
+          </label>
+        ))}
+      </div>
+      <HoldButton class="order wide" disabled={!enabled || place === null} what={`Send ${namesText(targets)} to x ${fields.x}, y ${fields.y}${up}`}
+        act={() => {
+          if (place === null) return;
+          send({ label: `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`, method: "vehicles.goto", params: { ...place, height_m: height } });
+          draft?.end();
+          setDraft(null);
+        }}>
+        <span>Send there</span>
+      </HoldButton>
+      {targets.length > 1 && <p class="muted small">They keep their formation; its middle flies there.</p>}
+    </section>
+  );
+}
+
+function Mode({ store, targets, enabled, send }: ButtonsProps) {
+  const families = useStore(store, (state) => [...new Set(targets.map((name) => state.vehicles.get(name)?.autopilot ?? ""))].sort().join(" "));
+  const [mode, setMode] = useState("");
+  const choices = modesFor(families.split(" "));
+  useEffect(() => {
+    if (mode !== "" && !choices.includes(mode)) setMode("");
+  }, [mode, choices]);
+  return (
+    <section class="mode" aria-label="Mode">
+      <label class="field grow">
+        <span>Mode</span>
+        <select value={mode} disabled={!enabled || choices.length === 0} onChange={(event) => setMode(event.currentTarget.value)}>
+          <option value="">{targets.length > 0 && choices.length === 0 ? "none that all of them have" : "choose"}</option>
+          {choices.map((name) => <option key={name} value={name}>{name}</option>)}
+        </select>
+      </label>
+      <HoldButton class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${namesText(targets)}`}
+        act={() => send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
+        <span>Set</span>
+      </HoldButton>
+    </section>
+  );
+}
+
+/** What stops motors: folded away, held down, and confirmed to the daemon with the number of vehicles. */
+function Emergency({ targets, enabled, send }: ButtonsProps) {
+  const who = namesText(targets);
+  return (
+    <details class="emergency">
+      <summary>Emergency</summary>
+      <HoldButton class="order wide" danger disabled={!enabled} what={`Land ${who} now, over every link`}
+        act={() => send({ label: "Emergency landing", method: "vehicles.stop", params: { action: "land" }, withinS: 10 })}>
+        <span>Land now, over every link</span>
+      </HoldButton>
+      <HoldButton class="order wide" danger disabled={!enabled} what={`Stop the motors of ${who}: what flies falls`}
+        act={() => send({ label: "Motors off", method: "vehicles.stop", params: { action: "kill", confirm: `kill-${targets.length}` }, withinS: 10 })}>
+        <span>Stop motors: what flies falls</span>
+      </HoldButton>
+    </details>
+  );
+}

@@ -1,0 +1,83 @@
+// What follows each new connection: hello, subscription, origin, recent events. Everything is shown anew.
+
+import type { Connection } from "./connection.ts";
+import type { Store } from "./store.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, StateBatch } from "./types.ts";
+
+export const UPDATES_HZ = 10;
+const RECENT_EVENTS = 200;
+
+/** Joins the connection and the store; returns what ends it. */
+export function beginSession(connection: Connection, store: Store, nowMs: () => number): () => void {
+  let seq: number | null = null;
+  let originGeneration: number | null = null;
+
+  async function subscribe(): Promise<void> {
+    seq = (await connection.call<{ seq: number }>("web.subscribe", { rate_hz: UPDATES_HZ })).seq;
+  }
+
+  async function fetchOrigin(): Promise<void> {
+    const { origin } = await connection.call<{ origin: Origin | null }>("origin.get");
+    store.dispatch({ type: "origin", origin });
+  }
+
+  async function fetchEvents(): Promise<void> {
+    const events = await connection.call<FleetEvent[]>("events.recent", { limit: RECENT_EVENTS });
+    store.dispatch({ type: "recentEvents", events });
+  }
+
+  async function greet(): Promise<void> {
+    const hello = await connection.call<Hello>("web.hello");
+    store.dispatch({ type: "hello", hello, atMs: nowMs() });
+    seq = null;
+    originGeneration = null;
+    await subscribe();
+    connection.settled();
+    await fetchFromDaemon();
+  }
+
+  /** Without a daemon these are refused; they are asked for again when it is there. */
+  async function fetchFromDaemon(): Promise<void> {
+    await Promise.allSettled([fetchOrigin(), fetchEvents()]);
+  }
+
+  function onBatch(batch: StateBatch): void {
+    if (seq !== null && !batch.full && batch.seq !== seq + 1) {
+      seq = null; // until the full one has come
+      subscribe().catch(ignore);
+      return;
+    }
+    seq = batch.seq;
+    store.dispatch({ type: "batch", batch, atMs: nowMs() });
+    const generation = batch.vehicles.find((v) => v.position?.origin_generation != null)?.position?.origin_generation;
+    if (generation !== undefined && generation !== null && generation !== originGeneration) {
+      originGeneration = generation;
+      fetchOrigin().catch(ignore);
+    }
+  }
+
+  function onDaemon(daemon: DaemonLink): void {
+    store.dispatch({ type: "daemon", daemon });
+    if (daemon.connected) void fetchFromDaemon();
+  }
+
+  const undo = [
+    connection.onPhase((phase) => {
+      store.dispatch({ type: "phase", phase });
+      if (phase.kind === "open") greet().catch(ignore);
+    }),
+    connection.on<StateBatch>("web.state", onBatch),
+    connection.on<DaemonLink>("web.daemon", onDaemon),
+    connection.on<{ event: FleetEvent }>("event", ({ event }) => store.dispatch({ type: "event", event })),
+  ];
+  connection.begin();
+  return () => {
+    for (const each of undo) each();
+    connection.end();
+  };
+}
+
+/** A request failed with its connection: the next connection begins anew. */
+function ignore(): void {
+  return undefined;
+}

@@ -1,0 +1,82 @@
+// What the top bar says of fleet and connection, and the banners of what is wrong.
+
+import { useState } from "preact/hooks";
+import type { Connection } from "./connection.ts";
+import { ageText } from "./format.ts";
+import { useSlowState, useStore, useTick } from "./hooks.ts";
+import { isHeard, serverNowS, type Store } from "./store.ts";
+import { setTheme, theme, type Theme } from "./theme.ts";
+
+export function FleetSummary({ store }: { store: Store }) {
+  const { state, nowMs } = useSlowState(store, 500);
+  const now_s = serverNowS(state, nowMs);
+  const vehicles = [...state.vehicles.values()];
+  const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
+  const armed = heard.filter((vehicle) => vehicle.armed === true).length;
+  const flying = heard.filter((vehicle) => vehicle.landed === "in_air" || vehicle.landed === "takeoff" || vehicle.landed === "landing").length;
+  const failsafe = heard.filter((vehicle) => vehicle.failsafe).length;
+  const silent = vehicles.length - heard.length;
+  return (
+    <p class="summary">
+      <Figure count={vehicles.length} word={vehicles.length === 1 ? "vehicle" : "vehicles"} />
+      <Figure count={armed} word="armed" />
+      <Figure count={flying} word="in the air" />
+      {failsafe > 0 && <Figure count={failsafe} word="failsafe" tone="danger" />}
+      {silent > 0 && <Figure count={silent} word="not heard" tone="warning" />}
+    </p>
+  );
+}
+
+function Figure({ count, word, tone }: { count: number; word: string; tone?: string }) {
+  return <span class={tone === undefined ? "figure" : `figure ${tone}`}><b>{count}</b> {word}</span>;
+}
+
+const NAMES: Record<Theme, string> = { system: "System", dark: "Dark", daylight: "Daylight" };
+const NEXT: Record<Theme, Theme> = { system: "dark", dark: "daylight", daylight: "system" };
+
+export function ThemeButton() {
+  const [now, setNow] = useState(theme);
+  return (
+    <button type="button" class="quiet theme" title={`Colours: ${NAMES[now]}; next: ${NAMES[NEXT[now]]}`} aria-label={`Colours: ${NAMES[now]}`}
+      onClick={() => { setTheme(NEXT[now]); setNow(NEXT[now]); }}>
+      <svg viewBox="0 0 24 24" width="18" height="18" aria-hidden="true">
+        <circle cx="12" cy="12" r="8" fill="none" stroke="currentColor" stroke-width="2" />
+        <path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor" />
+      </svg>
+    </button>
+  );
+}
+
+/** One line for each thing that is wrong with what is shown; nothing while all is well. */
+export function Banner({ store, connection }: { store: Store; connection: Connection }) {
+  const phase = useStore(store, (state) => state.phase);
+  const daemon = useStore(store, (state) => state.daemon);
+  const hello = useStore(store, (state) => state.hello);
+  useTick(1000);
+  const state = store.state;
+  if (phase.kind === "lost" || (phase.kind === "connecting" && hello !== null)) {
+    const heard = state.clock === null ? null : (performance.now() - state.clock.atMs) / 1000;
+    return (
+      <div class="banner danger" role="alert">
+        <span><b>Not connected.</b> {phase.kind === "lost" ? `${sentence(phase.reason)}. ` : ""}
+          {heard !== null && `What is shown is ${ageText(heard)} old. `}Orders are not sent.</span>
+        <button type="button" onClick={() => connection.retryNow()}>Connect now</button>
+      </div>
+    );
+  }
+  if (phase.kind === "connecting") return <div class="banner" role="status">Connecting …</div>;
+  if (daemon !== null && !daemon.connected) {
+    return (
+      <div class="banner danger" role="alert">
+        <span><b>No daemon.</b> {sentence(daemon.text)}, since {ageText(serverNowS(state, performance.now()) - daemon.since_s)}. Orders are not sent.</span>
+      </div>
+    );
+  }
+  if (hello?.replay === true) return null;
+  if (hello?.role === "view") return <div class="banner" role="status">This address may only look: no orders.</div>;
+  return null;
+}
+
+function sentence(text: string): string {
+  return text.slice(0, 1).toUpperCase() + text.slice(1).replace(/\.$/, "");
+}

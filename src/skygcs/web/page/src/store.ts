@@ -1,0 +1,245 @@
+// What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
+
+import type { ClockSample, Phase } from "./connection.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, StateBatch, VehicleState } from "./types.ts";
+import { Trails } from "./trails.ts";
+
+/** A vehicle of which nothing came for so long is shown as not heard, whatever was last said of it. */
+export const SILENT_S = 5;
+export const MAX_EVENTS = 500;
+export const MAX_ORDERS = 40;
+
+/** A vehicle's newest state and the server's time that its ages refer to. */
+export interface Vehicle extends VehicleState {
+  heard_s: number;
+}
+
+export type OrderState = "pending" | "done" | "failed" | "unknown";
+
+/** An order that this page sent. */
+export interface OrderRun {
+  id: number;
+  /** As a person reads it: "Take off to 10 m". */
+  label: string;
+  method: string;
+  targets: readonly string[];
+  startedMs: number;
+  endedMs: number | null;
+  state: OrderState;
+  outcomes: Readonly<Record<string, Outcome>>;
+  /** Why there are no outcomes, in the words of what refused it. */
+  error: string | null;
+  /** A person has seen it. */
+  dismissed?: boolean;
+}
+
+/** Events with a number of their own, by which a list can know them. */
+export interface NumberedEvent extends FleetEvent {
+  id: number;
+}
+
+export interface State {
+  phase: Phase;
+  hello: Hello | null;
+  daemon: DaemonLink | null;
+  origin: Origin | null;
+  clock: ClockSample | null;
+  vehicles: ReadonlyMap<string, Vehicle>;
+  /** Names by system id. */
+  names: readonly string[];
+  selection: ReadonlySet<string>;
+  /** The one whose panel is shown: the one selected last. */
+  shown: string | null;
+  events: readonly NumberedEvent[];
+  eventsSeen: number;
+  orders: readonly OrderRun[];
+  /** Rises when everything is shown anew: after a connection, a gap, a jump in a recording. */
+  generation: number;
+}
+
+export const EMPTY: State = {
+  phase: { kind: "connecting" },
+  hello: null,
+  daemon: null,
+  origin: null,
+  clock: null,
+  vehicles: new Map(),
+  names: [],
+  selection: new Set(),
+  shown: null,
+  events: [],
+  eventsSeen: 0,
+  orders: [],
+  generation: 0,
+};
+
+export type Action =
+  | { type: "phase"; phase: Phase }
+  | { type: "hello"; hello: Hello; atMs: number }
+  | { type: "daemon"; daemon: DaemonLink }
+  | { type: "origin"; origin: Origin | null }
+  | { type: "batch"; batch: StateBatch; atMs: number }
+  | { type: "select"; names: readonly string[]; how: "only" | "add" | "toggle" }
+  | { type: "event"; event: FleetEvent }
+  | { type: "recentEvents"; events: readonly FleetEvent[] }
+  | { type: "orderBegun"; order: OrderRun }
+  | {
+      type: "orderEnded";
+      id: number;
+      atMs: number;
+      state: OrderState;
+      outcomes: Readonly<Record<string, Outcome>>;
+      error: string | null;
+    }
+  | { type: "orderDismissed"; id: number };
+
+export function reduce(state: State, action: Action): State {
+  switch (action.type) {
+    case "phase":
+      return { ...state, phase: action.phase };
+    case "hello":
+      return {
+        ...state,
+        hello: action.hello,
+        daemon: action.hello.daemon,
+        clock: { now_s: action.hello.now_s, atMs: action.atMs },
+      };
+    case "daemon":
+      return { ...state, daemon: action.daemon };
+    case "origin":
+      return { ...state, origin: action.origin };
+    case "batch":
+      return applyBatch(state, action.batch, action.atMs);
+    case "select":
+      return select(state, action.names, action.how);
+    case "event":
+      return addEvents(state, [action.event]);
+    case "recentEvents":
+      return addEvents({ ...state, events: [] }, action.events);
+    case "orderBegun":
+      return { ...state, orders: [action.order, ...state.orders].slice(0, MAX_ORDERS) };
+    case "orderEnded":
+      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
+    case "orderDismissed":
+      return {
+        ...state,
+        orders: state.orders.map((order) => (order.id === action.id ? { ...order, dismissed: true } : order)),
+      };
+  }
+}
+
+function applyBatch(state: State, batch: StateBatch, atMs: number): State {
+  const vehicles = new Map(batch.full ? [] : state.vehicles);
+  for (const name of batch.gone) vehicles.delete(name);
+  for (const vehicle of batch.vehicles) vehicles.set(vehicle.name, { ...vehicle, heard_s: batch.heard_s });
+  const same = !batch.full && vehicles.size === state.names.length && batch.vehicles.every((v) => state.vehicles.has(v.name));
+  const names = same && batch.gone.length === 0 ? state.names : namesBySysid(vehicles);
+  const selection = names === state.names ? state.selection : keepKnown(state.selection, vehicles);
+  return {
+    ...state,
+    vehicles,
+    names,
+    selection,
+    shown: state.shown !== null && vehicles.has(state.shown) ? state.shown : lastOf(selection),
+    clock: { now_s: batch.now_s, atMs },
+    generation: batch.full ? state.generation + 1 : state.generation,
+  };
+}
+
+function namesBySysid(vehicles: ReadonlyMap<string, Vehicle>): readonly string[] {
+  return [...vehicles.values()]
+    .sort((a, b) => a.sysid - b.sysid || a.compid - b.compid || a.name.localeCompare(b.name))
+    .map((vehicle) => vehicle.name);
+}
+
+function keepKnown(selection: ReadonlySet<string>, vehicles: ReadonlyMap<string, Vehicle>): ReadonlySet<string> {
+  const kept = [...selection].filter((name) => vehicles.has(name));
+  return kept.length === selection.size ? selection : new Set(kept);
+}
+
+function lastOf(selection: ReadonlySet<string>): string | null {
+  return [...selection].at(-1) ?? null;
+}
+
+function select(state: State, names: readonly string[], how: "only" | "add" | "toggle"): State {
+  const wanted = names.filter((name) => state.vehicles.has(name));
+  const selection = new Set(how === "only" ? [] : state.selection);
+  for (const name of wanted) {
+    if (how === "toggle" && selection.has(name)) selection.delete(name);
+    else selection.add(name);
+  }
+  const newest = wanted.filter((name) => selection.has(name)).at(-1);
+  return { ...state, selection, shown: newest ?? lastOf(selection) };
+}
+
+function addEvents(state: State, events: readonly FleetEvent[]): State {
+  const numbered = events.map((event, index) => ({ ...event, id: state.eventsSeen + index + 1 }));
+  return {
+    ...state,
+    events: [...state.events, ...numbered].slice(-MAX_EVENTS),
+    eventsSeen: state.eventsSeen + events.length,
+  };
+}
+
+function endOrder(order: OrderRun, end: Extract<Action, { type: "orderEnded" }>): OrderRun {
+  return { ...order, state: end.state, outcomes: end.outcomes, error: end.error, endedMs: end.atMs };
+}
+
+/** The server's clock at a moment of the page's own; 0 before it was heard. */
+export function serverNowS(state: Pick<State, "clock">, nowMs: number): number {
+  return state.clock === null ? 0 : state.clock.now_s + (nowMs - state.clock.atMs) / 1000;
+}
+
+/** How old a part of a vehicle's state is now. */
+export function ageOf(vehicle: Pick<Vehicle, "heard_s">, part: { age_s: number } | null, now_s: number): number | null {
+  return part === null ? null : part.age_s + Math.max(now_s - vehicle.heard_s, 0);
+}
+
+/** Seconds since anything was heard of a vehicle; null: never. */
+export function silenceOf(vehicle: Vehicle, now_s: number): number | null {
+  const ages = Object.values(vehicle.links).map((link) => link.age_s);
+  if (vehicle.last_heartbeat_age_s !== null) ages.push(vehicle.last_heartbeat_age_s);
+  return ages.length === 0 ? null : Math.min(...ages) + Math.max(now_s - vehicle.heard_s, 0);
+}
+
+/** Whether a vehicle's values are of now. A frozen good value is never shown as one. */
+export function isHeard(vehicle: Vehicle, now_s: number): boolean {
+  const silence = silenceOf(vehicle, now_s);
+  return vehicle.connected && silence !== null && silence < SILENT_S;
+}
+
+export type Listener = (state: State) => void;
+
+/** Holds the state. Listeners are called once for each animation frame in which it changed; `onAction` at once. */
+export class Store {
+  state: State = EMPTY;
+  readonly trails = new Trails();
+  private readonly listeners = new Set<Listener>();
+  private readonly actionListeners = new Set<(action: Action, state: State) => void>();
+  private scheduled = false;
+
+  constructor(private readonly schedule: (run: () => void) => void = (run) => void requestAnimationFrame(run)) {}
+
+  dispatch(action: Action): void {
+    this.state = reduce(this.state, action);
+    if (action.type === "batch") this.trails.take(action.batch);
+    for (const listener of this.actionListeners) listener(action, this.state);
+    if (this.scheduled) return;
+    this.scheduled = true;
+    this.schedule(() => {
+      this.scheduled = false;
+      for (const listener of this.listeners) listener(this.state);
+    });
+  }
+
+  subscribe(listener: Listener): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** Each action, at once: sounds, and what may miss none. */
+  onAction(listener: (action: Action, state: State) => void): () => void {
+    this.actionListeners.add(listener);
+    return () => this.actionListeners.delete(listener);
+  }
+}

@@ -1,0 +1,215 @@
+// The fleet table: sorted, filtered, grouped; only the rows that are seen exist. Selection is the view's.
+
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+import { COLUMNS, matches, rowsOf, sorted, type Cell, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import { useSlowState } from "./hooks.ts";
+import { isTextField } from "./stop.tsx";
+import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
+
+const REFRESH_MS = 250;
+const ROW_PX = 30;
+/** By a finger. */
+const TOUCH_ROW_PX = 56;
+const OVERSCAN = 6;
+
+export function FleetTable({ store }: { store: Store }) {
+  const { state, nowMs } = useSlowState(store, REFRESH_MS);
+  const [sorting, setSorting] = useState<Sorting>({ column: "id", down: false });
+  const [filter, setFilter] = useState("");
+  const [grouping, setGrouping] = useState<Grouping>("none");
+  const [cursor, setCursor] = useState<string | null>(null);
+  const box = useRef<HTMLDivElement>(null);
+  const field = useRef<HTMLInputElement>(null);
+  const narrow = useNarrow();
+  const rowPx = narrow ? TOUCH_ROW_PX : ROW_PX;
+  const window = useWindow(box, rowPx);
+  useFilterKey(field);
+
+  const now_s = serverNowS(state, nowMs);
+  const found = [...state.vehicles.values()].filter((vehicle) => matches(vehicle, filter, now_s));
+  const rows = rowsOf(sorted(found, sorting, now_s), grouping);
+  const columns = narrow ? COLUMNS.filter((column) => column.narrow) : COLUMNS;
+  const names = rows.flatMap((row) => (row.kind === "vehicle" ? [row.vehicle.name] : []));
+  const shown = rows.slice(window.first, window.first + window.count);
+
+  const pick = (name: string, event: { shiftKey: boolean; ctrlKey: boolean; metaKey: boolean }): void => {
+    if (event.shiftKey && cursor !== null) {
+      const [from, to] = [names.indexOf(cursor), names.indexOf(name)].sort((a, b) => a - b);
+      store.dispatch({ type: "select", names: names.slice(Math.max(from ?? 0, 0), (to ?? 0) + 1), how: "add" });
+    } else {
+      store.dispatch({ type: "select", names: [name], how: narrow || event.ctrlKey || event.metaKey ? "toggle" : "only" });
+    }
+    setCursor(name);
+  };
+
+  const onKey = (event: KeyboardEvent): void => {
+    const step = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    if (step !== undefined && names.length > 0) {
+      event.preventDefault();
+      const at = cursor === null ? -1 : names.indexOf(cursor);
+      const next = names[Math.min(Math.max(at + step, 0), names.length - 1)];
+      if (next === undefined) return;
+      setCursor(next);
+      store.dispatch({ type: "select", names: [next], how: event.shiftKey ? "add" : "only" });
+      scrollTo(box.current, rows.findIndex((row) => row.kind === "vehicle" && row.vehicle.name === next), rowPx);
+    } else if (event.key === " " && cursor !== null) {
+      event.preventDefault();
+      store.dispatch({ type: "select", names: [cursor], how: "toggle" });
+    }
+  };
+
+  const all = names.length > 0 && names.every((name) => state.selection.has(name));
+  return (
+    <div class="fleettable" data-narrow={narrow}>
+      <div class="tabletools">
+        <label class="check" title="Select all that are shown">
+          <input type="checkbox" checked={all} aria-label="Select all that are shown"
+            onChange={() => store.dispatch({ type: "select", names: all ? [] : names, how: "only" })} />
+        </label>
+        <input ref={field} type="search" placeholder="Filter: name, group, mode, armed, silent …" aria-label="Filter vehicles" value={filter}
+          onInput={(event) => setFilter(event.currentTarget.value)} />
+        <label class="grouping">Group by{" "}
+          <select value={grouping} onChange={(event) => setGrouping(event.currentTarget.value as Grouping)}>
+            <option value="none">nothing</option>
+            <option value="group">group</option>
+            <option value="autopilot">autopilot</option>
+            <option value="mode">mode</option>
+          </select>
+        </label>
+        <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : `${names.length} shown`}</span>
+      </div>
+      <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
+        <table aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
+          <thead>
+            <tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr>
+          </thead>
+          <tbody>
+            <Spacer rows={window.first} rowPx={rowPx} />
+            {shown.map((row, i) =>
+              row.kind === "group" ? (
+                <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
+              ) : (
+                <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} index={window.first + i}
+                  selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} pick={pick} />
+              ),
+            )}
+            <Spacer rows={Math.max(rows.length - window.first - shown.length, 0)} rowPx={rowPx} />
+          </tbody>
+        </table>
+        {rows.length === 0 && <p class="note">{state.vehicles.size === 0 ? "No vehicle was heard yet." : "No vehicle matches the filter."}</p>}
+      </div>
+    </div>
+  );
+}
+
+function Heading({ column, sorting, sort }: { column: Column; sorting: Sorting; sort: (to: Sorting) => void }) {
+  const now = sorting.column === column.id;
+  return (
+    <th scope="col" class={column.numeric ? "num" : ""} data-column={column.id} aria-sort={now ? (sorting.down ? "descending" : "ascending") : undefined}>
+      <button type="button" onClick={() => sort({ column: column.id, down: now && !sorting.down })}>
+        {column.title}
+        <span class="arrow" aria-hidden="true">{now ? (sorting.down ? "▾" : "▴") : ""}</span>
+      </button>
+    </th>
+  );
+}
+
+function Spacer({ rows, rowPx }: { rows: number; rowPx: number }) {
+  return rows === 0 ? null : <tr aria-hidden="true" class="spacer" style={{ height: `${rows * rowPx}px` }} />;
+}
+
+function GroupRow({ row, width, store }: { row: Extract<Row, { kind: "group" }>; width: number; store: Store }) {
+  return (
+    <tr class="grouprow">
+      <th colSpan={width} scope="colgroup">
+        <button type="button" onClick={() => store.dispatch({ type: "select", names: row.names, how: "only" })} title="Select this group">
+          {row.title} <span class="muted">{row.names.length}</span>
+        </button>
+      </th>
+    </tr>
+  );
+}
+
+interface VehicleRowProps {
+  vehicle: Vehicle;
+  columns: readonly Column[];
+  now_s: number;
+  index: number;
+  selected: boolean;
+  cursor: boolean;
+  pick: (name: string, event: MouseEvent) => void;
+}
+
+function VehicleRow({ vehicle, columns, now_s, index, selected, cursor, pick }: VehicleRowProps) {
+  const heard = isHeard(vehicle, now_s);
+  return (
+    <tr class="row" data-name={vehicle.name} data-heard={heard} data-cursor={cursor} aria-selected={selected} aria-rowindex={index + 2}
+      onClick={(event) => pick(vehicle.name, event)}>
+      {columns.map((column) => <CellOf key={column.id} column={column} cell={column.cell(vehicle, now_s)} heard={heard} />)}
+    </tr>
+  );
+}
+
+function CellOf({ column, cell, heard }: { column: Column; cell: Cell; heard: boolean }) {
+  // of a vehicle that is not heard nothing is a good value any more; only since when it is not
+  const tone = heard || column.id === "age" ? cell.tone : "lost";
+  const title = heard || column.id === "age" ? cell.title : "Not heard: this was the last value";
+  return <td class={`${column.numeric ? "num " : ""}${tone}`} data-column={column.id} title={title}>{cell.text}</td>;
+}
+
+/** The rows that are seen, and some around them. */
+function useWindow(box: { current: HTMLDivElement | null }, rowPx: number): { first: number; count: number } {
+  const [seen, setSeen] = useState({ first: 0, count: 40 });
+  useLayoutEffect(() => {
+    const element = box.current;
+    if (element === null) return undefined;
+    const measure = (): void => {
+      const first = Math.max(Math.floor(element.scrollTop / rowPx) - OVERSCAN, 0);
+      const count = Math.ceil(element.clientHeight / rowPx) + 2 * OVERSCAN;
+      setSeen((before) => (before.first === first && before.count === count ? before : { first, count }));
+    };
+    const observer = new ResizeObserver(measure);
+    observer.observe(element);
+    element.addEventListener("scroll", measure, { passive: true });
+    measure();
+    return () => {
+      observer.disconnect();
+      element.removeEventListener("scroll", measure);
+    };
+  }, [box, rowPx]);
+  return seen;
+}
+
+function scrollTo(box: HTMLDivElement | null, index: number, rowPx: number): void {
+  if (box === null || index < 0) return;
+  const top = index * rowPx;
+  const head = box.querySelector("thead")?.clientHeight ?? 0;
+  if (top < box.scrollTop) box.scrollTop = top;
+  else if (top + rowPx > box.scrollTop + box.clientHeight - head) box.scrollTop = top + rowPx - box.clientHeight + head;
+}
+
+export const NARROW = "(max-width: 760px)";
+
+/** Whether the page is shown on a phone. */
+export function useNarrow(): boolean {
+  const [narrow, setNarrow] = useState(() => matchMedia(NARROW).matches);
+  useEffect(() => {
+    const media = matchMedia(NARROW);
+    const onChange = (): void => setNarrow(media.matches);
+    media.addEventListener("change", onChange);
+    return () => media.removeEventListener("change", onChange);
+  }, []);
+  return narrow;
+}
+
+function useFilterKey(field: { current: HTMLInputElement | null }): void {
+  useEffect(() => {
+    const onKey = (event: KeyboardEvent): void => {
+      if (event.key !== "/" || isTextField(event.target)) return;
+      event.preventDefault();
+      field.current?.focus();
+    };
+    addEventListener("keydown", onKey);
+    return () => removeEventListener("keydown", onKey);
+  }, [field]);
+}

@@ -1,0 +1,87 @@
+// Where vehicles have flown: a ring of points each, bounded, in metres of the fleet's frame.
+
+import type { StateBatch } from "./types.ts";
+
+/** Points kept of one vehicle: at least 250 m of flight, minutes at walking speed. */
+export const TRAIL_POINTS = 500;
+/** Nearer points add nothing that could be seen. */
+export const TRAIL_STEP_M = 0.5;
+/** What is farther away in one update was not flown: a jump of the estimate, a new origin, a gap. */
+export const TRAIL_JUMP_M = 60;
+const MAX_TRAILS = 300;
+
+/** x, y, up, and whether a line leads here from the point before. */
+const WIDTH = 4;
+
+export class Trail {
+  private readonly points = new Float64Array(TRAIL_POINTS * WIDTH);
+  private begin = 0;
+  length = 0;
+
+  /** Adds a point if it is far enough from the last one; true if it was added. */
+  add(x: number, y: number, z: number): boolean {
+    let joined = 0;
+    if (this.length > 0) {
+      const last = this.index(this.length - 1);
+      const distance = Math.hypot(x - this.at(last), y - this.at(last + 1), z - this.at(last + 2));
+      if (distance < TRAIL_STEP_M) return false;
+      joined = distance > TRAIL_JUMP_M ? 0 : 1;
+    }
+    if (this.length === TRAIL_POINTS) {
+      this.begin = (this.begin + 1) % TRAIL_POINTS;
+      this.length -= 1;
+    }
+    this.points.set([x, y, z, joined], this.index(this.length));
+    this.length += 1;
+    return true;
+  }
+
+  /** Calls `point` for each, oldest first. */
+  each(point: (x: number, y: number, z: number, joined: boolean) => void): void {
+    for (let i = 0; i < this.length; i++) {
+      const k = this.index(i);
+      point(this.at(k), this.at(k + 1), this.at(k + 2), i > 0 && this.at(k + 3) === 1);
+    }
+  }
+
+  private index(i: number): number {
+    return ((this.begin + i) % TRAIL_POINTS) * WIDTH;
+  }
+
+  private at(k: number): number {
+    return this.points[k] ?? 0;
+  }
+}
+
+export class Trails {
+  readonly byName = new Map<string, Trail>();
+  /** Rises with each change. */
+  version = 0;
+  private originGeneration: number | null = null;
+
+  /** Takes a batch of states. A new origin begins all trails anew: their metres were counted from another place. */
+  take(batch: StateBatch): void {
+    if (batch.full) this.clear();
+    for (const name of batch.gone) this.byName.delete(name);
+    for (const { name, position, armed } of batch.vehicles) {
+      const enu = position?.enu_m;
+      if (enu === null || enu === undefined) continue;
+      if (position !== null && position.origin_generation !== this.originGeneration) {
+        this.clear();
+        this.originGeneration = position.origin_generation;
+      }
+      let trail = this.byName.get(name);
+      if (trail === undefined) {
+        if (armed !== true || this.byName.size >= MAX_TRAILS) continue;
+        trail = new Trail();
+        this.byName.set(name, trail);
+      }
+      if (trail.add(enu[0], enu[1], enu[2])) this.version += 1;
+    }
+  }
+
+  clear(): void {
+    this.byName.clear();
+    this.version += 1;
+  }
+}

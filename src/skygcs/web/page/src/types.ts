@@ -1,0 +1,176 @@
+// What comes over the WebSocket: the keys of docs/reference/rpc.md, SI units, degrees, ENU; null is "not known".
+
+export type Vec3 = readonly [number, number, number];
+
+/** A telemetry group has its age when it was sent; what is shown is older, see `ageOf` of store.ts. */
+export interface Aged {
+  age_s: number;
+}
+
+export interface Gps extends Aged {
+  fix: string | null;
+  fix_type: number | null;
+  satellites: number | null;
+  hdop: number | null;
+  lat_deg: number | null;
+  lon_deg: number | null;
+}
+
+export interface Position extends Aged {
+  lat_deg: number | null;
+  lon_deg: number | null;
+  alt_amsl_m: number | null;
+  /** Above home. */
+  alt_rel_m: number | null;
+  /** Clockwise from true north. */
+  heading_deg: number | null;
+  vel_enu_mps: Vec3 | null;
+  /** In the fleet's frame; null without an origin. */
+  enu_m: Vec3 | null;
+  vel_world_mps: Vec3 | null;
+  /** Counter-clockwise from the frame's x axis. */
+  yaw_world_deg: number | null;
+  origin_generation: number | null;
+}
+
+export interface Battery extends Aged {
+  volts: number | null;
+  amps: number | null;
+  percent: number | null;
+  remaining_s: number | null;
+}
+
+export interface Home extends Aged {
+  lat_deg: number;
+  lon_deg: number;
+  alt_amsl_m: number | null;
+}
+
+export interface LinkCounters {
+  frames: number;
+  lost: number;
+  loss_ratio: number | null;
+  age_s: number;
+}
+
+export interface Separation {
+  level: "notice" | "warning" | "action";
+  with: string;
+  distance_m: number;
+  closest_m: number;
+  closest_in_s: number;
+  enters_in_s: number;
+  margin_m: number;
+}
+
+export interface Control {
+  state: "off" | "engaging" | "flying" | "held";
+  mode: string | null;
+  control_mode: string | null;
+  reasons?: readonly string[] | null;
+  reference?: { pos_enu_m: readonly (number | null)[] | null; vel_enu_mps: readonly (number | null)[] | null } | null;
+  error_m?: number | null;
+  [more: string]: unknown;
+}
+
+export interface Uplink extends Aged {
+  heard: boolean;
+  unanswered: number;
+  rtt_s: number | null;
+}
+
+/** The state of one vehicle as web.state carries it. */
+export interface VehicleState {
+  name: string;
+  sysid: number;
+  compid: number;
+  autopilot: string;
+  type: string;
+  firmware: string | null;
+  groups: readonly string[];
+  connected: boolean;
+  duplicate_sysid: boolean;
+  replayed: boolean;
+  last_heartbeat_age_s: number | null;
+  uptime_s: number | null;
+  armed: boolean | null;
+  mode: string | null;
+  system_status: string;
+  landed: string;
+  failsafe: boolean;
+  control: Control | null;
+  uplink: Uplink | null;
+  separation: Separation | null;
+  gps: Gps | null;
+  position: Position | null;
+  attitude: (Aged & { roll_deg: number; pitch_deg: number; yaw_deg: number }) | null;
+  battery: Battery | null;
+  home: Home | null;
+  vfr: (Aged & { groundspeed_mps: number | null; climb_mps: number | null; throttle_percent: number | null }) | null;
+  mission: (Aged & { seq: number | null; count: number | null }) | null;
+  links: Readonly<Record<string, LinkCounters>>;
+}
+
+export interface StateBatch {
+  seq: number;
+  /** Forget everything: this is the fleet. */
+  full: boolean;
+  now_s: number;
+  /** The server's time that the ages of `vehicles` refer to. */
+  heard_s: number;
+  vehicles: readonly VehicleState[];
+  gone: readonly string[];
+}
+
+export interface FleetEvent {
+  time_unix_s: number;
+  kind: string;
+  vehicle: string | null;
+  sysid: number | null;
+  text: string;
+  data: Readonly<Record<string, unknown>>;
+}
+
+export interface DaemonLink {
+  connected: boolean;
+  text: string;
+  since_s: number;
+}
+
+export interface MapPin {
+  x_px: number;
+  y_px: number;
+  lat_deg: number;
+  lon_deg: number;
+}
+
+export interface Hello {
+  role: "view" | "command";
+  version: string;
+  fleet: string | null;
+  replay: boolean;
+  now_s: number;
+  seq: number;
+  daemon: DaemonLink;
+  map: { url: string; points: readonly [MapPin, MapPin] } | null;
+  methods: { read: readonly string[]; order: readonly string[] };
+  operator_timeout_s: number | null;
+}
+
+export interface Origin {
+  lat_deg: number;
+  lon_deg: number;
+  alt_amsl_m: number;
+  /** Compass heading of the x axis; 90 is plain ENU. */
+  x_heading_deg: number;
+}
+
+/** What became of an order on one vehicle, in the daemon's words. */
+export interface Outcome {
+  ok: boolean;
+  result: string;
+  message: string;
+  attempts?: number;
+  elapsed_s?: number;
+  status_texts?: readonly string[];
+}

@@ -1,0 +1,418 @@
+// Drawing on the canvas. Everything of one colour is one path: with two hundred vehicles the number of strokes is what costs.
+
+import type { Camera } from "./camera.ts";
+import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera.ts";
+import type { Frame } from "./frame.ts";
+import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
+import type { Palette } from "./palette.ts";
+import type { Body, Meeting } from "./scene.ts";
+import type { Trails } from "../trails.ts";
+
+export type Pen = CanvasRenderingContext2D;
+
+const GRID_PX = 96;
+const GLYPH_PX = 9;
+
+export function drawGrid(pen: Pen, camera: Camera, palette: Palette): void {
+  const major = niceLengthM(camera.pxPerM, GRID_PX * 2);
+  const minor = niceLengthM(camera.pxPerM, GRID_PX / 2);
+  gridLines(pen, camera, minor, palette.gridMinor);
+  gridLines(pen, camera, major, palette.gridMajor);
+  pen.strokeStyle = palette.axis;
+  pen.beginPath();
+  const x = crisp(toScreenX(camera, 0));
+  const y = crisp(toScreenY(camera, 0));
+  pen.moveTo(x, 0);
+  pen.lineTo(x, camera.heightPx);
+  pen.moveTo(0, y);
+  pen.lineTo(camera.widthPx, y);
+  pen.stroke();
+}
+
+function gridLines(pen: Pen, camera: Camera, step: number, colour: string): void {
+  const { x: left, y: top } = toWorld(camera, 0, 0);
+  const { x: right, y: bottom } = toWorld(camera, camera.widthPx, camera.heightPx);
+  pen.strokeStyle = colour;
+  pen.lineWidth = 1;
+  pen.beginPath();
+  for (let i = Math.ceil(left / step); i * step <= right; i++) {
+    const x = crisp(toScreenX(camera, i * step));
+    pen.moveTo(x, 0);
+    pen.lineTo(x, camera.heightPx);
+  }
+  for (let i = Math.ceil(bottom / step); i * step <= top; i++) {
+    const y = crisp(toScreenY(camera, i * step));
+    pen.moveTo(0, y);
+    pen.lineTo(camera.widthPx, y);
+  }
+  pen.stroke();
+}
+
+function crisp(px: number): number {
+  return Math.round(px) + 0.5;
+}
+
+/** Scale bar, north, and where the axes point, on the lower left; above the side view if there is one. */
+export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Frame | null): void {
+  const length = niceLengthM(camera.pxPerM, 140);
+  const widthPx = length * camera.pxPerM;
+  const x = 20;
+  const y = camera.heightPx - 20;
+  pen.lineWidth = 2;
+  pen.strokeStyle = palette.text;
+  pen.lineCap = "butt";
+  pen.beginPath();
+  pen.moveTo(x, y - 5);
+  pen.lineTo(x, y);
+  pen.lineTo(x + widthPx, y);
+  pen.lineTo(x + widthPx, y - 5);
+  pen.stroke();
+  pen.font = `12px ${palette.font}`;
+  pen.textAlign = "left";
+  pen.textBaseline = "bottom";
+  haloText(pen, lengthText(length), x + 4, y - 5, palette.text, palette.ground);
+  drawNorth(pen, 34, camera.heightPx - 78, palette, frame);
+}
+
+function drawNorth(pen: Pen, x: number, y: number, palette: Palette, frame: Frame | null): void {
+  // the frame's x axis is to the right: north is turned from up by what the axis is turned from east
+  const turn = (((frame?.x_heading_deg ?? 90) - 90) * Math.PI) / 180;
+  pen.save();
+  pen.translate(x, y);
+  pen.rotate(-turn);
+  pen.beginPath();
+  pen.moveTo(0, -18);
+  pen.lineTo(6, 4);
+  pen.lineTo(0, 0);
+  pen.closePath();
+  pen.fillStyle = palette.text;
+  pen.fill();
+  pen.beginPath();
+  pen.moveTo(0, -18);
+  pen.lineTo(-6, 4);
+  pen.lineTo(0, 0);
+  pen.closePath();
+  pen.fillStyle = palette.muted;
+  pen.fill();
+  pen.restore();
+  pen.font = `600 11px ${palette.font}`;
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  haloText(pen, "N", x - Math.sin(turn) * 26, y - Math.cos(turn) * 26, palette.text, palette.ground);
+}
+
+export function haloText(pen: Pen, text: string, x: number, y: number, colour: string, halo: string): void {
+  pen.lineWidth = 3;
+  pen.lineJoin = "round";
+  pen.strokeStyle = halo;
+  pen.strokeText(text, x, y);
+  pen.fillStyle = colour;
+  pen.fillText(text, x, y);
+}
+
+/** All trails on a layer of their own. The older half is fainter. */
+export function drawTrails(
+  pen: Pen,
+  camera: Camera,
+  trails: Trails,
+  colours: ReadonlyMap<string, string>,
+  lost: string,
+): void {
+  const byColour = new Map<string, { old: Path2D; recent: Path2D }>();
+  for (const [name, trail] of trails.byName) {
+    const colour = colours.get(name) ?? lost;
+    let paths = byColour.get(colour);
+    if (paths === undefined) {
+      paths = { old: new Path2D(), recent: new Path2D() };
+      byColour.set(colour, paths);
+    }
+    tracePoints(camera, trail, paths);
+  }
+  pen.lineWidth = 1.5;
+  pen.lineJoin = "round";
+  for (const [colour, { old, recent }] of byColour) {
+    pen.strokeStyle = colour;
+    pen.globalAlpha = 0.3;
+    pen.stroke(old);
+    pen.globalAlpha = 0.75;
+    pen.stroke(recent);
+  }
+  pen.globalAlpha = 1;
+}
+
+function tracePoints(
+  camera: Camera,
+  trail: { length: number; each: (point: (x: number, y: number, z: number, joined: boolean) => void) => void },
+  paths: { old: Path2D; recent: Path2D },
+): void {
+  const half = trail.length / 2;
+  let index = 0;
+  let lastX = 0;
+  let lastY = 0;
+  trail.each((x, y, _z, joined) => {
+    const px = toScreenX(camera, x);
+    const py = toScreenY(camera, y);
+    const path = index < half ? paths.old : paths.recent;
+    const turned = index - 1 < half && index >= half;
+    index += 1;
+    if (!joined) {
+      path.moveTo(px, py);
+    } else {
+      if (turned) path.moveTo(lastX, lastY);
+      else if (index < trail.length && Math.abs(px - lastX) + Math.abs(py - lastY) < 2) return;
+      path.lineTo(px, py);
+    }
+    lastX = px;
+    lastY = py;
+  });
+}
+
+export function drawOverlays(pen: Pen, camera: Camera, palette: Palette, overlays: Iterable<Overlay>): void {
+  let left = MAX_POINTS;
+  for (const overlay of overlays) {
+    for (const shape of overlay.shapes) {
+      left -= shape.kind === "path" ? shape.points.length : 1;
+      if (left < 0) return;
+      drawShape(pen, camera, palette, shape);
+    }
+  }
+}
+
+function drawShape(pen: Pen, camera: Camera, palette: Palette, shape: Shape): void {
+  const colour = palette.inks[shape.ink];
+  if (shape.kind === "mark") {
+    drawMark(pen, toScreenX(camera, shape.at[0]), toScreenY(camera, shape.at[1]), colour, palette, shape);
+    return;
+  }
+  pen.strokeStyle = colour;
+  pen.lineWidth = shape.kind === "path" ? (shape.widthPx ?? 2) : 2;
+  pen.lineJoin = "round";
+  pen.setLineDash(shape.dashed === true ? [7, 5] : []);
+  pen.beginPath();
+  if (shape.kind === "circle") {
+    pen.arc(toScreenX(camera, shape.centre[0]), toScreenY(camera, shape.centre[1]), shape.radiusM * camera.pxPerM, 0, 7);
+  } else {
+    for (const point of shape.points) pen.lineTo(toScreenX(camera, point[0]), toScreenY(camera, point[1]));
+    if (shape.closed === true) pen.closePath();
+  }
+  if (shape.filled === true) {
+    pen.globalAlpha = 0.08;
+    pen.fillStyle = colour;
+    pen.fill();
+    pen.globalAlpha = 1;
+  }
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+function drawMark(
+  pen: Pen,
+  x: number,
+  y: number,
+  colour: string,
+  palette: Palette,
+  mark: Extract<Shape, { kind: "mark" }>,
+): void {
+  const r = mark.emphasised === true ? 8 : 6;
+  pen.lineWidth = 2;
+  pen.strokeStyle = colour;
+  pen.fillStyle = colour;
+  pen.beginPath();
+  switch (mark.symbol) {
+    case "start":
+      pen.rect(x - r + 1, y - r + 1, 2 * r - 2, 2 * r - 2);
+      pen.stroke();
+      break;
+    case "goal":
+      pen.arc(x, y, r, 0, 7);
+      pen.moveTo(x + 2, y);
+      pen.arc(x, y, 2, 0, 7);
+      pen.stroke();
+      break;
+    case "waypoint":
+    case "handle":
+      pen.arc(x, y, mark.symbol === "handle" ? r + 1 : r - 1, 0, 7);
+      pen.fillStyle = mark.symbol === "handle" ? palette.surface : colour;
+      pen.fill();
+      pen.stroke();
+      break;
+    case "home":
+      homePath(pen, x, y, r);
+      pen.stroke();
+      break;
+    case "cross":
+      pen.moveTo(x - r, y - r);
+      pen.lineTo(x + r, y + r);
+      pen.moveTo(x - r, y + r);
+      pen.lineTo(x + r, y - r);
+      pen.stroke();
+      break;
+    case "ghost":
+      dart(pen, x, y, mark.yawRad ?? Math.PI / 2, GLYPH_PX);
+      pen.stroke();
+      break;
+  }
+  if (mark.text !== undefined && mark.text !== "") {
+    pen.font = `600 11px ${palette.font}`;
+    pen.textAlign = "left";
+    pen.textBaseline = "middle";
+    haloText(pen, mark.text, x + r + 5, y, colour, palette.ground);
+  }
+}
+
+function homePath(pen: Pen, x: number, y: number, r: number): void {
+  pen.moveTo(x - r - 1, y);
+  pen.lineTo(x, y - r);
+  pen.lineTo(x + r + 1, y);
+  pen.moveTo(x - r + 2, y - 1);
+  pen.lineTo(x - r + 2, y + r);
+  pen.lineTo(x + r - 2, y + r);
+  pen.lineTo(x + r - 2, y - 1);
+}
+
+/** Homes of all vehicles, those at one place once. */
+export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Iterable<readonly [number, number]>): void {
+  const seen = new Set<string>();
+  pen.strokeStyle = palette.muted;
+  pen.lineWidth = 1.5;
+  pen.beginPath();
+  for (const [x, y] of homes) {
+    const px = toScreenX(camera, x);
+    const py = toScreenY(camera, y);
+    const key = `${Math.round(px / 8)},${Math.round(py / 8)}`;
+    if (seen.has(key)) continue;
+    seen.add(key);
+    homePath(pen, px, py, 6);
+  }
+  pen.stroke();
+}
+
+/** The origin of the frame: a small cross of its two axes. */
+export function drawOrigin(pen: Pen, camera: Camera, palette: Palette): void {
+  const x = toScreenX(camera, 0);
+  const y = toScreenY(camera, 0);
+  pen.strokeStyle = palette.muted;
+  pen.lineWidth = 1.5;
+  pen.beginPath();
+  pen.arc(x, y, 4, 0, 7);
+  pen.stroke();
+}
+
+/** From each vehicle to where it is sent. */
+export function drawGoals(pen: Pen, camera: Camera, bodies: readonly Body[], colourOf: (body: Body) => string): void {
+  pen.setLineDash([2, 4]);
+  pen.lineWidth = 1.5;
+  for (const body of bodies) {
+    if (body.goal === null || !body.heard) continue;
+    pen.strokeStyle = colourOf(body);
+    const x = toScreenX(camera, body.goal[0]);
+    const y = toScreenY(camera, body.goal[1]);
+    pen.beginPath();
+    pen.moveTo(toScreenX(camera, body.x), toScreenY(camera, body.y));
+    pen.lineTo(x, y);
+    pen.moveTo(x + 5, y);
+    pen.arc(x, y, 5, 0, 7);
+    pen.stroke();
+  }
+  pen.setLineDash([]);
+}
+
+export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meetings: readonly Meeting[]): void {
+  for (const { a, b, separation, x, y } of meetings) {
+    const colour = separation.level === "notice" ? palette.warning : palette.danger;
+    const mx = toScreenX(camera, x);
+    const my = toScreenY(camera, y);
+    pen.strokeStyle = colour;
+    pen.lineWidth = separation.level === "notice" ? 1.5 : 2.5;
+    pen.setLineDash([5, 4]);
+    pen.beginPath();
+    pen.moveTo(toScreenX(camera, a.x), toScreenY(camera, a.y));
+    pen.lineTo(mx, my);
+    pen.lineTo(toScreenX(camera, b.x), toScreenY(camera, b.y));
+    pen.stroke();
+    pen.setLineDash([]);
+    pen.beginPath();
+    pen.arc(mx, my, Math.max((separation.margin_m / 2) * camera.pxPerM, 9), 0, 7);
+    pen.stroke();
+    pen.font = `600 12px ${palette.font}`;
+    pen.textAlign = "center";
+    pen.textBaseline = "bottom";
+    const radius = Math.max((separation.margin_m / 2) * camera.pxPerM, 9);
+    const text = `${separation.closest_m.toFixed(1)} m in ${separation.closest_in_s.toFixed(0)} s`;
+    haloText(pen, text, mx, my - radius - 4, colour, palette.ground);
+  }
+}
+
+/** Arrowheads that point where the nose points; filled if armed. Those whose nose is not known are round. */
+export function drawBodies(
+  pen: Pen,
+  camera: Camera,
+  palette: Palette,
+  bodies: readonly Body[],
+  colourOf: (body: Body) => string,
+): void {
+  rings(pen, camera, palette, bodies);
+  const filled = new Map<string, Path2D>();
+  const hollow = new Map<string, Path2D>();
+  for (const body of bodies) {
+    const kind = body.armed && body.heard ? filled : hollow;
+    const colour = colourOf(body);
+    let path = kind.get(colour);
+    if (path === undefined) {
+      path = new Path2D();
+      kind.set(colour, path);
+    }
+    const x = toScreenX(camera, body.x);
+    const y = toScreenY(camera, body.y);
+    if (body.yawRad === null) {
+      path.moveTo(x + 6, y);
+      path.arc(x, y, 6, 0, 7);
+    } else {
+      dart(path, x, y, body.yawRad, GLYPH_PX);
+    }
+  }
+  pen.lineJoin = "round";
+  for (const [colour, path] of filled) {
+    pen.strokeStyle = palette.ground;
+    pen.lineWidth = 2.5;
+    pen.stroke(path);
+    pen.fillStyle = colour;
+    pen.fill(path);
+  }
+  for (const [colour, path] of hollow) {
+    pen.fillStyle = palette.ground;
+    pen.fill(path);
+    pen.strokeStyle = colour;
+    pen.lineWidth = 1.75;
+    pen.stroke(path);
+  }
+}
+
+function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[]): void {
+  const circles = (wanted: (body: Body) => boolean, radius: number, width: number, colour: string): void => {
+    pen.beginPath();
+    for (const body of bodies) {
+      if (!wanted(body)) continue;
+      const x = toScreenX(camera, body.x);
+      const y = toScreenY(camera, body.y);
+      pen.moveTo(x + radius, y);
+      pen.arc(x, y, radius, 0, 7);
+    }
+    pen.strokeStyle = colour;
+    pen.lineWidth = width;
+    pen.stroke();
+  };
+  circles((body) => body.selected, 15, 2, palette.selection);
+  circles((body) => body.failsafe && body.heard, 19, 2.5, palette.danger);
+}
+
+function dart(path: Path2D | Pen, x: number, y: number, yawRad: number, size: number): void {
+  const c = Math.cos(yawRad);
+  const s = -Math.sin(yawRad); // the screen's y runs down
+  const point = (along: number, across: number): [number, number] => [x + along * c - across * s, y + along * s + across * c];
+  path.moveTo(...point(size * 1.25, 0));
+  path.lineTo(...point(-size * 0.8, size * 0.8));
+  path.lineTo(...point(-size * 0.4, 0));
+  path.lineTo(...point(-size * 0.8, -size * 0.8));
+  path.closePath();
+}

@@ -1,0 +1,427 @@
+// The fleet view: one canvas, drawn when something changed and only then. Pan, zoom, fit, follow, and the tools of panels.
+
+import { recall, remember, onTheme } from "../theme.ts";
+import { serverNowS, type State, type Store } from "../store.ts";
+import type { MapPin } from "../types.ts";
+import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
+import * as draw from "./drawing.ts";
+import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePlacement } from "./frame.ts";
+import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, type Placement } from "./labels.ts";
+import type { Overlay, PointerAt, Tool } from "./overlays.ts";
+import { readPalette, type Palette } from "./palette.ts";
+import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
+import { drawSide, SIDE_PX, topOf } from "./side_view.ts";
+
+const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
+/** The canvas is never finer than that: twice the pixels cost four times the time, and nobody sees the difference. */
+const MOST_RATIO = 2;
+const HIT_PX = 18;
+const LABELS_EVERY_MS = 150;
+const TRAILS_EVERY_MS = 200;
+/** A frame that takes longer to draw is followed by a pause of as long, so that the page stays quick to answer. */
+const SLOW_DRAW_MS = 10;
+
+export interface ViewOptions {
+  side: boolean;
+  labels: boolean;
+  trails: boolean;
+  map: boolean;
+}
+
+export interface DrawFigures {
+  frames: number;
+  lastMs: number;
+  longestMs: number;
+}
+
+export class FleetView {
+  /** Of the part above the side view. */
+  camera: Camera = START;
+  follow = false;
+  frame: Frame | null = null;
+  options: ViewOptions = { side: true, labels: true, trails: true, map: true, ...recalledOptions() };
+  readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0 };
+  tool: Tool | null = null;
+  private canvas: HTMLCanvasElement | null = null;
+  private pen: draw.Pen | null = null;
+  private palette: Palette | null = null;
+  private ratio = 1;
+  /** Of the whole canvas. */
+  private heightPx = 0;
+  private scene: Scene = { bodies: [], moving: false };
+  private requested = false;
+  private fittedOnce = false;
+  private sideTopM = 0;
+  private readonly overlays = new Map<string, Overlay>();
+  private readonly sprites = new LabelSprites();
+  private placements = new Map<string, Placement>();
+  private placedMs = 0;
+  private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
+  private trailsDrawn: { camera: Camera; version: number; ms: number } | null = null;
+  private image: { url: string; bitmap: HTMLImageElement; pins: readonly [MapPin, MapPin] } | null = null;
+  private readonly changeListeners = new Set<() => void>();
+  private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
+
+  constructor(readonly store: Store) {
+    store.subscribe((state) => {
+      this.onState(state);
+      this.redraw();
+    });
+    onTheme(() => {
+      this.palette = null;
+      this.redraw();
+    });
+  }
+
+  // --- what panels and buttons use
+
+  /** Shows shapes under this name, in place of those before; null: none. */
+  setOverlay(id: string, overlay: Overlay | null): void {
+    if (overlay === null) this.overlays.delete(id);
+    else this.overlays.set(id, overlay);
+    this.redraw();
+  }
+
+  /** Gives the pointer to a tool; the tool before it is cancelled. */
+  setTool(tool: Tool | null): void {
+    const before = this.tool;
+    this.tool = tool;
+    if (before !== null && before !== tool) before.cancel?.();
+    if (this.canvas !== null) this.canvas.style.cursor = tool?.cursor ?? "grab";
+    this.changed();
+  }
+
+  setOptions(options: Partial<ViewOptions>): void {
+    this.options = { ...this.options, ...options };
+    remember("skygcs.view", JSON.stringify(this.options));
+    this.resize();
+    this.changed();
+  }
+
+  setFollow(on: boolean): void {
+    this.follow = on;
+    this.changed();
+  }
+
+  /** Everything into view: the selected vehicles, or all vehicles and overlays. */
+  fit(what: "all" | "selected" = "all"): void {
+    const bounds = this.boundsOf(what);
+    if (bounds !== null) this.camera = fitted(this.camera, bounds);
+    this.changed();
+  }
+
+  zoom(factor: number): void {
+    this.zoomAt(factor, this.camera.widthPx / 2, this.camera.heightPx / 2);
+  }
+
+  /** Zoomed by a factor; the place under this point of the canvas stays there. */
+  zoomAt(factor: number, xPx: number, yPx: number): void {
+    this.camera = zoomedAt(this.camera, factor, xPx, yPx);
+    this.changed();
+  }
+
+  pan(dxPx: number, dyPx: number): void {
+    this.camera = panned(this.camera, dxPx, dyPx);
+    this.setFollow(false);
+  }
+
+  /** Place of a point of the canvas in the fleet's frame. */
+  pointerAt(xPx: number, yPx: number, shift: boolean): PointerAt {
+    return { ...toWorld(this.camera, xPx, yPx), reachM: HIT_PX / this.camera.pxPerM, shift };
+  }
+
+  geodeticOf(x: number, y: number): { lat_deg: number; lon_deg: number } | null {
+    return this.frame === null ? null : toGeodetic(this.frame, x, y);
+  }
+
+  /** The nearest vehicle within reach of a point of the canvas. */
+  vehicleAt(xPx: number, yPx: number): string | null {
+    const { camera } = this;
+    let nearest: string | null = null;
+    let least = HIT_PX;
+    for (const body of this.scene.bodies) {
+      const distance = Math.hypot(toScreenX(camera, body.x) - xPx, toScreenY(camera, body.y) - yPx);
+      if (distance < least) [nearest, least] = [body.name, distance];
+    }
+    return nearest;
+  }
+
+  /** Vehicles within a rectangle of the canvas. */
+  vehiclesIn(left: number, top: number, right: number, bottom: number): string[] {
+    const { camera } = this;
+    return this.scene.bodies
+      .filter(({ x, y }) => {
+        const px = toScreenX(camera, x);
+        const py = toScreenY(camera, y);
+        return px >= left && px <= right && py >= top && py <= bottom;
+      })
+      .map((body) => body.name);
+  }
+
+  /** Called when options, tool, follow or camera changed. */
+  onChange(listener: () => void): () => void {
+    this.changeListeners.add(listener);
+    return () => this.changeListeners.delete(listener);
+  }
+
+  attach(canvas: HTMLCanvasElement): () => void {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d", { alpha: false });
+    this.palette = null;
+    const observer = new ResizeObserver(() => this.resize());
+    observer.observe(canvas);
+    this.resize();
+    return () => {
+      observer.disconnect();
+      this.canvas = null;
+      this.pen = null;
+    };
+  }
+
+  redraw(): void {
+    if (this.requested || this.canvas === null) return;
+    this.requested = true;
+    requestAnimationFrame(() => {
+      this.requested = false;
+      this.drawTimed();
+    });
+  }
+
+  // --- inside
+
+  private changed(): void {
+    this.redraw();
+    for (const listener of this.changeListeners) listener();
+  }
+
+  private onState(state: State): void {
+    const origin = state.origin ?? standInOrigin(state);
+    const same =
+      this.frame !== null &&
+      origin !== null &&
+      this.frame.lat_deg === origin.lat_deg &&
+      this.frame.lon_deg === origin.lon_deg &&
+      this.frame.x_heading_deg === origin.x_heading_deg;
+    // what stands in for an origin stays where it was: else the whole view would move with a vehicle
+    if (!same && origin !== null && !(state.origin === null && this.frame?.standIn === true)) {
+      this.frame = frameAt(origin, state.origin === null);
+    }
+    this.loadMap(state.hello?.map ?? null);
+  }
+
+  private loadMap(map: { url: string; points: readonly [MapPin, MapPin] } | null): void {
+    if (map === null || this.image?.url === map.url) return;
+    const bitmap = new Image();
+    bitmap.onload = () => this.redraw();
+    bitmap.src = map.url;
+    this.image = { url: map.url, bitmap, pins: map.points };
+  }
+
+  private resize(): void {
+    const canvas = this.canvas;
+    if (canvas === null) return;
+    const { width, height } = canvas.getBoundingClientRect();
+    this.ratio = Math.min(devicePixelRatio || 1, MOST_RATIO);
+    canvas.width = Math.max(Math.round(width * this.ratio), 1);
+    canvas.height = Math.max(Math.round(height * this.ratio), 1);
+    this.trailLayer.width = canvas.width;
+    this.trailLayer.height = canvas.height;
+    this.heightPx = height;
+    this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? SIDE_PX : 0), 1) };
+    this.trailsDrawn = null;
+    this.sprites.clear(this.ratio);
+    this.redraw();
+  }
+
+  private boundsOf(what: "all" | "selected"): Bounds | null {
+    let bounds: Bounds | null = null;
+    const bodies = this.scene.bodies.filter((body) => what === "all" || body.selected);
+    for (const body of bodies) bounds = extended(bounds, body.x, body.y);
+    if (what === "all") {
+      for (const overlay of this.overlays.values()) {
+        if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
+      }
+    }
+    return bounds;
+  }
+
+  private drawTimed(): void {
+    const begun = performance.now();
+    this.drawAll(begun);
+    const took = performance.now() - begun;
+    this.figures.frames += 1;
+    this.figures.lastMs = took;
+    this.figures.longestMs = Math.max(this.figures.longestMs, took);
+    if (!this.scene.moving || this.stillMotion.matches) return;
+    if (took > SLOW_DRAW_MS) setTimeout(() => this.redraw(), took);
+    else this.redraw();
+  }
+
+  private drawAll(nowMs: number): void {
+    const { canvas, pen } = this;
+    if (canvas === null || pen === null || this.camera.widthPx === 0) return;
+    if (this.palette === null) {
+      this.palette = readPalette(canvas);
+      this.sprites.clear(this.ratio);
+      this.trailsDrawn = null;
+    }
+    const palette = this.palette;
+    const { state } = this.store;
+    this.scene = sceneOf(state, this.frame, nowMs, !this.stillMotion.matches);
+    this.steer();
+    const { camera } = this;
+    const colourOf = (body: Body): string => (body.heard ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
+    const { bodies } = this.scene;
+    const shown = this.visible(camera);
+    pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    pen.fillStyle = palette.ground;
+    pen.fillRect(0, 0, camera.widthPx, this.heightPx);
+    if (this.options.map) this.drawMap(pen, camera);
+    draw.drawGrid(pen, camera, palette);
+    draw.drawOrigin(pen, camera, palette);
+    draw.drawOverlays(pen, camera, palette, this.overlays.values());
+    draw.drawHomes(pen, camera, palette, this.homes(state));
+    if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
+    draw.drawGoals(pen, camera, shown, colourOf);
+    draw.drawMeetings(pen, camera, palette, meetingsOf(this.scene, this.frame));
+    draw.drawBodies(pen, camera, palette, shown, colourOf);
+    if (this.options.labels) this.drawLabels(pen, camera, palette, shown, nowMs);
+    draw.drawScale(pen, camera, palette, this.frame);
+    if (this.options.side) {
+      this.sideTopM = topOf(bodies, this.sideTopM);
+      drawSide(pen, camera, camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values());
+    }
+  }
+
+  /** Follows the selected vehicles; fits the fleet once when its first vehicles have come. */
+  private steer(): void {
+    if (!this.fittedOnce && this.scene.bodies.length > 0 && this.camera.widthPx > 0) {
+      this.fittedOnce = true;
+      this.fit("all");
+    }
+    if (!this.follow) return;
+    const selected = this.boundsOf("selected") ?? this.boundsOf("all");
+    if (selected === null) return;
+    this.camera = { ...this.camera, x: (selected.left + selected.right) / 2, y: (selected.bottom + selected.top) / 2 };
+  }
+
+  private visible(camera: Camera): Body[] {
+    return this.scene.bodies.filter((body) => {
+      const x = toScreenX(camera, body.x);
+      const y = toScreenY(camera, body.y);
+      return x > -30 && y > -30 && x < camera.widthPx + 30 && y < camera.heightPx + 30;
+    });
+  }
+
+  private *homes(state: State): Iterable<readonly [number, number]> {
+    if (this.frame === null) return;
+    for (const { home } of state.vehicles.values()) {
+      if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
+    }
+  }
+
+  private drawMap(pen: draw.Pen, camera: Camera): void {
+    if (this.image === null || this.frame === null || !this.image.bitmap.complete) return;
+    if (this.image.bitmap.naturalWidth === 0) return;
+    const at: ImagePlacement | null = placeImage(this.frame, this.image.pins);
+    if (at === null) return;
+    const k = camera.pxPerM * this.ratio;
+    pen.save();
+    pen.setTransform(
+      at.a * k,
+      -at.b * k,
+      at.c * k,
+      -at.d * k,
+      toScreenX(camera, at.e) * this.ratio,
+      toScreenY(camera, at.f) * this.ratio,
+    );
+    pen.globalAlpha = 0.85;
+    pen.drawImage(this.image.bitmap, 0, 0);
+    pen.restore();
+  }
+
+  /** Trails are a layer of their own, drawn anew some times a second; while the view moves it is moved along. */
+  private drawTrails(pen: draw.Pen, camera: Camera, palette: Palette, colourOf: (body: Body) => string, nowMs: number): void {
+    const drawn = this.trailsDrawn;
+    const { trails } = this.store;
+    const current = drawn !== null && sameCamera(drawn.camera, camera) && drawn.version === trails.version;
+    if (!current && (drawn === null || nowMs - drawn.ms > TRAILS_EVERY_MS)) {
+      const layer = this.trailLayer.getContext("2d");
+      if (layer === null) return;
+      layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      layer.clearRect(0, 0, camera.widthPx, this.heightPx);
+      const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
+      draw.drawTrails(layer, camera, trails, colours, palette.lost);
+      this.trailsDrawn = { camera, version: trails.version, ms: nowMs };
+    } else if (!current) {
+      setTimeout(() => this.redraw(), TRAILS_EVERY_MS);
+    }
+    const from = (this.trailsDrawn ?? { camera }).camera;
+    const scale = camera.pxPerM / from.pxPerM;
+    const left = toScreenX(camera, from.x) - (from.widthPx / 2) * scale;
+    const top = toScreenY(camera, from.y) - (from.heightPx / 2) * scale;
+    pen.drawImage(this.trailLayer, left, top, camera.widthPx * scale, this.heightPx * scale);
+  }
+
+  private drawLabels(pen: draw.Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
+    const now_s = serverNowS(this.store.state, nowMs);
+    const sprites = shown.map((body) =>
+      this.sprites.get(body.name, body.name, labelLine(body, now_s), !body.heard, palette, nowMs),
+    );
+    if (nowMs - this.placedMs > LABELS_EVERY_MS) {
+      this.placedMs = nowMs;
+      const requests = shown.map((body, i) => ({
+        id: body.name,
+        xPx: toScreenX(camera, body.x),
+        yPx: toScreenY(camera, body.y),
+        widthPx: sprites[i]?.widthPx ?? 0,
+        urgency: (body.failsafe || body.conflict !== null ? 2 : 0) + (body.selected ? 1 : 0),
+      }));
+      requests.sort((a, b) => b.urgency - a.urgency);
+      this.placements = placeLabels(requests, this.placements);
+    }
+    shown.forEach((body, i) => {
+      const at = this.placements.get(body.name);
+      const sprite = sprites[i];
+      if (at === undefined || sprite === undefined) return;
+      const x = Math.round((toScreenX(camera, body.x) + at.dx) * this.ratio) / this.ratio;
+      const y = Math.round((toScreenY(camera, body.y) + at.dy) * this.ratio) / this.ratio;
+      const height = at.full ? LABEL_HEIGHT_PX : LABEL_HEIGHT_PX / 2;
+      const rows = at.full ? sprite.canvas.height : sprite.canvas.height / 2;
+      pen.drawImage(sprite.canvas, 0, 0, sprite.canvas.width, rows, x, y, LABEL_WIDTH_PX, height);
+    });
+  }
+}
+
+function sameCamera(a: Camera, b: Camera): boolean {
+  return a.x === b.x && a.y === b.y && a.pxPerM === b.pxPerM && a.widthPx === b.widthPx && a.heightPx === b.heightPx;
+}
+
+function withOverlay(bounds: Bounds | null, overlay: Overlay): Bounds | null {
+  for (const shape of overlay.shapes) {
+    if (shape.kind === "path") for (const [x, y] of shape.points) bounds = extended(bounds, x, y);
+    else if (shape.kind === "circle") bounds = extended(bounds, shape.centre[0], shape.centre[1], shape.radiusM);
+    else bounds = extended(bounds, shape.at[0], shape.at[1]);
+  }
+  return bounds;
+}
+
+/** Without an origin metres are counted from the first vehicle that has a place. */
+function standInOrigin(state: State): { lat_deg: number; lon_deg: number; alt_amsl_m: number; x_heading_deg: number } | null {
+  for (const name of state.names) {
+    const position = state.vehicles.get(name)?.position;
+    if (position?.lat_deg == null || position.lon_deg === null) continue;
+    return { lat_deg: position.lat_deg, lon_deg: position.lon_deg, alt_amsl_m: position.alt_amsl_m ?? 0, x_heading_deg: 90 };
+  }
+  return null;
+}
+
+function recalledOptions(): Partial<ViewOptions> {
+  try {
+    const kept: unknown = JSON.parse(recall("skygcs.view") ?? "{}");
+    if (typeof kept !== "object" || kept === null) return {};
+    return Object.fromEntries(Object.entries(kept).filter(([, value]) => typeof value === "boolean"));
+  } catch {
+    return {};
+  }
+}

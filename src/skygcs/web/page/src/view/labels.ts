@@ -1,0 +1,171 @@
+// Names and numbers beside vehicles: each drawn once into a small picture of its own, and placed where it covers no other.
+
+import type { Palette } from "./palette.ts";
+
+const WIDTH_PX = 132;
+const HEIGHT_PX = 32;
+const LINE_PX = 14;
+const MAX_SPRITES = 400;
+/** The numbers of a label change at most so often: nobody reads faster, and text is what costs. */
+const REWRITE_MS = 250;
+
+interface Sprite {
+  canvas: HTMLCanvasElement;
+  key: string;
+  writtenMs: number;
+  widthPx: number;
+}
+
+export class LabelSprites {
+  private readonly sprites = new Map<string, Sprite>();
+  private ratio = 1;
+
+  /** Colours, fonts or the screen changed. */
+  clear(ratio: number): void {
+    this.ratio = ratio;
+    this.sprites.clear();
+  }
+
+  /** The picture of a label and its width. */
+  get(id: string, first: string, second: string, dim: boolean, palette: Palette, nowMs: number): Sprite {
+    const key = `${first}|${second}|${dim ? 1 : 0}`;
+    let sprite = this.sprites.get(id);
+    if (sprite !== undefined && (sprite.key === key || nowMs - sprite.writtenMs < REWRITE_MS)) return sprite;
+    if (sprite === undefined) {
+      if (this.sprites.size >= MAX_SPRITES) this.sprites.clear();
+      const canvas = document.createElement("canvas");
+      canvas.width = Math.ceil(WIDTH_PX * this.ratio);
+      canvas.height = Math.ceil(HEIGHT_PX * this.ratio);
+      sprite = { canvas, key: "", writtenMs: 0, widthPx: 0 };
+      this.sprites.set(id, sprite);
+    }
+    this.write(sprite, first, second, dim, palette);
+    sprite.key = key;
+    sprite.writtenMs = nowMs;
+    return sprite;
+  }
+
+  private write(sprite: Sprite, first: string, second: string, dim: boolean, palette: Palette): void {
+    const pen = sprite.canvas.getContext("2d");
+    if (pen === null) return;
+    pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    pen.clearRect(0, 0, WIDTH_PX, HEIGHT_PX);
+    pen.lineJoin = "round";
+    pen.lineWidth = 3;
+    pen.strokeStyle = palette.ground;
+    pen.textBaseline = "top";
+    pen.font = `600 12px ${palette.font}`;
+    const name = shortened(pen, first, WIDTH_PX - 6);
+    pen.strokeText(name, 2, 2);
+    pen.fillStyle = dim ? palette.lost : palette.text;
+    pen.fillText(name, 2, 2);
+    let width = pen.measureText(name).width;
+    pen.font = `11px ${palette.font}`;
+    pen.strokeText(second, 2, 2 + LINE_PX, WIDTH_PX - 4);
+    pen.fillStyle = dim ? palette.lost : palette.muted;
+    pen.fillText(second, 2, 2 + LINE_PX, WIDTH_PX - 4);
+    width = Math.max(width, pen.measureText(second).width);
+    sprite.widthPx = Math.min(width + 5, WIDTH_PX);
+  }
+}
+
+export const LABEL_HEIGHT_PX = HEIGHT_PX;
+export const LABEL_WIDTH_PX = WIDTH_PX;
+
+function shortened(pen: CanvasRenderingContext2D, text: string, mostPx: number): string {
+  if (pen.measureText(text).width <= mostPx) return text;
+  let cut = text;
+  while (cut.length > 1 && pen.measureText(`${cut}…`).width > mostPx) cut = cut.slice(0, -1);
+  return `${cut}…`;
+}
+
+/** What of a label is drawn, and where: the upper left corner, relative to its vehicle. */
+export interface Placement {
+  dx: number;
+  dy: number;
+  full: boolean;
+}
+
+interface Box {
+  left: number;
+  top: number;
+  right: number;
+  bottom: number;
+}
+
+export interface LabelRequest {
+  id: string;
+  xPx: number;
+  yPx: number;
+  widthPx: number;
+}
+
+const CELL_PX = 64;
+const GAP_PX = 13;
+
+/** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none. */
+export function placeLabels(
+  requests: readonly LabelRequest[],
+  before: ReadonlyMap<string, Placement>,
+): Map<string, Placement> {
+  const cells = new Map<number, Box[]>();
+  const placed = new Map<string, Placement>();
+  // no label covers a vehicle
+  for (const { xPx, yPx } of requests) take(cells, { left: xPx - 7, top: yPx - 7, right: xPx + 7, bottom: yPx + 7 });
+  for (const request of requests) {
+    const had = before.get(request.id);
+    const sides = had === undefined ? sidesOf(request.widthPx) : [had, ...sidesOf(request.widthPx)];
+    for (const side of sides) {
+      const box = boxOf(request, side);
+      if (!isFree(cells, box)) continue;
+      take(cells, box);
+      placed.set(request.id, side);
+      break;
+    }
+  }
+  return placed;
+}
+
+function sidesOf(widthPx: number): Placement[] {
+  const sides: Placement[] = [];
+  for (const full of [true, false]) {
+    const height = full ? HEIGHT_PX : LINE_PX + 3;
+    sides.push(
+      { dx: GAP_PX, dy: -height / 2, full },
+      { dx: -GAP_PX - widthPx, dy: -height / 2, full },
+      { dx: -widthPx / 2, dy: GAP_PX, full },
+      { dx: -widthPx / 2, dy: -GAP_PX - height, full },
+    );
+  }
+  return sides;
+}
+
+function boxOf(request: LabelRequest, side: Placement): Box {
+  const left = request.xPx + side.dx;
+  const top = request.yPx + side.dy;
+  return { left, top, right: left + request.widthPx, bottom: top + (side.full ? HEIGHT_PX : LINE_PX + 3) };
+}
+
+function cellsOf(box: Box): number[] {
+  const found: number[] = [];
+  for (let i = Math.floor(box.left / CELL_PX); i <= Math.floor(box.right / CELL_PX); i++) {
+    for (let j = Math.floor(box.top / CELL_PX); j <= Math.floor(box.bottom / CELL_PX); j++) found.push(i * 100_003 + j);
+  }
+  return found;
+}
+
+function isFree(cells: ReadonlyMap<number, Box[]>, box: Box): boolean {
+  return cellsOf(box).every((cell) =>
+    (cells.get(cell) ?? []).every(
+      (other) => other.right <= box.left || other.left >= box.right || other.bottom <= box.top || other.top >= box.bottom,
+    ),
+  );
+}
+
+function take(cells: Map<number, Box[]>, box: Box): void {
+  for (const cell of cellsOf(box)) {
+    const list = cells.get(cell);
+    if (list === undefined) cells.set(cell, [box]);
+    else list.push(box);
+  }
+}

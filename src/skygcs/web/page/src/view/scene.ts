@@ -1,0 +1,126 @@
+// What the view shows at one moment: each vehicle's place, nose, colour and label, worked out from the store. Pure.
+
+import { ageOf, isHeard, serverNowS, silenceOf, type State, type Vehicle } from "../store.ts";
+import type { Separation, Vec3 } from "../types.ts";
+import { fixed, ageText } from "../format.ts";
+import { placeOf, velocityOf, yawOf, type Frame } from "./frame.ts";
+import { VEHICLE_COLOURS } from "./palette.ts";
+
+/** A place is carried on with its velocity for so long: between two reports, not through a silence. */
+const CARRIED_S = 0.5;
+const MOVING_MPS = 0.1;
+
+export interface Body {
+  name: string;
+  vehicle: Vehicle;
+  x: number;
+  y: number;
+  z: number;
+  yawRad: number | null;
+  speedMps: number | null;
+  heard: boolean;
+  armed: boolean;
+  failsafe: boolean;
+  selected: boolean;
+  /** Index into the palette's vehicle colours. */
+  colour: number;
+  conflict: Separation | null;
+  /** Where it is sent, as far as the page knows. */
+  goal: Vec3 | null;
+}
+
+export interface Scene {
+  bodies: readonly Body[];
+  moving: boolean;
+}
+
+/** Every vehicle with a known place. `carry`: to where it is now, instead of where it was last heard. */
+export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry: boolean): Scene {
+  const now_s = serverNowS(state, nowMs);
+  const bodies: Body[] = [];
+  let moving = false;
+  state.names.forEach((name, index) => {
+    const vehicle = state.vehicles.get(name);
+    if (vehicle === undefined) return;
+    const place = placeOf(frame, vehicle);
+    if (place === null) return;
+    const heard = isHeard(vehicle, now_s);
+    const velocity = velocityOf(frame, vehicle);
+    const speedMps = velocity === null ? null : Math.hypot(velocity[0], velocity[1]);
+    let [x, y, z] = place;
+    if (heard && velocity !== null && Math.hypot(...velocity) > MOVING_MPS) {
+      moving = true;
+      const age = carry ? Math.min(ageOf(vehicle, vehicle.position, now_s) ?? 0, CARRIED_S) : 0;
+      x += velocity[0] * age;
+      y += velocity[1] * age;
+      z += velocity[2] * age;
+    }
+    bodies.push({
+      name,
+      vehicle,
+      x,
+      y,
+      z,
+      yawRad: yawOf(frame, vehicle),
+      speedMps,
+      heard,
+      armed: vehicle.armed === true,
+      failsafe: vehicle.failsafe,
+      selected: state.selection.has(name),
+      colour: index % VEHICLE_COLOURS,
+      conflict: heard ? vehicle.separation : null,
+      goal: goalOf(vehicle),
+    });
+  });
+  return { bodies, moving };
+}
+
+/** The place that skygcs' own control steers to; null for axes that follow a velocity. */
+function goalOf(vehicle: Vehicle): Vec3 | null {
+  if (vehicle.control === null || vehicle.control.state === "off") return null;
+  const [x, y, z] = vehicle.control.reference?.pos_enu_m ?? [];
+  return x == null || y == null ? null : [x, y, z ?? 0];
+}
+
+/** The second line of a label: height above home and speed, or since when nothing was heard. */
+export function labelLine(body: Body, now_s: number): string {
+  if (!body.heard) {
+    const silence = silenceOf(body.vehicle, now_s);
+    return silence === null ? "never heard" : `not heard ${ageText(silence)}`;
+  }
+  const height = fixed(body.vehicle.position?.alt_rel_m ?? null, 1);
+  const speed = fixed(body.speedMps, 1);
+  if (height === null) return "";
+  return speed === null ? `${height} m` : `${height} m  ${speed} m/s`;
+}
+
+/** Two vehicles that are about to meet, once, with where they will be then. */
+export interface Meeting {
+  a: Body;
+  b: Body;
+  separation: Separation;
+  /** The middle between them at their closest. */
+  x: number;
+  y: number;
+}
+
+export function meetingsOf(scene: Scene, frame: Frame | null): Meeting[] {
+  const byName = new Map(scene.bodies.map((body) => [body.name, body]));
+  const meetings: Meeting[] = [];
+  for (const a of scene.bodies) {
+    if (a.conflict === null) continue;
+    const b = byName.get(a.conflict.with);
+    if (b === undefined || (b.conflict?.with === a.name && b.name < a.name)) continue;
+    const t = a.conflict.closest_in_s;
+    const u = velocityOf(frame, a.vehicle) ?? [0, 0, 0];
+    const v = velocityOf(frame, b.vehicle) ?? [0, 0, 0];
+    meetings.push({
+      a,
+      b,
+      separation: a.conflict,
+      x: (a.x + u[0] * t + b.x + v[0] * t) / 2,
+      y: (a.y + u[1] * t + b.y + v[1] * t) / 2,
+    });
+  }
+  return meetings;
+}

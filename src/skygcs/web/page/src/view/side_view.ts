@@ -1,0 +1,116 @@
+// Heights: a strip below the fleet view with the same x axis, so that each vehicle is straight below its place above.
+
+import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
+import { haloText, type Pen } from "./drawing.ts";
+import type { Overlay } from "./overlays.ts";
+import type { Palette } from "./palette.ts";
+import type { Body } from "./scene.ts";
+
+export const SIDE_PX = 120;
+const BASE_PX = 18;
+const LEAST_TOP_M = 12;
+
+/** Height of the strip's upper edge: above everything, in steps, so that it does not breathe with each climb. */
+export function topOf(bodies: readonly Body[], before: number): number {
+  const highest = bodies.reduce((most, body) => Math.max(most, body.z), 0);
+  const wanted = Math.max(highest * 1.2, LEAST_TOP_M);
+  if (wanted <= before && wanted > before * 0.5) return before;
+  return Math.ceil(wanted / 5) * 5;
+}
+
+export function drawSide(
+  pen: Pen,
+  camera: Camera,
+  topPx: number,
+  topM: number,
+  palette: Palette,
+  bodies: readonly Body[],
+  colourOf: (body: Body) => string,
+  overlays: Iterable<Overlay>,
+): void {
+  const pxPerM = (SIDE_PX - BASE_PX - 8) / topM;
+  const groundPx = topPx + SIDE_PX - BASE_PX;
+  const yOf = (z: number): number => groundPx - z * pxPerM;
+  pen.save();
+  pen.beginPath();
+  pen.rect(0, topPx, camera.widthPx, SIDE_PX);
+  pen.clip();
+  pen.fillStyle = palette.surface;
+  pen.fillRect(0, topPx, camera.widthPx, SIDE_PX);
+  heightLines(pen, camera, palette, topM, pxPerM, yOf);
+  for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, yOf);
+  drawStems(pen, camera, palette, bodies, yOf);
+  const byColour = new Map<string, Path2D>();
+  for (const body of bodies) {
+    const colour = colourOf(body);
+    let path = byColour.get(colour);
+    if (path === undefined) {
+      path = new Path2D();
+      byColour.set(colour, path);
+    }
+    const x = toScreenX(camera, body.x);
+    const y = yOf(body.z);
+    path.moveTo(x + 4.5, y);
+    path.arc(x, y, body.selected ? 5.5 : 4.5, 0, 7);
+  }
+  for (const [colour, path] of byColour) {
+    pen.fillStyle = colour;
+    pen.fill(path);
+  }
+  pen.restore();
+}
+
+function heightLines(
+  pen: Pen,
+  camera: Camera,
+  palette: Palette,
+  topM: number,
+  pxPerM: number,
+  yOf: (z: number) => number,
+): void {
+  const step = niceLengthM(pxPerM, 44);
+  pen.lineWidth = 1;
+  pen.strokeStyle = palette.gridMajor;
+  pen.beginPath();
+  for (let z = step; z <= topM; z += step) {
+    pen.moveTo(0, Math.round(yOf(z)) + 0.5);
+    pen.lineTo(camera.widthPx, Math.round(yOf(z)) + 0.5);
+  }
+  pen.stroke();
+  pen.strokeStyle = palette.muted;
+  pen.beginPath();
+  pen.moveTo(0, Math.round(yOf(0)) + 0.5);
+  pen.lineTo(camera.widthPx, Math.round(yOf(0)) + 0.5);
+  pen.stroke();
+  pen.font = `11px ${palette.font}`;
+  pen.textAlign = "left";
+  pen.textBaseline = "bottom";
+  for (let z = 0; z <= topM; z += step) {
+    haloText(pen, z === 0 ? "0 m above the origin" : lengthText(z), 8, yOf(z) - 1, palette.muted, palette.surface);
+  }
+}
+
+function drawStems(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], yOf: (z: number) => number): void {
+  pen.strokeStyle = palette.axis;
+  pen.lineWidth = 1;
+  pen.beginPath();
+  for (const body of bodies) {
+    const x = Math.round(toScreenX(camera, body.x)) + 0.5;
+    pen.moveTo(x, yOf(0));
+    pen.lineTo(x, yOf(body.z));
+  }
+  pen.stroke();
+}
+
+function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, yOf: (z: number) => number): void {
+  for (const shape of overlay.shapes) {
+    if (shape.kind !== "path" || shape.ink === "fence") continue;
+    pen.strokeStyle = palette.inks[shape.ink];
+    pen.lineWidth = 1.5;
+    pen.setLineDash(shape.dashed === true ? [5, 4] : []);
+    pen.beginPath();
+    for (const [x, , z] of shape.points) pen.lineTo(toScreenX(camera, x), yOf(z));
+    pen.stroke();
+  }
+  pen.setLineDash([]);
+}
