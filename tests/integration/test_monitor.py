@@ -147,3 +147,65 @@ async def test_shutdown_in_the_middle_of_a_hold_ends_in_order(tmp_path: Path) ->
 
 def levels(gcs: Flown) -> list[str]:
     return [t.data["level"] for t in gcs.told if t.kind == "separation" and "level" in t.data]
+
+
+# --- trajectories -----------------------------------------------------------------------------------------------------
+
+
+def along_x(x_m: float, y_m: float, by_m: float, seconds: float) -> list[dict[str, Any]]:
+    """From rest to rest at 10 m."""
+    t = seconds
+    return [{"duration_s": t, "x": [x_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "y": [y_m], "up": [10.0]}]
+
+
+async def ready_on(gcs: Flown, name: str, by_m: float, seconds: float) -> None:
+    """Under control, with a trajectory from where it is."""
+    await gcs.fly("position", name)
+    x_m, y_m, _ = gcs.place(name)
+    answer = await gcs("trajectory.load", target=name, pieces=along_x(x_m, y_m, by_m, seconds))
+    assert answer["outcomes"][name]["ok"], answer
+
+
+async def test_a_trajectory_into_a_vehicle_that_stands_or_is_parked_is_refused_unless_insisted_on(
+    tmp_path: Path,
+) -> None:
+    async with flown(tmp_path, px4=2) as gcs:
+        await ready_on(gcs, "v1", 10.0, 12.0)
+        outcome = await gcs.outcome("trajectory.start", "v1")
+        assert not outcome["ok"] and "v1 would come 0.0 m near v2 (in the air) in " in outcome["message"]
+        assert (await gcs("trajectory.status"))["trajectories"][0]["flight"] is None
+        await gcs.done("vehicles.land", targets="v2")
+        await gcs.until(lambda: not gcs.sim("v2").armed, 60.0)
+        await gcs.done("trajectory.start", targets="v1")  # at 10 m over one on the ground
+        await asyncio.sleep(15.0)
+        assert abs(gcs.place("v1")[0] - 10.0) < 0.5
+
+
+async def test_trajectories_that_meet_later_are_refused_whether_one_flies_already_or_not(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2) as gcs:
+        apart_m = gcs.place("v2")[0] - gcs.place("v1")[0]
+        await ready_on(gcs, "v1", 20.0, 60.0)
+        await ready_on(gcs, "v2", 21.0 - apart_m, 60.0)
+        outcomes = (await gcs("trajectory.start", targets="v1,v2"))["outcomes"]
+        assert all("they need 2.5 m" in o["message"] and "on its trajectory" in o["message"] for o in outcomes.values())
+        await gcs.done("trajectory.start", targets="v2")
+        await asyncio.sleep(2.0)
+        refused = await gcs.outcome("trajectory.start", "v1")
+        assert not refused["ok"] and "near v2 (on its trajectory) in 6" in refused["message"], refused
+        await gcs.done("trajectory.start", targets="v1", force=True)
+        assert gcs.daemon.fleet.monitor.status()["counters"]["orders_refused"] == 3
+
+
+async def test_two_starts_at_once_are_checked_one_after_the_other(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2) as gcs:
+        await ready_on(gcs, "v1", 2.0, 5.0)
+        await ready_on(gcs, "v2", -2.0, 5.0)
+        answers = await asyncio.gather(*(gcs.outcome("trajectory.start", name) for name in ("v1", "v2")))
+        assert [answer["ok"] for answer in answers] == [True, False], answers
+        assert "near v1 (on its trajectory)" in answers[1]["message"]
+
+
+async def test_without_the_monitor_no_trajectory_is_checked(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, tables={"monitor": {"mode": "off"}}) as gcs:
+        await ready_on(gcs, "v1", 10.0, 12.0)
+        await gcs.done("trajectory.start", targets="v1")

@@ -117,18 +117,20 @@ def start(
     speed: Annotated[
         float, typer.Option("--speed", metavar="FACTOR", help="Multiple of the planned speed.", parser=finite)
     ] = 1.0,
+    force: Annotated[bool, typer.Option("--force", help="Although one comes too close to another vehicle.")] = False,
     json_output: Json = False,
 ) -> None:
     """Start vehicles on their trajectories, on one clock: all of them or none.
 
-    Each must be under `control`, near its first point, and its whole trajectory within fence and limits.
+    Each must be under `control`, near its first point, its whole trajectory within fence and limits, and away from all
+    other vehicles as they move now.
     """
     if after_s is not None and at_s is not None:
         raise typer.BadParameter("give --in or --at, not both")
     within("--in", after_s, 0.0, LATEST_START_S)
     within("--speed", speed, MIN_SPEED_FACTOR, MAX_SPEED_FACTOR)
     params = {key: value for key, value in (("after_s", after_s), ("at_s", at_s)) if value is not None}
-    run_order("trajectory.start", json_output, targets=targets, speed=speed, **params)
+    run_order("trajectory.start", json_output, targets=targets, speed=speed, force=force, **params)
 
 
 @app.command("pause")

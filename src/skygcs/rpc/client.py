@@ -239,7 +239,7 @@ class Client:
         return outcomes
 
     async def trajectory(self, order: TrajectoryOrder, targets: Targets, **params: Any) -> Outcomes:
-        """Fly what was loaded; ``params`` of start: after_s or at_s, speed; of speed: speed."""
+        """Fly what was loaded; ``params`` of start: after_s or at_s, speed, force; of speed: speed."""
         answer = await self.call(f"trajectory.{order}", targets=_plain(targets), **params)
         outcomes: Outcomes = answer["outcomes"]
         return outcomes

@@ -47,6 +47,7 @@ class TrajectoryStartParams(TargetsParams):
     )
     at_s: float | None = Field(None, description="Or at this time of the daemon's clock, now_s of trajectory.status.")
     speed: SpeedFactor = Field(1.0, description="Multiple of the planned speed.")
+    force: bool = Field(False, description="Although one comes too close to another vehicle.")
 
     @model_validator(mode="after")
     def _say_one_time(self) -> TrajectoryStartParams:
@@ -85,16 +86,20 @@ async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> Jso
     return as_json({actor.name: await context.services.fleet.trajectories.load(actor, trajectory, params.name)})
 
 
-def trajectory_start(context: Context, params: TrajectoryStartParams) -> JsonObject:
+async def trajectory_start(context: Context, params: TrajectoryStartParams) -> JsonObject:
     """Let vehicles follow their trajectories on one clock: all of them, or none.
 
     Refused unless each is flown by setpoints, near the first point, and its whole trajectory within the control fence
-    and the limits (docs/howto/trajectories.md). It is the daemon's from then on: the client may leave.
+    and the limits (docs/howto/trajectories.md), and unless all of them stay away from each other and from every other
+    vehicle as it moves now. It is the daemon's from then on: the client may leave.
     """
     fleet = context.services.fleet
     now = context.services.now()
     at_s = now + (1.0 if params.after_s is None else params.after_s) if params.at_s is None else params.at_s
-    return as_json(fleet.trajectories.start(fleet.resolve(params.targets), at_s, params.speed))
+    actors = fleet.resolve(params.targets)
+    if params.force:
+        return as_json(fleet.trajectories.start(actors, at_s, params.speed))
+    return as_json(await fleet.trajectories.start_apart(actors, at_s, params.speed))
 
 
 def trajectory_pause(context: Context, params: TargetsParams) -> JsonObject:

@@ -146,7 +146,7 @@ class Fleet:
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
-        self.trajectories = Trajectories(self.vehicles.values, loop, on_event)
+        self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor)
         self.plans = PlanRunner(self, self.trajectories, self._links, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)

@@ -5,19 +5,24 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
+from skygcs.core.geo import EnuFrame
+from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import Mover, Other, goto_conflict, setpoint_conflict, takeoff_conflict
 from skygcs.core.monitor.tracks import PLAN_STEP_S, Member, Place
+from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.separation import Footprint
+from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
@@ -92,17 +97,7 @@ class SeparationMonitor:
 
     async def evaluate(self) -> None:
         """One evaluation. Others get their turn every `TURN_S` of it."""
-        took_s = longest_s = 0.0
-        begun = time.thread_time()
-        for _ in self._work():
-            turn_s = time.thread_time() - begun
-            if turn_s < TURN_S:
-                continue
-            took_s, longest_s = took_s + turn_s, max(longest_s, turn_s)
-            await asyncio.sleep(0)
-            begun = time.thread_time()
-        turn_s = time.thread_time() - begun
-        self.took_s, self.longest_turn_s = took_s + turn_s, max(longest_s, turn_s)
+        self.took_s, self.longest_turn_s = await _in_turns(self._work())
 
     def _work(self) -> Iterator[None]:
         """One evaluation and what comes of it; yields where others may have their turn. Holds come first."""
@@ -202,6 +197,40 @@ class SeparationMonitor:
         others = self._others(frozenset(), sent=False)
         return self._refusal(setpoint_conflict(mover, place, velocity, others, self._loop.time()))
 
+    async def trajectory_refusals(
+        self, starting: Mapping[VehicleActor, LoadedTrajectory], clock: TrajectoryClock
+    ) -> dict[VehicleActor, str]:
+        """Which of them should not follow these trajectories on this clock, which is started, and why. They are
+        compared with all others and with each other; others get their turn every `TURN_S`."""
+        origin = next((actor.vehicle.origin for actor in starting), None)
+        if self.mode == "off" or origin is None:
+            return {}
+        now, frame = self._loop.time(), EnuFrame(origin)
+        movers, others, end_s = [], [], 0.0
+        for actor, loaded in starting.items():
+            movers.append(
+                on_trajectory(actor.vehicle, self._footprint(actor), loaded, clock, _places(loaded, clock, now))
+            )
+            end_s = max(end_s, _left_s(clock, now))
+        for key, track in self.monitor.tracks.tracks.items():
+            other = self._actors.get(key)
+            if other is None or other in starting:
+                continue
+            flight, local = other.offboard.controller.flight, other.offboard.controller.frame
+            if flight is None or local is None:
+                others.append(of_track(track, self._destination(key), frame, now))
+                continue
+            at = _places_in(frame, local, flight, now)
+            others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
+            end_s = max(end_s, _left_s(flight.clock, now))
+        found: dict[int, str] = {}
+        await _in_turns(find_conflicts(movers, others, end_s, found))
+        refused = ((actor, self._refusal(found.get(actor.vehicle.key))) for actor in starting)
+        return {actor: why for actor, why in refused if why is not None}
+
+    def _footprint(self, actor: VehicleActor) -> Footprint:
+        return self._settings(actor.vehicle.key, actor)[0]
+
     def _mover(self, vehicle: Vehicle) -> Mover | None:
         """The vehicle of an order, where it is now; None if that is not known or nobody watches."""
         actor = self._actors.get(vehicle.key)
@@ -213,7 +242,7 @@ class SeparationMonitor:
         if self._loop.time() - at > POSITION_FRESH_S:
             return None
         here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-        return Mover(vehicle.key, vehicle.name, self._settings(vehicle.key, actor)[0], here)
+        return Mover(vehicle.key, vehicle.name, self._footprint(actor), here)
 
     def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
         for key, track in self.monitor.tracks.tracks.items():
@@ -262,6 +291,37 @@ class SeparationMonitor:
             "took_s": round(self.took_s, 5),
             "longest_turn_s": round(self.longest_turn_s, 5),
         }
+
+
+async def _in_turns(work: Iterator[None]) -> tuple[float, float]:
+    """Do it, so that others have their turn every `TURN_S`; its CPU time, and the longest part of that at a stretch."""
+    took_s = longest_s = 0.0
+    begun = time.thread_time()
+    for _ in work:
+        turn_s = time.thread_time() - begun
+        if turn_s < TURN_S:
+            continue
+        took_s, longest_s = took_s + turn_s, max(longest_s, turn_s)
+        await asyncio.sleep(0)
+        begun = time.thread_time()
+    turn_s = time.thread_time() - begun
+    return took_s + turn_s, max(longest_s, turn_s)
+
+
+def _left_s(clock: TrajectoryClock, now: float) -> float:
+    """Until it has come to its end; 0 if it does not run."""
+    finishes_at_s = clock.finishes_at_s(now)
+    return 0.0 if finishes_at_s is None else max(0.0, finishes_at_s - now)
+
+
+def _places(loaded: LoadedTrajectory, clock: TrajectoryClock, now: float) -> Callable[[float], Vector]:
+    """Of a vehicle on a trajectory, so many seconds from now, in the world's frame."""
+    return lambda after_s: loaded.trajectory.at(clock.foreseen_s(now + after_s)).pos_enu_m
+
+
+def _places_in(frame: EnuFrame, local: EnuFrame, flight: TrajectoryFlight, now: float) -> Callable[[float], Vector]:
+    """The same of one that flies already, whose trajectory stands on earth."""
+    return lambda after_s: frame.from_geodetic(*local.to_geodetic(*flight.foreseen(now + after_s)))
 
 
 def _meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:

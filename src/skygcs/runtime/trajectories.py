@@ -27,6 +27,7 @@ from skygcs.core.vehicle.trajectory_flight import (
 )
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.events import Event
+from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_PIECES = 2_000
@@ -66,8 +67,11 @@ class Trajectories:
         vehicles: Callable[[], Collection[VehicleActor]],
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        separation: SeparationMonitor,
     ) -> None:
         self._vehicles = vehicles
+        self._separation = separation
+        self._checking = asyncio.Lock()
         self._loop = loop
         self._on_event = on_event
         self._loaded: dict[VehicleActor, LoadedTrajectory] = {}
@@ -127,15 +131,8 @@ class Trajectories:
     # -- flight
 
     def start(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
-        """Let all of them begin at ``at_s`` of the daemon's clock, or none."""
-        refused: dict[VehicleActor, str] = {}
-        chosen: dict[VehicleActor, LoadedTrajectory] = {}
-        for actor in actors:
-            loaded = self._loaded.get(actor)
-            if loaded is None:
-                refused[actor] = f"no trajectory is loaded: `skygcs-cli trajectory load FILE {actor.name}` first"
-            else:
-                chosen[actor] = loaded
+        """Let all of them begin at ``at_s`` of the daemon's clock, or none. Distances are the caller's matter."""
+        chosen, refused = self._chosen(actors)
         if not refused:
             begun = self.begin(chosen, at_s, speed_factor)
             if isinstance(begun, TrajectoryGroup):
@@ -143,6 +140,48 @@ class Trajectories:
                 return {actor.name: Outcome(True, "accepted", text) for actor in actors}
             refused = begun
         return self._none_starts(actors, refused)
+
+    async def start_apart(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
+        """As `start`, if none of them would come too close to another vehicle. A start that comes due during the check
+        begins at its end. One check at a time: the next one knows what the one before let start."""
+        began = self._loop.time()
+        async with self._checking:
+            at_s = max(at_s, self._loop.time()) if at_s >= began else at_s
+            chosen, refused = self._chosen(actors)
+            clock = None if refused else self._clock(chosen, at_s, speed_factor)
+            if isinstance(clock, TrajectoryClock):
+                refused = await self._separation.trajectory_refusals(chosen, clock)
+                changed = [actor for actor in actors if self._loaded.get(actor) is not chosen[actor]]
+                refused |= dict.fromkeys(changed, "its trajectory was changed while it was checked")
+            elif clock is not None:
+                refused = clock
+            if refused:
+                return self._none_starts(actors, refused)
+            return self.start(actors, max(at_s, self._loop.time()), speed_factor)
+
+    def _chosen(
+        self, actors: Sequence[VehicleActor]
+    ) -> tuple[dict[VehicleActor, LoadedTrajectory], dict[VehicleActor, str]]:
+        """What is loaded for each, and those for which nothing is."""
+        chosen = {actor: self._loaded[actor] for actor in actors if actor in self._loaded}
+        missing = "no trajectory is loaded: `skygcs-cli trajectory load FILE {}` first"
+        return chosen, {actor: missing.format(actor.name) for actor in actors if actor not in chosen}
+
+    def _clock(
+        self, chosen: Mapping[VehicleActor, LoadedTrajectory], at_s: float, speed_factor: float
+    ) -> TrajectoryClock | dict[VehicleActor, str]:
+        """The started clock of a start, or why it must not be, by vehicle."""
+        found = {actor: actor.offboard.trajectory_refusal(loaded, speed_factor) for actor, loaded in chosen.items()}
+        refused = {actor: why for actor, why in found.items() if why is not None}
+        if refused:
+            return refused
+        try:
+            brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in chosen)
+            clock = common_clock(list(chosen.values()), brake, speed_factor)
+            clock.start(self._loop.time(), at_s)
+        except (RefusedError, TrajectoryError) as error:
+            return dict.fromkeys(chosen, str(error))
+        return clock
 
     def begin(
         self,
@@ -154,17 +193,9 @@ class Trajectories:
     ) -> TrajectoryGroup | dict[VehicleActor, str]:
         """Let all of them begin these trajectories, or none: then why not, by vehicle. ``plan``: the plan it belongs
         to, which reports what becomes of it and alone may let it go on."""
-        now = self._loop.time()
-        found = {actor: actor.offboard.trajectory_refusal(loaded, speed_factor) for actor, loaded in chosen.items()}
-        refused = {actor: why for actor, why in found.items() if why is not None}
-        if refused:
-            return refused
-        try:
-            brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in chosen)
-            clock = common_clock(list(chosen.values()), brake, speed_factor)
-            clock.start(now, at_s)
-        except (RefusedError, TrajectoryError) as error:
-            return dict.fromkeys(chosen, str(error))
+        now, clock = self._loop.time(), self._clock(chosen, at_s, speed_factor)
+        if not isinstance(clock, TrajectoryClock):
+            return clock
         flights = {actor: actor.offboard.follow_trajectory(loaded, clock) for actor, loaded in chosen.items()}
         group = TrajectoryGroup(clock, flights, plan=plan)
         self._groups.append(group)

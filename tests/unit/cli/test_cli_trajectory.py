@@ -39,6 +39,9 @@ class FakeTrajectories:
     def start(self, actors: Sequence[FakeVehicle], at_s: float, speed: float) -> dict[str, FakeOutcome]:
         return self._all("start", actors, at_s, speed)
 
+    async def start_apart(self, actors: Sequence[FakeVehicle], at_s: float, speed: float) -> dict[str, FakeOutcome]:
+        return self._all("start", actors, at_s, speed)
+
     def pause(self, actors: Sequence[FakeVehicle]) -> dict[str, FakeOutcome]:
         return self._all("pause", actors)
 

@@ -6,8 +6,10 @@ import asyncio
 from types import SimpleNamespace
 from typing import Any, cast
 
+from skygcs.config.separation import MonitorConfig
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.runtime import trajectories
+from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.trajectories import LARGE_PIECES, MAX_PIECES, Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -32,8 +34,13 @@ def line(pieces: int) -> Trajectory:
     return Trajectory([Piece(1.0, (float(i), 1.0), (0.0,), (5.0,)) for i in range(pieces)])
 
 
+def unwatched() -> SeparationMonitor:
+    loop = asyncio.get_running_loop()
+    return SeparationMonitor(MonitorConfig(mode="off"), {}, loop, lambda event: None)
+
+
 def keeping(*actors: VehicleActor) -> Trajectories:
-    return Trajectories(lambda: actors, asyncio.get_running_loop(), lambda event: None)
+    return Trajectories(lambda: actors, asyncio.get_running_loop(), lambda event: None, unwatched())
 
 
 async def test_a_large_one_leaves_the_loop_to_the_ticks_and_is_refused_if_it_flies_by_then() -> None:
@@ -65,7 +72,7 @@ async def test_what_all_keep_together_is_bounded(monkeypatch: Any) -> None:
 async def test_a_vehicle_that_was_forgotten_keeps_nothing() -> None:
     alpha = actor("alpha")
     there = [alpha]
-    kept = Trajectories(lambda: there, asyncio.get_running_loop(), lambda event: None)
+    kept = Trajectories(lambda: there, asyncio.get_running_loop(), lambda event: None, unwatched())
     assert (await kept.load(alpha, line(2), "a")).ok and len(kept.status([alpha])) == 1
     there.clear()
     kept.tick(0.0)

@@ -90,6 +90,10 @@ class _Phase(NamedTuple):
     rate: float
     change: float
 
+    def s_at(self, now: float) -> float:
+        since = now - self.begin if self.rate or self.change else 0.0
+        return self.s + (self.rate + 0.5 * self.change * since) * since
+
 
 class TrajectoryClock:
     """Time of trajectories of at most ``duration_s``; they may be shorter: then they stand at their end.
@@ -202,19 +206,31 @@ class TrajectoryClock:
         latest, latest_now = self._latest
         if not now > latest_now:
             return latest
-        phases = self._phases
-        phase = phases[0]
-        for later in phases[1:]:
-            if later.begin > now:
-                break
-            phase = later
+        phase = self._phase_at(now)
         since = now - phase.begin if phase.rate or phase.change else 0.0
         rate = max(phase.rate + phase.change * since, 0.0)
-        s = min(max(phase.s + (phase.rate + 0.5 * phase.change * since) * since, latest.trajectory_s), self.duration_s)
+        s = min(max(phase.s_at(now), latest.trajectory_s), self.duration_s)
         state = self._state_at(phase, now, s)
         time = ClockTime(s, 0.0, 0.0, state) if state not in _MOVING else ClockTime(s, rate, phase.change, state)
         self._latest = time, now
         return time
+
+    @property
+    def latest_rate(self) -> float:
+        """As of the latest `at`."""
+        return self._latest[0].rate
+
+    def foreseen_s(self, at: float) -> float:
+        """Trajectory time at a later time if nothing is ordered until then. Changes nothing, unlike `at`."""
+        return min(max(self._phase_at(at).s_at(at), self._latest[0].trajectory_s), self.duration_s)
+
+    def _phase_at(self, now: float) -> _Phase:
+        phase = self._phases[0]
+        for later in self._phases[1:]:
+            if later.begin > now:
+                break
+            phase = later
+        return phase
 
     def finishes_at_s(self, now: float) -> float | None:
         """When the trajectory will be at its end; None if it is paused, aborted or not started."""

@@ -157,6 +157,10 @@ class TrajectoryFlight:
         at_s = (min(time.trajectory_s + i * step_s * time.rate, last_s) for i in range(steps + 1))
         return [self._to_local(self.loaded.trajectory.at(s).pos_enu_m) for s in at_s]
 
+    def foreseen(self, at: float) -> Vector:
+        """Where it shall be at a later time if its clock gets no order until then."""
+        return self._to_local(self.loaded.trajectory.at(self.clock.foreseen_s(at)).pos_enu_m)
+
     def over(self, now: float) -> bool:
         """Whether its clock has come to an end: it stands there from now on."""
         return self.clock.at(now).state in OVER
