@@ -5,4 +5,5 @@
 `conflict_levels`   notice, warning and action of each pair, with confirmation and hysteresis
 `yielding`          which vehicle of a pair holds, and whether that helps
 `order_check`       whether an order would bring a vehicle too close to another
+`trajectory_check`  whether trajectories that are about to begin would
 """
