@@ -35,6 +35,7 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
+from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
@@ -114,6 +115,7 @@ class Daemon:
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
+        self.planning = PlanningQueue(self.loop)
         self.socket_path = own.socket or default_socket_path()
         token = _read_token("daemon", own.token_file)
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
@@ -189,6 +191,7 @@ class Daemon:
                 for clock in clocks:
                     clock.cancel()
                 self.operator_watchdog.close()
+                self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
             await self.links.close()

@@ -22,7 +22,7 @@ from skygcs.core.plan.certificate import Approach, Certificate
 from skygcs.core.plan.file_reading import MAX_FILE_BYTES
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.formations import SHAPES, formation
-from skygcs.core.plan.margins import MarginRule, Uncertainty
+from skygcs.core.plan.margins import GIVEN, MarginRule, Uncertainty
 from skygcs.core.plan.plan_files import ReadPlan, read_plan
 from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.trajectory import MotionLimits, Trajectory
@@ -223,8 +223,9 @@ def add_to(app_: typer.Typer) -> None:
 
 def _uncertainty(*given: float | None) -> Uncertainty:
     names = ("wingspan_m", "position_error_m", "tracking_error_m", "delay_s")
+    values: dict[str, Any] = {name: value for name, value in zip(names, given, strict=True) if value is not None}
     try:
-        return Uncertainty(**{name: value for name, value in zip(names, given, strict=True) if value is not None})
+        return Uncertainty(**values, sources=dict.fromkeys(values, GIVEN))
     except RefusedError as error:
         raise typer.BadParameter(str(error)) from None
 

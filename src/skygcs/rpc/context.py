@@ -18,6 +18,7 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
+from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
@@ -37,6 +38,7 @@ class Services(Protocol):
     air: AirPlanner
     corrections: CorrectionFeed
     message_sender: MessageSender
+    planning: PlanningQueue
     renumbering: Renumbering
     signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog
@@ -51,13 +53,14 @@ class Services(Protocol):
 
 
 class Context(Protocol):
-    """The client that called a method: the daemon it is connected to, and its subscriptions."""
+    """The client that called a method: the daemon it is connected to, its subscriptions, and notifications to it."""
 
     @property
     def services(self) -> Services: ...
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
     def relay_operator(self) -> None: ...
+    def notify(self, method: str, params: JsonObject) -> None: ...
 
 
 class HasDict(Protocol):

@@ -69,6 +69,13 @@ class Method(Generic[C]):
     while_stopping: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A result that is JSON already: another process made it, and nothing of it is decoded here."""
+
+    body: bytes
+
+
 Reply = bytes | Coroutine[Any, Any, bytes] | None
 """Encoded reply without newline; or a coroutine that makes it; or None (a notification that is done)."""
 
@@ -134,7 +141,7 @@ def parse(line: bytes) -> Any:
 def result_reply(request_id: object, name: str, result: object) -> bytes:
     """NaN and Infinity, which JSON lacks, become null."""
     try:
-        body = to_json(result, inf_nan_mode="null")
+        body = result.body if isinstance(result, Encoded) else to_json(result, inf_nan_mode="null")
     except PydanticSerializationError as error:
         return failure_reply(request_id, name, error)
     return b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode_id(request_id), body)

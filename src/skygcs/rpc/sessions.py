@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import json
 import os
 import select
 import socket
@@ -210,6 +211,12 @@ class Session(asyncio.Protocol):
     def relay_operator(self) -> None:
         """Its requests come from a program on behalf of a person who may have left: they show nobody's presence."""
         self._relays_operator = True
+
+    def notify(self, method: str, params: JsonObject) -> None:
+        """Send a notification that may be lost: nothing to a client that does not read."""
+        if self.writable:
+            line = {"jsonrpc": "2.0", "method": method, "params": params}
+            self.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
 
     def close(self) -> None:
         """Close; what was written still goes out, unless the client does not read."""

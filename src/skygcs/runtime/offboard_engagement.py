@@ -36,6 +36,7 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
+from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.core.vehicle.trajectory_flight import (
     LoadedTrajectory,
     TrajectoryFlight,
@@ -111,6 +112,7 @@ class OffboardEngagement:
         self.controller = OffboardController(vehicle, _offboard_config(settings, None))
         phase = vehicle.sysid * GOLDEN_RATIO % 1.0
         self.clock = ControlClock(services.loop, self._tick, lambda: self.controller.period_s, phase=phase)
+        self.tracking = TrackingRecord()
         self._vehicle = vehicle
         self._settings = settings
         self._commands = commands
@@ -352,7 +354,9 @@ class OffboardEngagement:
         """An answer to one of our pings; other TIMESYNC messages are ignored."""
         fields = frame.fields()
         if fields["tc1"] != 0:
-            self.controller.delay.on_pong(fields["ts1"], now)
+            trip_s = self.controller.delay.on_pong(fields["ts1"], now)
+            if trip_s is not None:
+                self.tracking.on_round_trip(trip_s)
 
     def on_text(self, text: str) -> None:
         """A status text: setpoints that the vehicle rejects are not sent again and again."""
@@ -606,8 +610,10 @@ class OffboardEngagement:
             tick = Tick(events=controller.release(fault).events, hold=True)
         if tick.events or tick.row is not None or not controller.active or tick.hold:
             self._apply(tick)
-        if controller.active and controller.delay.due_ping(now):
-            self._ping(now)
+        if controller.active:
+            self.tracking.observe(controller, now)
+            if controller.delay.due_ping(now):
+                self._ping(now)
 
     def _apply(self, tick: Tick) -> None:
         """Trace a tick, publish its events, and end what control needs if control has ended."""

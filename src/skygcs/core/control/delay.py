@@ -190,18 +190,20 @@ class DelayMeter:
         self._unanswered.append((self._token, now))
         return self._token
 
-    def on_pong(self, token: int, now: float) -> None:
-        """Note a pong, of any sender."""
+    def on_pong(self, token: int, now: float) -> float | None:
+        """Note a pong, of any sender. The round trip of a regular ping; None for a probe's or a strange one."""
         sent, regular = self._sent.pop(token, (math.inf, False))
         if not 0 <= now - sent <= ROUND_TRIP_VALID_S:
             self.strange += 1
-            return
+            return None
         while self._unanswered and self._unanswered[0][0] <= token:
             self._unanswered.popleft()
         self._last_pong = now
-        if regular:
-            self._trips.append(now - sent)
-            self._keep(FAST_ROUND_TRIPS if self.fast else ROUND_TRIPS)
+        if not regular:
+            return None
+        self._trips.append(now - sent)
+        self._keep(FAST_ROUND_TRIPS if self.fast else ROUND_TRIPS)
+        return now - sent
 
     def _keep(self, number: int) -> None:
         """Of the round trips; the oldest go."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from skygcs.core.trajectory.piecewise import Vector
@@ -23,6 +23,8 @@ class Approach:
     places_m: tuple[Vector, Vector]
     t_s: float | None = None
     phase: str | None = None
+    sources: dict[str, dict[str, str]] = field(default_factory=dict)
+    """By vehicle: where each of its terms comes from."""
 
     @property
     def clearance_m(self) -> float:
@@ -37,7 +39,7 @@ class Approach:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self) | {"clearance_m": self.clearance_m}
+        return asdict(self) | {"clearance_m": self.clearance_m, "text": self.text()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,5 +92,6 @@ class Certificate:
         found = asdict(self)
         found["closest"] = None if self.closest is None else self.closest.as_dict()
         found["too_close"] = [approach.as_dict() for approach in self.too_close]
+        found["space"] = [asdict(problem) | {"text": problem.text()} for problem in self.space]
         found["reasons"] = self.reasons()
         return found

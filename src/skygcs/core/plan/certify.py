@@ -89,6 +89,7 @@ def _certify_timed(
             {name: rule.terms(name, motions[name]) for name in (one, other)},
             (fleet[one].at(found.t_s).pos_enu_m, fleet[other].at(found.t_s).pos_enu_m),
             t_s=found.t_s,
+            sources={name: rule.sources(name) for name in (one, other)},
         )
     moving = len(plan.trajectories)
     walls = breaches(list(plan.trajectories.values()), half[:moving], space)
@@ -210,6 +211,7 @@ def _approaches(
                 {name: rule.terms(name) for name in (one, other)},
                 (_on(legs[one], float(part_1[index])), _on(legs[other], float(part_2[index]))),
                 phase=phase,
+                sources={name: rule.sources(name) for name in (one, other)},
             )
         )
     return found

@@ -81,3 +81,13 @@ class FlightSpace:
     """(least corner, greatest corner)."""
     standing: Mapping[str, Vector] = field(default_factory=dict)
     """Vehicles that are parked, have failed or take no part: nobody may come within the margin of them."""
+
+    def joined(self, added: FlightSpace) -> FlightSpace:
+        """This one, and what ``added`` adds to it or replaces."""
+        return FlightSpace(
+            added.fence or self.fence,
+            self.floor_m if added.floor_m is None else added.floor_m,
+            self.ceiling_m if added.ceiling_m is None else added.ceiling_m,
+            self.boxes + added.boxes,
+            {**self.standing, **added.standing},
+        )

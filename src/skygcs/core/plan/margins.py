@@ -24,6 +24,12 @@ from skygcs.errors import RefusedError
 
 MAX_MARGIN_M = 1000.0
 
+DEFAULT = "default"
+GIVEN = "given"
+"""Sources of a term that was not measured."""
+
+TIMING = "speed × (delay p99 + clock error)"
+
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
@@ -39,9 +45,13 @@ class Uncertainty:
     """Between the start of one vehicle and another: a tick of the control loop."""
     acceleration_mps2: float = 2.0
     """With which a vehicle follows a jump of the reference's velocity."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """By name of a field above: where its value comes from, for people. Those left out are defaults."""
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
+            if name == "sources":
+                continue
             value = getattr(self, name)
             if not 0.0 <= value <= 100.0 or (name == "acceleration_mps2" and value < 0.01):  # also for NaN
                 raise RefusedError(f"{name} of {value:g} is not between 0 and 100")
@@ -74,9 +84,23 @@ class MarginRule:
             "tracking error p99": u.tracking_error_m,
         }
         if motion is not None:
-            found["speed × (delay p99 + clock error)"] = motion.speed_mps * (u.delay_s + u.clock_error_s)
+            found[TIMING] = motion.speed_mps * (u.delay_s + u.clock_error_s)
             found["velocity jumps"] = motion.jump_mps**2 / (2.0 * u.acceleration_mps2) + motion.jump_m
         return found
+
+    def sources(self, name: str) -> dict[str, str]:
+        """Of each of its `terms`: measured over what, given, of the fleet file, or a default."""
+        if self.fixed_m is not None:
+            return {"given": GIVEN}
+        found = self.by_vehicle.get(name, self.uncertainty).sources
+        delay, clock = found.get("delay_s", DEFAULT), found.get("clock_error_s", DEFAULT)
+        return {
+            "half wingspan": found.get("wingspan_m", DEFAULT),
+            "position error": found.get("position_error_m", DEFAULT),
+            "tracking error p99": found.get("tracking_error_m", DEFAULT),
+            TIMING: delay if delay == clock else f"delay {delay}, clock {clock}",
+            "velocity jumps": found.get("acceleration_mps2", DEFAULT),
+        }
 
     def half_m(self, name: str, motion: Motion | None = None) -> float:
         """The vehicle's part of the margin of each of its pairs."""

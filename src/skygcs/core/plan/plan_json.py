@@ -10,7 +10,7 @@
                "standing": {"bravo": [x, y, z]}}, "certificate": {…}}
 
 Seconds, metres of the world frame, radians. The certificate is what was shown when the file was made; it is never
-believed: whoever flies the plan certifies it again.
+believed: the plan is certified again before it is flown.
 """
 
 from __future__ import annotations
@@ -51,11 +51,16 @@ def plan_from_json(source: str, content: Any) -> tuple[Plan, FlightSpace]:
     if kind not in ("timed", "phased"):
         raise PlanFileError(source, "kind", "has to be timed or phased")
     plan: Plan = _timed(source, content) if kind == "timed" else _phased(source, content)
-    return plan, _space(source, content.get("space", {}))
+    return plan, space_of(source, content.get("space", {}))
 
 
 def write_plan_json(plan: Plan, space: FlightSpace, certificate: Mapping[str, Any] | None = None) -> str:
     """The text of the file."""
+    return json.dumps(plan_content(plan, space, certificate)) + "\n"
+
+
+def plan_content(plan: Plan, space: FlightSpace, certificate: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What is in the file, before it is encoded."""
     content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     if isinstance(plan, TimedPlan):
         content["kind"] = "timed"
@@ -67,16 +72,21 @@ def write_plan_json(plan: Plan, space: FlightSpace, certificate: Mapping[str, An
         content["kind"] = "phased"
         content["starts"] = dict(plan.starts)
         content["phases"] = [{"name": phase.name, "goals": dict(phase.goals)} for phase in plan.phases]
-    content["space"] = {
+    content["space"] = space_content(space)
+    if certificate is not None:
+        content["certificate"] = certificate
+    return content
+
+
+def space_content(space: FlightSpace) -> dict[str, Any]:
+    """What `space_of` reads."""
+    return {
         "fence": space.fence,
         "floor_m": space.floor_m,
         "ceiling_m": space.ceiling_m,
         "boxes": space.boxes,
         "standing": dict(space.standing),
     }
-    if certificate is not None:
-        content["certificate"] = certificate
-    return json.dumps(content) + "\n"
 
 
 def _timed(source: str, content: Mapping[str, Any]) -> TimedPlan:
@@ -133,7 +143,8 @@ def _phased(source: str, content: Mapping[str, Any]) -> PhasedPlan:
     return PhasedPlan(starts, tuple(found))
 
 
-def _space(source: str, given: Any) -> FlightSpace:
+def space_of(source: str, given: Any) -> FlightSpace:
+    """Where it may be flown, from the content of "space". Raises PlanFileError."""
     space = _table(source, "space", given)
     known = {"fence", "floor_m", "ceiling_m", "boxes", "standing"}
     if unknown := space.keys() - known:  # an obstacle under another name must not be overlooked

@@ -1,16 +1,20 @@
 """From starts and goals to a certified plan, or a refusal that names the pair, the time and the place.
 
+    0  standing at the starts and at the goals
     1  timed, straight: goals exchanged first if they may be (`straight_flight`)
     2  layers: climb, cross, descend (`layered_flight`)
     3  layers and rounds, where the ceiling leaves too few layers
+
+`Task.kind` leaves some of them out; "direct" is one phase of straight legs, which is what orders to go somewhere are.
 
 Every plan that comes out was certified by `certify`, which shares nothing with the search but distances of segments.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from skygcs.core.plan.certificate import Certificate
@@ -21,12 +25,20 @@ from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 
-Kind = Literal["auto", "timed", "phased"]
+Kind = Literal["auto", "timed", "phased", "direct"]
+"""direct: one phase in which all fly straight, each as fast as it likes."""
+
+AttemptProgress = Callable[[str, int, int], None]
+"""Called with what is being certified, vehicles done and in all; it may raise to cancel."""
+
+
+DIRECT = "direct"
+"""Name of its one phase."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way that was tried; ``plan`` is None where it makes none."""
+    """What was tried, and the plan that came of it, certified or not; None: it made none."""
 
     what: str
     plan: Plan | None
@@ -62,7 +74,13 @@ class Task:
     kind: Kind = "auto"
 
 
-def make_plan(task: Task, rule: MarginRule, limits: MotionLimits, space: FlightSpace | None = None) -> Found:
+def make_plan(
+    task: Task,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace | None = None,
+    progress: AttemptProgress | None = None,
+) -> Found:
     """Search in the order of the table. Raises RefusedError for an invalid task."""
     from skygcs.core.plan.straight_flight import assigned
 
@@ -78,10 +96,9 @@ def make_plan(task: Task, rule: MarginRule, limits: MotionLimits, space: FlightS
         order = assigned(starts, goals, rule.downwash_ratio)
         goals = [goals[index] for index in order]
     attempts: list[Attempt] = []
-    for make in (_ends, _straight, _layers):
-        if task.kind == ("phased" if make is _straight else "timed" if make is _layers else ""):
-            continue
-        attempt = make(dict(zip(names, starts, strict=True)), dict(zip(names, goals, strict=True)), rule, limits, space)
+    from_to = dict(zip(names, starts, strict=True)), dict(zip(names, goals, strict=True))
+    for make in (_ends, *ATTEMPTS[task.kind]):
+        attempt = make(*from_to, rule, limits, space, progress)
         if attempt is None:
             continue
         attempts.append(attempt)
@@ -96,7 +113,14 @@ def make_plan(task: Task, rule: MarginRule, limits: MotionLimits, space: FlightS
 Places = Mapping[str, Vector]
 
 
-def _ends(starts: Places, goals: Places, rule: MarginRule, limits: MotionLimits, space: FlightSpace) -> Attempt | None:
+def _ends(
+    starts: Places,
+    goals: Places,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    progress: AttemptProgress | None,
+) -> Attempt | None:
     """Standing at the starts, and at the goals: where that is not safe nothing can be."""
     for what, places in (("starts", starts), ("goals", goals)):
         certificate = certify(PhasedPlan(places, (Phase(f"standing at the {what}", {}),)), rule, space)
@@ -105,16 +129,46 @@ def _ends(starts: Places, goals: Places, rule: MarginRule, limits: MotionLimits,
     return None
 
 
-def _straight(starts: Places, goals: Places, rule: MarginRule, limits: MotionLimits, space: FlightSpace) -> Attempt:
+def _direct(
+    starts: Places,
+    goals: Places,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    progress: AttemptProgress | None,
+) -> Attempt:
+    plan = PhasedPlan(starts, (Phase(DIRECT, dict(goals)),))
+    return Attempt("straight, each at its own speed", plan, certify(plan, rule, space))
+
+
+def _straight(
+    starts: Places,
+    goals: Places,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    progress: AttemptProgress | None,
+) -> Attempt:
     from skygcs.core.plan.straight_flight import straight_trajectories
 
     trajectories = straight_trajectories(list(starts.values()), list(goals.values()), limits)
     plan = TimedPlan(dict(zip(starts, trajectories, strict=True)))
-    return Attempt("straight, timed", plan, certify(plan, rule, space))
+    report = None if progress is None else partial(progress, "straight, timed")
+    return Attempt("straight, timed", plan, certify(plan, rule, space, progress=report))
 
 
-def _layers(starts: Places, goals: Places, rule: MarginRule, limits: MotionLimits, space: FlightSpace) -> Attempt:
+def _layers(
+    starts: Places,
+    goals: Places,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    progress: AttemptProgress | None,
+) -> Attempt:
     from skygcs.core.plan.layered_flight import layered
+
+    if progress is not None:
+        progress("layers", 0, len(starts))
 
     half = [rule.half_m(name) for name in starts]
     standing = max((rule.half_m(name) for name in space.standing), default=0.0)
@@ -127,3 +181,7 @@ def _layers(starts: Places, goals: Places, rule: MarginRule, limits: MotionLimit
     rounds = len(set(layers.round))
     what = f"{len(set(layers.layer))} layers" + ("" if rounds == 1 else f", {rounds} rounds")
     return Attempt(what, plan, certify(plan, rule, space))
+
+
+ATTEMPTS = {"auto": (_straight, _layers), "timed": (_straight,), "phased": (_layers,), "direct": (_direct,)}
+"""By `Task.kind`, in the order in which they are tried."""

@@ -1,0 +1,117 @@
+"""What a planning process is asked, as JSON: a search, or a certificate for a plan. No numpy.
+
+    {"do": "make", "starts": …, "goals": …, "exchangeable": …, "kind": …}     search
+    {"do": "paths", "paths": {vehicle: {"points", "times_s", "yaws_rad"}}, "within_limits": …}   written paths
+    {"do": "check", "plan": a plan of skygcs as JSON, "within_limits": …}     certify, in its own space and in "space"
+
+All with "rule" (margins), "limits" and "space", and with "notes": keys that the answer has, too. The answer is one JSON
+object:
+
+    {"certificate": … or null, "plan": the certified plan or null, "attempts": […], "reasons": […], and "notes"}
+    {"refused": why}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from skygcs.core.plan.fleet_plan import FlightSpace, Plan
+from skygcs.core.plan.margins import MarginRule, Uncertainty
+from skygcs.core.plan.plan_json import plan_content, space_content
+from skygcs.core.trajectory import MotionLimits, TimedPoint, Trajectory, path_within, straight_lines
+from skygcs.core.trajectory.piecewise import Vector
+from skygcs.errors import TrajectoryError
+
+Places = Mapping[str, Vector]
+
+JsonObject = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenPath:
+    """Points that a vehicle flies; as many times and yaws, or none. Without times it stops at corners."""
+
+    points: Sequence[Vector]
+    times_s: Sequence[float] = ()
+    yaws_rad: Sequence[float] = ()
+
+
+def make_request(
+    starts: Places,
+    goals: Places,
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    *,
+    exchangeable: bool = False,
+    kind: str = "auto",
+) -> JsonObject:
+    """Search a plan; ``kind`` as `plan_search.Kind`."""
+    return {
+        "do": "make",
+        "starts": dict(starts),
+        "goals": dict(goals),
+        "exchangeable": exchangeable,
+        "kind": kind,
+        **_common(rule, limits, space),
+    }
+
+
+def check_request(
+    plan: Plan | Mapping[str, Any],
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    *,
+    within_limits: bool = False,
+) -> JsonObject:
+    """Certify a plan, or the content of a file of one; ``within_limits``: its speeds and accelerations as well."""
+    return {
+        "do": "check",
+        "plan": dict(plan) if isinstance(plan, Mapping) else plan_content(plan, FlightSpace()),
+        "within_limits": within_limits,
+        **_common(rule, limits, space),
+    }
+
+
+def paths_request(
+    paths: Mapping[str, WrittenPath],
+    rule: MarginRule,
+    limits: MotionLimits,
+    space: FlightSpace,
+    *,
+    within_limits: bool = False,
+) -> JsonObject:
+    """Make trajectories of written paths, and certify them."""
+    content = {name: asdict(path) for name, path in paths.items()}
+    return {"do": "paths", "paths": content, "within_limits": within_limits, **_common(rule, limits, space)}
+
+
+def path_of(name: str, content: Mapping[str, Any], limits: MotionLimits) -> Trajectory:
+    """The trajectory of a written path. Raises TrajectoryError that names the vehicle."""
+    path = WrittenPath(**content)
+    points = [(x, y, z) for x, y, z in path.points]
+    try:
+        if path.times_s:
+            yaws: Sequence[float | None] = path.yaws_rad or [None] * len(points)
+            timed = [TimedPoint(*row) for row in zip(path.times_s, points, yaws, strict=True)]
+            return straight_lines(timed)
+        return path_within(points, limits, path.yaws_rad or None)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{name}: {error}") from None
+
+
+def _common(rule: MarginRule, limits: MotionLimits, space: FlightSpace) -> JsonObject:
+    return {"rule": asdict(rule), "limits": asdict(limits), "space": space_content(space)}
+
+
+def rule_of(content: Mapping[str, Any]) -> MarginRule:
+    """As `_common` wrote it."""
+    return MarginRule(
+        Uncertainty(**content["uncertainty"]),
+        {name: Uncertainty(**given) for name, given in content["by_vehicle"].items()},
+        content["downwash_ratio"],
+        content["fixed_m"],
+    )

@@ -1,0 +1,123 @@
+"""Plans asked of a whole daemon: measured starts, other vehicles as obstacles, measured margins. A call is in place of
+the process, for which virtual time does not wait (tests/system/test_planning_process.py)."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.plan.margins import DEFAULT
+from skygcs.errors import RefusedError, SkygcsError, TargetError
+from skygcs.planning.process import OnProgress, ProcessLimits
+from skygcs.planning.worker import answered
+from skygcs.rpc.dispatch import InvalidParams
+from skygcs.runtime.planning_queue import PlanningQueue
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+
+async def _here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
+    return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
+
+
+def planning(gcs: Flown) -> Callable[..., Any]:
+    gcs.daemon.planning = PlanningQueue(asyncio.get_running_loop(), _here)
+
+    async def ask(method: str, **params: Any) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((await gcs(method, **params)).body)
+        return found
+
+    return ask
+
+
+def near(place: list[float], other: list[float] | tuple[float, ...], within_m: float = 0.5) -> bool:
+    return all(abs(a - b) <= within_m for a, b in zip(place, other, strict=True))
+
+
+async def test_starts_are_measured_and_others_are_obstacles(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=3) as gcs:
+        ask = planning(gcs)
+        at = {name: list(gcs.place(name)) for name in ("v1", "v2", "v3")}  # 5 m apart to the east, 10 m up
+        found = await ask("plan.make", goals={"v1": at["v2"], "2": at["v1"]})
+        assert found["certificate"]["certified"], found["reasons"]
+        assert all(near(found["plan"]["starts"][name], at[name]) for name in ("v1", "v2"))
+        assert list(found["standing"]) == ["v3"] and near(found["standing"]["v3"], at["v3"])
+        assert near(found["plan"]["space"]["standing"]["v3"], at["v3"]) and found["unknown"] == []
+        # where v3 stands none can go, unless others do not count
+        found = await ask("plan.make", goals={"v1": at["v3"]}, kind="direct")
+        assert found["plan"] is None and any("v1 and v3 come within 0.0" in reason for reason in found["reasons"])
+        found = await ask("plan.make", goals={"v1": at["v3"]}, kind="direct", others=False)
+        assert found["certificate"]["certified"]
+        # a plan is certified against those that do not take part, too
+        certified = await ask("plan.certify", plan=found["plan"])
+        assert not certified["certificate"]["certified"] and any(
+            "v1 and v3" in reason for reason in certified["reasons"]
+        )
+        assert (await gcs("plan.jobs"))["answered"] == 4
+
+
+async def test_formations_and_written_paths(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=3) as gcs:
+        ask = planning(gcs)
+        shape = {"vehicles": ["v1", "v2", "v3"], "shape": "line", "spacing_m": 6.0, "middle_m": [40.0, 0.0, 12.0]}
+        found = await ask("plan.make", formation=shape)
+        assert found["certificate"]["certified"]
+        path = {"points": [[0, 20, 10], [20, 20, 10], [20, 40, 10]], "yaws_deg": [0, 90, 90]}
+        found = await ask("plan.make", paths={"v1": path}, limits={"speed_mps": 2.0}, within_limits=True)
+        assert found["certificate"]["certified"] and found["certificate"]["duration_s"] > 20.0
+        timed = {"points": [[0, 20, 10], [20, 20, 10]], "times_s": [0, 2]}
+        found = await ask("plan.make", paths={"v1": timed}, within_limits=True)
+        assert "v1: " in found["certificate"]["motion"][0], "10 m/s is above 5"
+
+
+async def test_what_cannot_be_planned_is_refused_with_a_reason(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2) as gcs:
+        ask = planning(gcs)
+        with pytest.raises(TargetError, match="v9"):
+            await ask("plan.make", goals={"v9": [0, 0, 10]})
+        with pytest.raises(InvalidParams, match="v1 is there twice"):
+            await ask("plan.make", goals={"v1": [0, 0, 10], "1": [9, 0, 10]})
+        with pytest.raises(RefusedError, match="margin"):
+            await ask("plan.make", goals={"v1": [0, 0, 10]}, margin_m=-1.0)
+        with pytest.raises(RefusedError, match="speed_mps"):
+            await ask("plan.make", goals={"v1": [0, 0, 10]}, limits={"speed_mps": 0.0})
+        with pytest.raises(SkygcsError, match="format"):
+            await ask("plan.certify", plan={"kind": "timed"})
+        gcs.daemon.fleet.set_origin(None, force=True)
+        with pytest.raises(RefusedError, match=r"origin\.set"):
+            await ask("plan.make", goals={"v1": [0, 0, 10]})
+        assert (await ask("plan.make", goals={"v1": [0, 0, 10]}, starts={"v1": [9, 0, 10]}))["unknown"] == ["v2"]
+
+
+async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, delay_s=0.05) as gcs:
+        ask = planning(gcs)
+        goals = {"v1": [0.0, 30.0, 10.0], "v2": [12.0, 30.0, 10.0]}
+        before = (await ask("plan.make", goals=goals, kind="timed"))["certificate"]["closest"]
+        assert set(before["sources"]["v1"].values()) == {DEFAULT}
+        await gcs.fly("position")
+        for _ in range(3):  # there and back, for more than a minute of moving references
+            for by_m, seconds in ((30.0, 15.0), (-30.0, 15.0)):
+                x_m, y_m, up_m = gcs.place()
+                t = seconds
+                leg = {"duration_s": t, "x": [x_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "y": [y_m], "up": [up_m]}
+                loaded = await gcs("trajectory.load", target="v1", pieces=[leg])
+                assert loaded["outcomes"]["v1"]["ok"], loaded
+                await gcs.done("trajectory.start", targets="v1", after_s=0.5)
+                await asyncio.sleep(t + 3.0)
+        after = (await ask("plan.make", goals=goals, kind="timed"))["certificate"]["closest"]
+        record = gcs.actor().offboard.tracking
+        assert record.measured_s > 60.0
+        sources, terms = after["sources"]["v1"], after["terms"]["v1"]
+        assert sources["tracking error p99"].startswith("measured over ") and 0.0 < terms["tracking error p99"] < 0.4
+        timing = "speed × (delay p99 + clock error)"
+        assert sources[timing].startswith("delay measured by ") and "clock measured by" in sources[timing]
+        assert terms[timing] < before["terms"]["v1"][timing]
+        assert set(after["sources"]["v2"].values()) == {DEFAULT}, "it was not flown"
+        assert record.delay_s is not None and 0.05 <= record.delay_s <= 0.12, "one way of the link and some"

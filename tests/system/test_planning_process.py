@@ -1,0 +1,104 @@
+"""The planning process itself: it answers, is bounded in time and memory, and ends with the task that waits for it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import random
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.plan.fleet_plan import FlightSpace
+from skygcs.core.plan.margins import MarginRule
+from skygcs.core.trajectory import MotionLimits
+from skygcs.errors import RefusedError
+from skygcs.planning.process import PlanningFailed, ProcessLimits, compute
+from skygcs.planning.request import WrittenPath, make_request, paths_request
+
+pytestmark = pytest.mark.system
+
+
+def crossing(count: int) -> bytes:
+    """Vehicles on a grid that change places at random."""
+    starts = {f"v{i}": (5.0 * (i % 10), 5.0 * (i // 10), 10.0) for i in range(count)}
+    goals = list(starts.values())
+    random.Random(1).shuffle(goals)
+    request = make_request(
+        starts, dict(zip(starts, goals, strict=True)), MarginRule(fixed_m=2.5), MotionLimits(), FlightSpace()
+    )
+    return json.dumps(request).encode()
+
+
+def endless() -> bytes:
+    """Paths of 100,000 pieces that wind around each other: minutes of work."""
+    rng = random.Random(2)
+    points = [[(rng.uniform(0, 3), rng.uniform(0, 3), rng.uniform(0, 3)) for _ in range(9000)] for _ in range(11)]
+    times = [0.7 * i for i in range(9000)]
+    paths = {f"v{i}": WrittenPath(path, times) for i, path in enumerate(points)}
+    return json.dumps(paths_request(paths, MarginRule(fixed_m=2.5), MotionLimits(), FlightSpace())).encode()
+
+
+def children() -> set[int]:
+    text = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
+    return {int(pid) for pid in text.split()}
+
+
+async def test_it_answers_and_reports_progress_and_numpy_stays_with_it() -> None:
+    told: list[dict[str, Any]] = []
+    before = "numpy" in sys.modules
+    answer = json.loads(await compute(crossing(20), told.append))
+    assert answer["certificate"]["certified"] and len(answer["plan"]["starts"]) == 20
+    assert {"what": "straight, timed", "done": 20, "total": 20} in told
+    assert before or "numpy" not in sys.modules
+
+
+async def test_it_is_killed_with_the_task_that_waits() -> None:
+    before = children()
+    begun = asyncio.Event()
+    task = asyncio.create_task(compute(endless(), lambda _: begun.set()))
+    await begun.wait()
+    assert children() - before
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert children() == before, "it is dead, and was waited for"
+
+
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    [
+        (ProcessLimits(time_s=0.5), "longer than 0.5 s"),
+        (ProcessLimits(memory_mb=200), "more than 200 MiB of memory"),
+        (ProcessLimits(answer_bytes=1000), "the most is 1,000"),
+    ],
+)
+async def test_what_takes_too_much_is_refused(limits: ProcessLimits, why: str) -> None:
+    before = children()
+    with pytest.raises(RefusedError, match=why):
+        await compute(endless() if limits.answer_bytes > 1000 else crossing(20), None, limits)
+    assert children() == before
+
+
+@pytest.mark.parametrize("request_", [b"", b"{", b"[]", b'{"do":"make"}', b"\xff" * 100, b"[" * 100_000])
+async def test_a_broken_request_is_a_failure_in_one_line(request_: bytes) -> None:
+    with pytest.raises(PlanningFailed, match="ended with code 1: ") as caught:
+        await compute(request_)
+    assert "\n" not in str(caught.value)
+
+
+async def test_a_module_in_the_working_directory_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numpy.py").write_text("raise SystemExit('taken over')\n")
+    monkeypatch.chdir(tmp_path)
+    assert json.loads(await compute(crossing(3)))["certificate"]["certified"]
+
+
+async def test_nothing_to_do_without_a_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    with pytest.raises(PlanningFailed, match="cannot be started: No such file"):
+        await compute(b"{}")
