@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from support.flown import Flown, flown
-from support.planned import MARGIN_M, UP_M, least_distance, run, state, timed
+from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
 pytestmark = pytest.mark.looptime
 
@@ -37,3 +37,173 @@ async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, 
             assert math.dist(gcs.place(name), goal) < 0.7
             assert gcs.is_safe(name)
         assert least_distance(gcs, began)[0] > MARGIN_M
+
+
+async def midway(gcs: Flown, **params: Any) -> float:
+    """In the middle of the plan itself; when that was."""
+    starts, goals = crossing(gcs)
+    await run(gcs, timed(starts, goals), **params)
+    await gcs.until(lambda: state(gcs) == "flying", 120.0)
+    await gcs.until(lambda: gcs.place("v1")[1] > 3.0, 30.0)
+    return gcs.now
+
+
+async def test_phases_are_flown_with_barriers_and_the_layers_keep_a_swap_apart(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        began, (a, b) = gcs.now, (gcs.place_of_home("v1"), gcs.place_of_home("v2"))
+        low, high = UP_M, UP_M + 6.0
+        plan = phased(
+            {"v1": a, "v2": b},
+            ("climb", {"v1": (*a[:2], low), "v2": (*b[:2], high)}),
+            ("cross", {"v1": (*b[:2], low), "v2": (*a[:2], high)}),
+            ("descend", {"v2": (*a[:2], low)}),
+        )
+        await run(gcs, plan)
+        seen: set[Any] = set()
+
+        def look() -> bool:
+            seen.add(gcs.daemon.fleet.plans.status()["phase"])
+            return state(gcs) in ("finished", "stopped", "aborted")
+
+        await gcs.until(look, 240.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert {"cross", "descend"} <= seen
+        assert math.dist(gcs.place("v1"), (*b[:2], low)) < 0.7 and math.dist(gcs.place("v2"), (*a[:2], low)) < 0.7
+        assert least_distance(gcs, began)[0] > MARGIN_M
+
+
+@KINDS
+async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind, takeoff=False) as gcs:
+        since = await midway(gcs)
+        sim = gcs.sim("v2")
+        sim.motion.north_m -= 4.0  # a gust carries it back
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        (event,) = [t for t in gcs.told if t.kind == "plan" and t.at >= since]
+        assert event.vehicle == "v2" and "from its reference" in event.text
+        assert [sorted(p["vehicles"]) for p in event.data["pairs"]] == [["v1", "v2"]]
+        await gcs.until(lambda: gcs.daemon.fleet.plans.status()["clock"]["state"] == "paused", 5.0)
+        await asyncio.sleep(15.0)
+        assert state(gcs) == "stopped", "never by itself"
+        y_m = gcs.place("v1")[1]
+        # it has caught up by now: the clock goes on
+        answer = await gcs("plan.resume")
+        assert answer["ok"] and "at their places" in answer["message"]
+        await gcs.until(lambda: state(gcs) == "finished", 60.0)
+        assert gcs.place("v1")[1] > y_m + 2.0
+
+
+@KINDS
+async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_again(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, **kind, takeoff=False) as gcs:
+        since = await midway(gcs)
+        gcs.muted.add(2)
+        await gcs.until(lambda: state(gcs) == "stopped", 8.0)
+        assert "v2" in plan_events(gcs, since)[0]
+        await asyncio.sleep(4.0)
+        refused_ = await gcs("plan.resume")
+        assert not refused_["ok"] and any("v2 is silent" in why for why in refused_["reasons"]), refused_
+        await asyncio.sleep(10.0)
+        gcs.muted.clear()
+        await asyncio.sleep(6.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"], answer
+        await gcs.until(lambda: state(gcs) in ("finished", "stopped"), 90.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
+@KINDS
+async def test_a_pilot_who_takes_over_stops_all_and_a_resume_is_refused_while_he_flies(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, **kind, takeoff=False) as gcs:
+        since = await midway(gcs)
+        if kind["px4"]:
+            gcs.other_sets_mode(4, 3, sysid=2)
+        else:
+            gcs.other_sets_mode(5, sysid=2)  # LOITER
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        assert "v2 left" in plan_events(gcs, since)[0]
+        answer = await gcs("plan.resume")
+        assert not answer["ok"] and "pilot" in answer["message"], answer
+        assert gcs.control("v2")["state"] != "flying"
+        # on the ground it is an obstacle, and the other one flies on
+        await gcs.done("vehicles.land", targets="v2")
+        await gcs.until(lambda: not gcs.sim("v2").armed, 60.0)
+        await asyncio.sleep(4.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"] and "without v2" in answer["message"], answer
+        await gcs.until(lambda: state(gcs) in ("finished", "stopped"), 90.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+
+
+async def test_a_vehicle_that_the_guard_holds_stops_all_and_goes_back_to_its_way_by_a_new_certificate(
+    tmp_path: Path,
+) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        since = await midway(gcs)
+        gcs.muted.add(2)
+        await gcs.until(lambda: gcs.control("v2")["state"] == "held", 15.0)
+        gcs.muted.clear()
+        await asyncio.sleep(8.0)
+        gcs.sim("v2").motion.north_m -= 3.0
+        await asyncio.sleep(4.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"] and "going back" in answer["message"], answer
+        await gcs.until(lambda: state(gcs) in ("finished", "stopped"), 120.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert any(text.startswith("returning") for text in plan_events(gcs, since)), plan_events(gcs, since)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
+async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=3, takeoff=False) as gcs:
+        starts, goals = crossing(gcs)
+        starts, goals = ({n: p for n, p in places.items() if n != "v3"} for places in (starts, goals))
+        await run(gcs, timed(starts, goals))
+        await gcs.until(lambda: state(gcs) == "flying", 120.0)
+        await gcs("plan.pause")
+        # one that takes no part flies into the way meanwhile, and stays
+        await gcs.done("vehicles.takeoff", targets="v3", height_m=UP_M)
+        await gcs.until(lambda: gcs.place("v3")[2] > UP_M - 0.5, 60.0)
+        x_m, y_m, _ = goals["v2"]
+        await gcs.done("vehicles.goto", targets="v3", enu_m=[x_m, y_m - 3.0, UP_M], force=True)
+        await gcs.until(lambda: math.dist(gcs.place("v3"), (x_m, y_m - 3.0, UP_M)) < 0.5, 60.0)
+        await asyncio.sleep(3.0)
+        answer = await gcs("plan.resume")
+        assert not answer["ok"] and any("v2 and v3 come within" in why for why in answer["reasons"]), answer
+        assert state(gcs) == "paused"
+        await gcs.done("vehicles.land", targets="v3")
+
+
+@KINDS
+async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind, takeoff=False) as gcs:
+        await midway(gcs)
+        assert (await gcs("plan.pause"))["ok"]
+        await gcs.until(lambda: gcs.daemon.fleet.plans.status()["clock"]["state"] == "paused", 5.0)
+        await asyncio.sleep(3.0)
+        here = gcs.place("v1")
+        await asyncio.sleep(5.0)
+        assert math.dist(here, gcs.place("v1")) < 0.3 and state(gcs) == "paused"
+        with pytest.raises(Exception, match="certified for 1 times"):
+            await gcs("plan.speed", speed=1.5)
+        await gcs("plan.speed", speed=0.5)
+        assert (await gcs("plan.resume"))["ok"]
+        await asyncio.sleep(3.0)
+        assert gcs.daemon.fleet.plans.status()["clock"]["rate"] == pytest.approx(0.5)
+        with pytest.raises(Exception, match="cannot be flown"):
+            await gcs("plan.run")
+        since = gcs.now
+        assert (await gcs("plan.abort"))["ok"]
+        await gcs.until(lambda: state(gcs) == "aborted", 15.0)
+        for name in ("v1", "v2"):
+            await gcs.ends_safe(name, within_m=4.0, since=since)
+        with pytest.raises(Exception, match="aborted already"):
+            await gcs("plan.abort")
+        await gcs("plan.land")
+        await gcs.until(lambda: state(gcs) == "landed", 120.0)
+        await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 10.0)

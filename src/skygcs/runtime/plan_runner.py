@@ -37,7 +37,7 @@ from skygcs.core.plan.flight_findings import (
 )
 from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.plan.flight_situation import Prepared, Situation
-from skygcs.core.plan.flight_steps import FlightStep, renamed, rest_of, starts_of
+from skygcs.core.plan.flight_steps import FlightStep, plan_of, renamed, rest_of, starts_of
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.core.trajectory import ClockState, MotionLimits
@@ -383,67 +383,45 @@ class PlanRunner:
         return f"flying at {speed_factor:g} times the planned speed"
 
     async def resume(self, *, force: bool = False) -> tuple[bool, str, list[str]]:
-        """Go on: (whether, a line, reasons). Raises RefusedError."""
+        """Go on with a new certificate: (whether, a line, reasons). Raises RefusedError."""
         flight = self._flying()
-        execution, now = flight.execution, self._loop.time()
-        sights = flight.look(now)
-        _, trajectory_s = flight.clock(now)
-        away = [
-            name
-            for name in execution.names
-            if sights[name].place_m is None
-            or sights[name].age_s > SILENT_S
-            or execution.step.off_m(name, sights[name].place_m or (0.0, 0.0, 0.0), trajectory_s)
-            > execution.tube_m(name)
-        ]
-        if not (execution.resumable and (away or execution.left)):
-            self._orders.carry_out(flight, execution.go_on())
-            return True, "going on: all are at their places", []
+        execution = flight.execution
+        execution.require_resumable()
         if self._busy is not None:
             raise RefusedError(f"{self._busy} is under way")
         self._busy = "a new certificate"
         try:
-            return await self._return(flight, sights, force=force)
+            return await self._resume(flight, force=force)
         finally:
             self._busy = None
 
-    async def _return(
-        self, flight: PlanFlight, sights: Mapping[str, Sight], *, force: bool
-    ) -> tuple[bool, str, list[str]]:
-        """Back to their ways with a new certificate, then on."""
+    async def _resume(self, flight: PlanFlight, *, force: bool) -> tuple[bool, str, list[str]]:
         execution, now = flight.execution, self._loop.time()
+        sights = flight.look(now)
         state, trajectory_s = flight.clock(now)
-        if state in (ClockState.RUNNING, ClockState.PAUSING, ClockState.ABORTING):
-            raise RefusedError("they are still stopping: wait a moment")
+        in_place = not execution.left and not execution.away(trajectory_s, sights)
         staying, out, reasons = _returning(execution, sights, force=force)
-        if reasons:
+        if reasons or not staying:
+            reasons = reasons or ["nobody is left to fly it"]
             return False, f"refused: {reasons[0]}", reasons
-        if not staying:
-            return False, "refused: nobody is left to fly it", ["nobody is left to fly it"]
+        if not in_place and state in (ClockState.RUNNING, ClockState.PAUSING, ClockState.ABORTING):
+            raise RefusedError("they are still stopping: wait a moment")
+        # the rest of the plan, and the way back to it
         actors = [flight.actors[name] for name in staying]
         measured = measure(actors, self._fleet.everybody(), flight.frame, now)
         lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
         if lacking or len(measured.places) < len(actors):
             return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking
-        rule, _ = self._margins(actors, self._request)
-        kept_space = FlightSpace() if self.kept is None else self.kept.space
-        step = execution.step
-        plan = TimedPlan(step.trajectories) if step.timed else PhasedPlan(step.starts(), ())
-        situation = Situation(
-            plan,
-            _space_with(kept_space, measured, set(staying)),
-            measured.places,
-            frozenset(),
-            rule,
-            _limits(actors),
-            self._request.speed_factor,
-        )
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
+        situation = self._situation_of_rest(actors, measured, rest, in_place=in_place)
         prepared, loaded = await self._prepared(situation, rest)
         if prepared.problems or prepared.tubes is None:
             return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
-        if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED):
+        if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED) or self._ending:
             raise RefusedError(f"the plan is {execution.state} by now")
+        if in_place and not execution.left:
+            self._orders.carry_out(flight, execution.go_on())
+            return True, "going on: all are at their places", []
         # a new flight from here
         if flight.group is not None:
             flight.group.clock.abort(self._loop.time())
@@ -454,6 +432,22 @@ class PlanRunner:
         self._orders.carry_out(later, again.begin())
         without = f", without {', '.join(out)}" if out else ""
         return True, f"going back to their ways, then on{without}", []
+
+    def _situation_of_rest(
+        self, actors: Sequence[VehicleActor], measured: Measured, rest: Sequence[FlightStep], *, in_place: bool
+    ) -> Situation:
+        """``in_place``: they are where they have to be, so there is no way back."""
+        rule, _ = self._margins(actors, self._request)
+        kept_space = FlightSpace() if self.kept is None else self.kept.space
+        return Situation(
+            plan_of(rest[0]),
+            _space_with(kept_space, measured, {actor.name for actor in actors}),
+            rest[0].starts() if in_place else measured.places,
+            frozenset(),
+            rule,
+            _limits(actors),
+            self._request.speed_factor,
+        )
 
     async def _certify_landing(self, flight: PlanFlight) -> None:
         """Find the rounds of a landing from where they are measured."""
@@ -675,13 +669,13 @@ def _returning(
     for name in execution.names:
         sight, left = sights[name], sights[name].left or execution.left.get(name)
         silent = sight.place_m is None or sight.age_s > SILENT_S
-        if left is None:
+        if silent:
+            out.append(name)
+            reasons.append(f"{name} is silent: it may be anywhere; wait for it, or insist with force")
+        elif left is None:
             staying.append(name)
-        elif sight.on_ground and not silent:
+        elif sight.on_ground:
             out.append(name)
-        elif silent:
-            out.append(name)
-            reasons.append(f"{name} is silent and flies: it may be anywhere; wait for it, or insist with force")
         elif left.why is Why.PILOT:
             out.append(name)
             reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")

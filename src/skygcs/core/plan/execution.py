@@ -62,8 +62,9 @@ SLOW_MPS = 0.6
 START_LEAD_S = 1.0
 """From the order to the common start of a step: setpoints of all vehicles are at the start by then."""
 
-NEAR = 2.0
-"""Pairs are named that are within so many margins of each other when one is in trouble."""
+NEAR = 3.0
+"""Pairs are named that are within so many margins of each other when one is in trouble: it may fly on for as far as the
+stop of the others takes."""
 
 MAX_PAIRS = 5
 
@@ -232,11 +233,6 @@ class Execution:
     def over(self) -> bool:
         return self.state in OVER
 
-    @property
-    def resumable(self) -> bool:
-        """Whether it stands in a step."""
-        return self.state in (PlanState.PAUSED, PlanState.STOPPED) and self._started
-
     def tube_m(self, name: str) -> float:
         return self.tubes.tube_m(name, timed=self.step.timed)
 
@@ -258,15 +254,30 @@ class Execution:
 
     def go_on(self) -> list[Order]:
         """Go on where it stands, with everybody at its place. Raises RefusedError."""
-        if self.state not in (PlanState.PAUSED, PlanState.STOPPED):
-            raise RefusedError(f"the plan is {self.state}: only a paused or stopped one can be resumed")
-        if not self.resumable:
-            raise RefusedError("it was stopped before it flew: `plan abort`, then `plan run` from where they are")
+        self.require_resumable()
         if self.left:
             raise RefusedError(f"{_named(tuple(self.left))} left: it takes a new certificate")
         self._watch.clear()
         self._enter(STATE_OF[self.step.kind], "going on")
         return [Order(OrderKind.GO_ON)]
+
+    def require_resumable(self) -> None:
+        """Raise RefusedError unless it stands in a step."""
+        if self.state not in (PlanState.PAUSED, PlanState.STOPPED):
+            raise RefusedError(f"the plan is {self.state}: only a paused or stopped one can be resumed")
+        if not self._started:
+            raise RefusedError("it was stopped before it flew: `plan abort`, then `plan run` from where they are")
+
+    def away(self, trajectory_s: float, sights: Mapping[str, Sight]) -> list[str]:
+        """The vehicles that are not within their tubes, as far as it is known."""
+        found = []
+        for name in self.names:
+            place = sights[name].place_m
+            if place is None or sights[name].age_s > SILENT_S:
+                found.append(name)
+            elif self.step.off_m(name, place, trajectory_s) > self.tube_m(name):
+                found.append(name)
+        return found
 
     def abort(self, why: str = "as ordered") -> list[Order]:
         """Stop for good and hold. Raises RefusedError."""
