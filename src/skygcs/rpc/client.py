@@ -280,6 +280,10 @@ class Client:
         params = {"topic": "events", "targets": _plain(targets), "names": _listed(kinds)}
         return Subscription(self._connected(), self._next_id(), params, Queue("event"))
 
+    def plan(self, *, rate_hz: float = 2.0) -> Subscription:
+        """The status of the plan (`plan.status`), after each change and at this rate while it is flown."""
+        return Subscription(self._connected(), self._next_id(), {"topic": "plan", "rate_hz": rate_hz}, Newest("plan"))
+
     def messages(self, *names: str | int, targets: Targets = "all", rate_hz: float | None = None) -> Subscription:
         """Decoded messages of these names (none: all): vehicle, sysid, compid, name, fields, age_s.
 
@@ -378,6 +382,26 @@ class Latest(Inbox):
         return self._by_name.pop(next(iter(self._by_name)))
 
 
+class Newest(Inbox):
+    """The newest only."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__()
+        self._key = key
+        self._content: dict[str, Any] | None = None
+
+    def __bool__(self) -> bool:
+        return self._content is not None
+
+    def _keep(self, params: dict[str, Any]) -> None:
+        self._content = params[self._key]
+
+    def _take(self) -> dict[str, Any]:
+        content, self._content = self._content, None
+        assert content is not None  # `get` waits for one
+        return content
+
+
 class Queue(Inbox):
     """In order; the oldest are dropped and counted, as those that the daemon dropped."""
 
@@ -404,7 +428,7 @@ class Queue(Inbox):
 
 
 class Subscription:
-    """What `Client.telemetry`, `events` and `messages` give: to be iterated over with ``async for``.
+    """What `Client.telemetry`, `events`, `messages` and `plan` give: to be iterated over with ``async for``.
 
     Subscribed from the moment it is made until `close`, or until nobody holds it any more. The iteration raises
     RpcError if the daemon refused it, DaemonUnreachable if the daemon goes away.

@@ -105,8 +105,8 @@ class TargetsParams(MethodParams):
 
 
 class SubscribeParams(MethodParams):
-    topic: Literal["telemetry", "events", "messages"] = Field(
-        description='The notifications are called "telemetry", "event", "message": one of them each time.'
+    topic: Literal["telemetry", "events", "messages", "plan"] = Field(
+        description='The notifications are called "telemetry", "event", "message", "plan": one of them each time.'
     )
     targets: Annotated[
         Targets, Field(description='Vehicles; for messages and events also components: "7/191", "all/100".')
@@ -116,7 +116,7 @@ class SubscribeParams(MethodParams):
         ge=LEAST_RATE_HZ,
         le=MAX_RATE_HZ,
         description="telemetry: updates per second and vehicle, default 2, at most 20. "
-        "messages: at most so many per second of each name and source; null: every one.",
+        "plan: updates per second while it is flown, default 2, at most 20. messages: at most so many per second of each name and source; null: every one.",
     )
     names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
         None,
@@ -125,8 +125,8 @@ class SubscribeParams(MethodParams):
 
     @model_validator(mode="after")
     def _rate(self) -> Self:
-        if self.topic == "telemetry" and self.rate_hz is not None and self.rate_hz > MAX_TELEMETRY_HZ:
-            raise ValueError(f"telemetry has at most {MAX_TELEMETRY_HZ:g} updates a second")
+        if self.topic in ("telemetry", "plan") and self.rate_hz is not None and self.rate_hz > MAX_TELEMETRY_HZ:
+            raise ValueError(f"{self.topic} has at most {MAX_TELEMETRY_HZ:g} updates a second")
         if self.topic == "events" and self.rate_hz is not None:
             raise ValueError("events have no rate_hz: each event is sent")
         return self

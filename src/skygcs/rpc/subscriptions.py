@@ -403,7 +403,55 @@ class MessageFeed:
         return body
 
 
-Subscription = TelemetrySubscription | EventSubscription | MessageSubscription
+class PlanSubscription:
+    """The status of the plan: at once, after each change, and while it is flown ``rate_hz`` times a second.
+
+    Only the newest is sent: a client that reads slowly gets fewer.
+    """
+
+    def __init__(
+        self, sink: Sink, number: int, rate_hz: float, services: Services, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._sink = sink
+        self._tail = b',"subscription":%d}}\n' % number
+        self._period_s = 1.0 / rate_hz
+        self._plans = services.fleet.plans
+        self._loop = loop
+        self._due = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._plans.observers.add(self._changed)
+        self._changed()
+
+    def close(self) -> None:
+        self._plans.observers.discard(self._changed)
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _changed(self) -> None:
+        """Send it at the end of this turn of the loop: several changes of one turn are one notification."""
+        if not self._due:
+            self._due = True
+            self._loop.call_soon(self.flush)
+
+    def flush(self) -> None:
+        """Write the status, if it is due and the client takes it."""
+        if not self._due or not self._sink.writable or self._changed not in self._plans.observers:
+            return
+        self._due = False
+        if self._timer is not None:
+            self._timer.cancel()
+        body = to_json(self._plans.status(), inf_nan_mode="null")
+        self._sink.write(b'{"jsonrpc":"2.0","method":"plan","params":{"plan":' + body + self._tail)
+        self._timer = self._loop.call_later(self._period_s, self._tick)
+
+    def _tick(self) -> None:
+        self._timer = None
+        if self._plans.moving:
+            self._changed()
+
+
+Subscription = TelemetrySubscription | EventSubscription | MessageSubscription | PlanSubscription
 
 
 class Feeds:
@@ -430,6 +478,9 @@ class Feeds:
                 events = EventSubscription(sink, number, self._loop, self._services, params.targets, texts)
                 self._events.add(events)
                 return events
+            case "plan":
+                rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
+                return PlanSubscription(sink, number, rate_hz, self._services, self._loop)
             case "messages":
                 names = None
                 if params.names is not None:
@@ -446,6 +497,8 @@ class Feeds:
                 self._events.remove(subscription)
             case MessageSubscription():
                 self._messages.remove(subscription)
+            case PlanSubscription():
+                subscription.close()
 
     def resume(self) -> None:
         """Some client takes data again."""
