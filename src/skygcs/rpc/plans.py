@@ -84,7 +84,7 @@ class PlanStarted(Result):
     report: PlanReport
 
 
-class PlanAnswer(Result):
+class PlanOrderAnswer(Result):
     ok: bool
     message: str
     reasons: list[str] = Field(description="Why not: each pair with its distance and margin, each vehicle.")
@@ -205,11 +205,11 @@ METHODS: tuple[Method[Context], ...] = (
     Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED),
     Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH),
     Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH),
-    Method("plan.pause", NoParams, plan_pause, PlanAnswer, _REFUSED, always=True),
-    Method("plan.resume", PlanForceParams, plan_resume, PlanAnswer, _REFUSED),
-    Method("plan.speed", PlanSpeedParams, plan_speed, PlanAnswer, _REFUSED),
-    Method("plan.abort", NoParams, plan_abort, PlanAnswer, _REFUSED, always=True),
-    Method("plan.land", PlanForceParams, plan_land, PlanAnswer, _REFUSED, always=True),
+    Method("plan.pause", NoParams, plan_pause, PlanOrderAnswer, _REFUSED, always=True),
+    Method("plan.resume", PlanForceParams, plan_resume, PlanOrderAnswer, _REFUSED),
+    Method("plan.speed", PlanSpeedParams, plan_speed, PlanOrderAnswer, _REFUSED),
+    Method("plan.abort", NoParams, plan_abort, PlanOrderAnswer, _REFUSED, always=True),
+    Method("plan.land", PlanForceParams, plan_land, PlanOrderAnswer, _REFUSED, always=True),
     Method("plan.status", NoParams, plan_status, PlanStatus, while_stopping=True),
-    Method("plan.unload", NoParams, plan_unload, PlanAnswer, _REFUSED),
+    Method("plan.unload", NoParams, plan_unload, PlanOrderAnswer, _REFUSED),
 )
