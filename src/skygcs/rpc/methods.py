@@ -76,8 +76,8 @@ def recorder_status(context: Context, _: NoParams) -> JsonObject:
 def subscribe(context: Context, params: SubscribeParams) -> JsonObject:
     """Receive notifications from now on: "telemetry", "event", "message" or "plan".
 
-    Each carries the subscription's number and a state, an event, a message or the status of the plan. A client that reads slowly gets fewer,
-    fresher telemetry updates; events and messages that did not fit are counted in "dropped".
+    Each carries the subscription's number and a state, an event, a message or the status of the plan. A client that
+    reads slowly gets fewer, fresher telemetry updates; events and messages that did not fit are counted in "dropped".
     """
     return {"subscription": context.subscribe(params)}
 

@@ -116,7 +116,8 @@ class SubscribeParams(MethodParams):
         ge=LEAST_RATE_HZ,
         le=MAX_RATE_HZ,
         description="telemetry: updates per second and vehicle, default 2, at most 20. "
-        "plan: updates per second while it is flown, default 2, at most 20. messages: at most so many per second of each name and source; null: every one.",
+        "plan: updates per second while it is flown, default 2, at most 20. "
+        "messages: at most so many per second of each name and source; null: every one.",
     )
     names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
         None,

@@ -273,9 +273,8 @@ class Execution:
         found = []
         for name in self.names:
             place = sights[name].place_m
-            if place is None or sights[name].age_s > SILENT_S:
-                found.append(name)
-            elif self.step.off_m(name, place, trajectory_s) > self.tube_m(name):
+            silent = place is None or sights[name].age_s > SILENT_S
+            if silent or self.step.off_m(name, place or (0.0, 0.0, 0.0), trajectory_s) > self.tube_m(name):
                 found.append(name)
         return found
 
