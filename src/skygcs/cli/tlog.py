@@ -20,6 +20,7 @@ from skygcs.cli.parsing import finite, parse_number
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
+    from skygcs.core.geo import Origin
     from skygcs.core.mavlink.dialect import Dialect
     from skygcs.tlog.selection import Selection, SourceFilter
 
@@ -193,6 +194,56 @@ def _csv(
     run_offline(command)
 
 
+@tlog.command("export")
+def _export(
+    file: LogPath,
+    mcap: Annotated[bool, typer.Option("--mcap", help="One MCAP file, for Foxglove and Lichtblick.")] = False,
+    rosbag2: Annotated[bool, typer.Option("--rosbag2", help="A rosbag2 folder; ROS is not needed for it.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="OUT", help="Default: FILE with .mcap, or FILE-rosbag2."),
+    ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option("--origin", metavar="LAT,LON,AMSL", help="(0, 0, 0) of the poses. [default: the first position]"),
+    ] = None,
+    begin: Begin = None,
+    end: End = None,
+    vehicles: Vehicles = None,
+    messages: Messages = None,
+    without: Without = None,
+    fleet: FleetFile = None,
+    dialect: DialectName = None,
+    force: Force = False,
+) -> None:
+    """Write a log for other programs: poses, paths, map positions, batteries, texts, and every message.
+
+    Poses are metres east, north and up of the origin, attitudes of a body with x forward, y left, z up.
+    """
+    if mcap == rosbag2:
+        raise typer.BadParameter("give one of --mcap and --rosbag2")
+    if rosbag2 and force:
+        raise typer.BadParameter("--force: a rosbag2 is a folder, which is not overwritten; remove it")
+    where = None if origin is None else _origin(origin)
+
+    def command() -> None:
+        table = dialect_named(dialect)
+        chosen = selection(table, begin, end, vehicles, messages, without, fleet)
+        names = {sysid: name for name, sysid in names_of(fleet).items()}
+        if mcap:
+            from skygcs.tlog.mcap_file import write_mcap
+
+            out = output or file.with_suffix(".mcap")
+            _print_lines(write_mcap(file, out, chosen, names, where, table, force))
+        else:
+            from skygcs.tlog.rosbag_file import write_rosbag
+
+            out = output or file.with_name(f"{file.stem}-rosbag2")
+            _print_lines(write_rosbag(file, out, chosen, names, where, table))
+
+    run_offline(command)
+
+
 @tlog.command("plot")
 def _plot(
     file: LogPath,
@@ -276,6 +327,16 @@ def _place(text: str) -> tuple[float, float]:
     if not (abs(lat) <= 90 and abs(lon) <= 180):
         raise typer.BadParameter(f"--origin: {text!r} is not a position on earth")
     return lat, lon
+
+
+def _origin(text: str) -> Origin:
+    from skygcs.core.geo import Origin
+
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3:
+        raise typer.BadParameter(f"--origin: {text!r} is not LAT,LON,AMSL")
+    lat, lon = _place(",".join(parts[:2]))
+    return Origin(lat, lon, parse_number(parts[2], "--origin"))
 
 
 def _address(text: str) -> tuple[str, int]:
