@@ -73,9 +73,9 @@ SCHEMAS: Mapping[str, Json] = {
             file=_TEXT,
             line=_INTEGER,
         ),
-        _object("skygcs.Battery", timestamp=_TIME, volts=_NUMBER, amps=_NUMBER, percent=_NUMBER),
+        _object("vehicle.Battery", timestamp=_TIME, volts=_NUMBER, amps=_NUMBER, percent=_NUMBER),
         _object(
-            "skygcs.Velocity", timestamp=_TIME, east_mps=_NUMBER, north_mps=_NUMBER, up_mps=_NUMBER, ground_mps=_NUMBER
+            "vehicle.Velocity", timestamp=_TIME, east_mps=_NUMBER, north_mps=_NUMBER, up_mps=_NUMBER, ground_mps=_NUMBER
         ),
     )
 }

@@ -97,7 +97,7 @@ class McapExport:
             case PoseSample():
                 self._write_pose(sample, name, unix_ns)
             case BatterySample():
-                self._put(f"/{name}/battery", "skygcs.Battery", schemas.battery_json(unix_ns, sample), unix_ns)
+                self._put(f"/{name}/battery", "vehicle.Battery", schemas.battery_json(unix_ns, sample), unix_ns)
             case TextSample():
                 text = schemas.log_message(unix_ns, name, sample.severity, sample.text)
                 self._put(f"/{name}/log", "foxglove.Log", text, unix_ns)
@@ -116,7 +116,7 @@ class McapExport:
         self._put(f"/{name}/pose", "foxglove.PoseInFrame", in_frame, unix_ns)
         transforms = schemas.frame_transforms(unix_ns, name, place, orientation)
         self._put("/tf", "foxglove.FrameTransforms", transforms, unix_ns)
-        self._put(f"/{name}/velocity", "skygcs.Velocity", schemas.velocity_json(unix_ns, pose), unix_ns)
+        self._put(f"/{name}/velocity", "vehicle.Velocity", schemas.velocity_json(unix_ns, pose), unix_ns)
         self.counts["poses"] += 1
         if pose.fix:
             fix = schemas.location_fix(unix_ns, name, pose.lat_deg, pose.lon_deg, pose.alt_amsl_m)

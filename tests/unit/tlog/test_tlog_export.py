@@ -113,7 +113,7 @@ def test_what_a_viewer_shows_without_set_up_is_there_for_every_vehicle(tmp_path:
     assert sum(counts["foxglove.Log", f"/{name}/log"] for name in names) > 20
     for name in names:
         assert counts["foxglove.PosesInFrame", f"/{name}/path"] > 30
-        assert counts["skygcs.Battery", f"/{name}/battery"] > 10
+        assert counts["vehicle.Battery", f"/{name}/battery"] > 10
         fix = newest[f"/{name}/location"]
         assert fix["latitude"] == pytest.approx(47.3977, abs=0.01) and fix["frame_id"] == name
         assert newest[f"/{name}/path"]["poses"][-1]["position"] == pytest.approx(
