@@ -8,6 +8,10 @@ export type Tone = "" | "muted" | "warning" | "danger" | "good";
 export interface Cell {
   text: string;
   tone: Tone;
+  /** On a phone: a second line. */
+  under?: string;
+  /** On a phone: instead of the text. */
+  narrow?: string;
   /** For people who want to know more, and for screen readers. */
   title?: string;
 }
@@ -50,7 +54,7 @@ export const COLUMNS: readonly Column[] = [
     id: "name",
     title: "Name",
     narrow: true,
-    cell: (v) => cell(v.name),
+    cell: (v) => ({ ...cell(v.name), under: v.mode ?? "" }),
     sortBy: (v) => v.name,
   },
   { id: "id", title: "Id", numeric: true, cell: (v) => cell(String(v.sysid), v.duplicate_sysid ? "danger" : "muted"), sortBy: (v) => v.sysid },
@@ -60,7 +64,7 @@ export const COLUMNS: readonly Column[] = [
     cell: (v) => cell([autopilotName(v.autopilot), v.firmware].filter(Boolean).join(" "), "", v.type.toLowerCase()),
     sortBy: (v) => `${v.autopilot} ${v.firmware ?? ""}`,
   },
-  { id: "mode", title: "Mode", narrow: true, cell: (v) => cell(v.mode), sortBy: (v) => v.mode },
+  { id: "mode", title: "Mode", cell: (v) => cell(v.mode), sortBy: (v) => v.mode },
   { id: "armed", title: "Armed", narrow: true, cell: armedCell, sortBy: (v) => (v.armed === true ? 0 : 1) },
   {
     id: "height",
@@ -111,14 +115,16 @@ function armedCell(v: Vehicle): Cell {
 function batteryCell(v: Vehicle, now_s: number): Cell {
   if (v.battery === null) return UNKNOWN;
   const { percent, volts } = v.battery;
-  const text = [withUnit(fixed(percent, 0), "%"), withUnit(fixed(volts, 1), "V")].filter(Boolean).join("  ");
+  const parts = [withUnit(fixed(percent, 0), "%"), withUnit(fixed(volts, 1), "V")].filter((part) => part !== null);
+  const text = parts.join("  ");
   const tone: Tone = percent === null || percent > LOW_BATTERY_PERCENT ? "" : percent > EMPTY_BATTERY_PERCENT ? "warning" : "danger";
-  return aged(v, v.battery, now_s, text === "" ? null : text, tone);
+  const shown = aged(v, v.battery, now_s, text === "" ? null : text, tone);
+  return parts.length === 2 ? { ...shown, narrow: parts[0] ?? "" } : shown;
 }
 
 function gpsCell(v: Vehicle, now_s: number): Cell {
   if (v.gps === null) return UNKNOWN;
-  const text = [v.gps.fix, v.gps.satellites === null ? null : `${v.gps.satellites} sat`].filter(Boolean).join("  ");
+  const text = [v.gps.fix?.toUpperCase(), v.gps.satellites === null ? null : `${v.gps.satellites} sat`].filter(Boolean).join("  ");
   return aged(v, v.gps, now_s, text, (v.gps.fix_type ?? 0) < 3 ? "warning" : "");
 }
 

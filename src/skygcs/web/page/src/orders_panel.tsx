@@ -170,13 +170,12 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
         <button type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={draft !== null && view.tool !== null}>Choose in the view<Key letter="G" /></button>
       </div>
       <div class="fields">
-        {([["x", "x"], ["y", "y"], ["height", "height"]] as const).map(([key, label]) => (
+        {([["x", "x, m"], ["y", "y, m"], ["height", "Height, m"]] as const).map(([key, label]) => (
           <label key={key} class="field">
             <span>{label}</span>
-            <input type="text" inputMode="decimal" value={fields[key]} placeholder={key === "height" ? "as now" : ""}
-              aria-label={key === "height" ? "Height above home in metres; empty: as it is" : `${label} in metres from the origin`}
+            <input type="text" inputMode="decimal" value={fields[key]} placeholder={key === "height" ? "as it is" : ""}
+              aria-label={key === "height" ? "Height above home in metres; empty: as it is" : `${key} in metres from the origin`}
               onInput={(event) => setFields({ ...fields, [key]: event.currentTarget.value })} />
-            <span>m</span>
           </label>
         ))}
       </div>

@@ -90,7 +90,7 @@ export function FleetTable({ store }: { store: Store }) {
                 <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
               ) : (
                 <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} index={window.first + i}
-                  selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} pick={pick} />
+                  selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} narrow={narrow} pick={pick} />
               ),
             )}
             <Spacer rows={Math.max(rows.length - window.first - shown.length, 0)} rowPx={rowPx} />
@@ -137,24 +137,25 @@ interface VehicleRowProps {
   index: number;
   selected: boolean;
   cursor: boolean;
+  narrow: boolean;
   pick: (name: string, event: MouseEvent) => void;
 }
 
-function VehicleRow({ vehicle, columns, now_s, index, selected, cursor, pick }: VehicleRowProps) {
+function VehicleRow({ vehicle, columns, now_s, index, selected, cursor, narrow, pick }: VehicleRowProps) {
   const heard = isHeard(vehicle, now_s);
   return (
     <tr class="row" data-name={vehicle.name} data-heard={heard} data-cursor={cursor} aria-selected={selected} aria-rowindex={index + 2}
       onClick={(event) => pick(vehicle.name, event)}>
-      {columns.map((column) => <CellOf key={column.id} column={column} cell={column.cell(vehicle, now_s)} heard={heard} />)}
+      {columns.map((column) => <CellOf key={column.id} column={column} cell={column.cell(vehicle, now_s)} heard={heard} narrow={narrow} />)}
     </tr>
   );
 }
 
-function CellOf({ column, cell, heard }: { column: Column; cell: Cell; heard: boolean }) {
+function CellOf({ column, cell, heard, narrow }: { column: Column; cell: Cell; heard: boolean; narrow: boolean }) {
   // of a vehicle that is not heard nothing is a good value any more; only since when it is not
   const tone = heard || column.id === "age" ? cell.tone : "lost";
   const title = heard || column.id === "age" ? cell.title : "Not heard: this was the last value";
-  return <td class={`${column.numeric ? "num " : ""}${tone}`} data-column={column.id} title={title}>{cell.text}</td>;
+  return <td class={`${column.numeric ? "num " : ""}${tone}`} data-column={column.id} title={title}>{narrow ? (cell.narrow ?? cell.text) : cell.text}{narrow && cell.under !== undefined && <span class="under">{cell.under}</span>}</td>;
 }
 
 /** The rows that are seen, and some around them. */

@@ -56,11 +56,12 @@ export interface LinkCounters {
 export interface Separation {
   level: "notice" | "warning" | "action";
   with: string;
-  distance_m: number;
-  closest_m: number;
-  closest_in_s: number;
-  enters_in_s: number;
-  margin_m: number;
+  /** These only while a conflict is predicted; a level falls some seconds after that. */
+  distance_m?: number;
+  closest_m?: number;
+  closest_in_s?: number;
+  enters_in_s?: number;
+  margin_m?: number;
 }
 
 export interface Control {

@@ -274,7 +274,7 @@ function homePath(pen: Pen, x: number, y: number, r: number): void {
 export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Iterable<readonly [number, number]>): void {
   const seen = new Set<string>();
   pen.strokeStyle = palette.muted;
-  pen.lineWidth = 1.5;
+  pen.lineWidth = 1.25;
   pen.beginPath();
   for (const [x, y] of homes) {
     const px = toScreenX(camera, x);
@@ -282,9 +282,11 @@ export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Ite
     const key = `${Math.round(px / 8)},${Math.round(py / 8)}`;
     if (seen.has(key)) continue;
     seen.add(key);
-    homePath(pen, px, py, 6);
+    homePath(pen, px, py, 4);
   }
+  pen.globalAlpha = 0.7;
   pen.stroke();
+  pen.globalAlpha = 1;
 }
 
 /** The origin of the frame: a small cross of its two axes. */
@@ -331,13 +333,14 @@ export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meeting
     pen.lineTo(toScreenX(camera, b.x), toScreenY(camera, b.y));
     pen.stroke();
     pen.setLineDash([]);
+    if (separation.closest_m === undefined || separation.closest_in_s === undefined) continue;
+    const radius = Math.max(((separation.margin_m ?? 0) / 2) * camera.pxPerM, 9);
     pen.beginPath();
-    pen.arc(mx, my, Math.max((separation.margin_m / 2) * camera.pxPerM, 9), 0, 7);
+    pen.arc(mx, my, radius, 0, 7);
     pen.stroke();
     pen.font = `600 12px ${palette.font}`;
     pen.textAlign = "center";
     pen.textBaseline = "bottom";
-    const radius = Math.max((separation.margin_m / 2) * camera.pxPerM, 9);
     const text = `${separation.closest_m.toFixed(1)} m in ${separation.closest_in_s.toFixed(0)} s`;
     haloText(pen, text, mx, my - radius - 4, colour, palette.ground);
   }

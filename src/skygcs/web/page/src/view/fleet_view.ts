@@ -67,10 +67,12 @@ export class FleetView {
       this.onState(state);
       this.redraw();
     });
-    onTheme(() => {
+    const anew = (): void => {
       this.palette = null;
       this.redraw();
-    });
+    };
+    onTheme(anew);
+    void document.fonts.ready.then(anew);
   }
 
   // --- what panels and buttons use

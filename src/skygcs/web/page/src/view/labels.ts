@@ -101,7 +101,7 @@ export interface LabelRequest {
 }
 
 const CELL_PX = 64;
-const GAP_PX = 13;
+const GAP_PX = 15;
 
 /** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none. */
 export function placeLabels(

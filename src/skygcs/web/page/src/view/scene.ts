@@ -111,7 +111,7 @@ export function meetingsOf(scene: Scene, frame: Frame | null): Meeting[] {
     if (a.conflict === null) continue;
     const b = byName.get(a.conflict.with);
     if (b === undefined || (b.conflict?.with === a.name && b.name < a.name)) continue;
-    const t = a.conflict.closest_in_s;
+    const t = a.conflict.closest_in_s ?? 0;
     const u = velocityOf(frame, a.vehicle) ?? [0, 0, 0];
     const v = velocityOf(frame, b.vehicle) ?? [0, 0, 0];
     meetings.push({

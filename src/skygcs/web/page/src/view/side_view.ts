@@ -86,6 +86,7 @@ function heightLines(
   pen.textAlign = "left";
   pen.textBaseline = "bottom";
   for (let z = 0; z <= topM; z += step) {
+    if (z > 0 && (topM - z) * pxPerM < 8) continue; // it would be cut off
     haloText(pen, z === 0 ? "0 m above the origin" : lengthText(z), 8, yOf(z) - 1, palette.muted, palette.surface);
   }
 }
