@@ -42,6 +42,7 @@ from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.web_child import WebChild
 
 MAX_TOKEN_BYTES = 4096
 
@@ -123,6 +124,7 @@ class Daemon:
         if config.metrics is not None:
             token = _read_token("metrics", config.metrics.token_file)
             self.metrics = MetricsEndpoint(config.metrics, token, self.event_log, self.now)
+        self.web = None if config.web is None else WebChild(config.web, self.socket_path, self.loop, publish)
 
     def _observe(self) -> None:
         """Give frames and events to what reads them."""
@@ -184,6 +186,8 @@ class Daemon:
                 if self.metrics is not None:
                     await self.metrics.start(self)
                 self.ready.set()
+                if self.web is not None:
+                    clocks.append(group.create_task(self.web.run(), name="web page"))
                 await self._stopping.wait()
                 await self.fleet.wind_down(UNDO_S)  # while the links are open
                 await self._park()
@@ -259,6 +263,7 @@ class Daemon:
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
+            "web": None if self.web is None else self.web.status(),
             "to_undo": len(self.fleet.journal.left()),
         }
 

@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import tempfile
+import webbrowser
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from rich.table import Table
 from skygcs.cli.process import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, serve_until_signal
 from skygcs.cli.render import LiveView, table
 from skygcs.cli.status import status_table
+from skygcs.cli.web import can_open_browser, unused_port, wait_for_link
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import (
     DaemonConfig,
@@ -30,10 +32,12 @@ from skygcs.config.models import (
     UdpClientLinkConfig,
     VehicleEntry,
 )
+from skygcs.config.web import WebConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import SkygcsError
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
+from skygcs.web.built_page import is_built
 
 HOME = OriginConfig(lat_deg=43.7806, lon_deg=-79.4653, alt_amsl_m=180.0)
 """UTIAS, Toronto, where the lab flew."""
@@ -174,8 +178,8 @@ class Demo:
         return grid
 
 
-def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool) -> FleetConfig:
-    """Three simulated vehicles behind one radio, and the port where QGroundControl listens."""
+def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | None = None) -> FleetConfig:
+    """Three simulated vehicles behind one radio, the port where QGroundControl listens, and the web page."""
     links: dict[str, Any] = {
         "radio": SimulatedLinkConfig(
             name="radio",
@@ -191,6 +195,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool) -> FleetConfig:
         links["qgc"] = UdpClientLinkConfig(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
     return FleetConfig(
         daemon=DaemonConfig(socket=socket, log_dir=log_dir),
+        web=None if web_port is None else WebConfig(port=web_port),
         origin=HOME,
         links=links,
         vehicles={
@@ -222,9 +227,12 @@ async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="skygcs-demo-") as scratch:
         # without --stay it must not use the socket of a daemon that flies; with --stay skygcs-cli must find it
         path = socket or (default_socket_path() if stay else Path(scratch) / "skygcs.sock")
-        daemon = Daemon(demo_config(path, log_dir, for_qgc=stay), dialect, source="demo")
+        web_port = unused_port() if is_built() else None
+        config = demo_config(path, log_dir, for_qgc=stay, web_port=web_port)
+        daemon = Daemon(config, dialect, source="demo")
         script = Demo(console)
         async with _running(daemon):
+            await _show_web_page(path, web_port, console)
             await _show_flight(script, daemon, console)
             if daemon.stopping:
                 console.print("Stopped before the end of the flight.")
@@ -234,6 +242,21 @@ async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
                 console.print("\nStill running. Try:  skygcs-cli status   skygcs-cli takeoff all 5   (Ctrl-C ends it)")
                 await daemon.stopped()
     return EXIT_FAILED if script.failed else EXIT_OK
+
+
+async def _show_web_page(socket: Path, port: int | None, console: Console) -> None:
+    """Print the page's address, and open it on a terminal with a display."""
+    if port is None:
+        console.print("web page: not built (make web builds it)")
+        return
+    try:
+        address = await asyncio.to_thread(wait_for_link, str(socket), port)
+    except SkygcsError as error:
+        console.print(f"web page: {error}")
+        return
+    console.print(f"web page: {address}", soft_wrap=True, highlight=False)
+    if can_open_browser():
+        await asyncio.to_thread(webbrowser.open, address)
 
 
 async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:

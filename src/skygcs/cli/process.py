@@ -45,6 +45,7 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
             links=", ".join(daemon.links.open_names()) or "none",
             sysid=daemon.config.daemon.sysid,
             compid=daemon.config.daemon.compid,
+            **({} if daemon.web is None else {"web": f"{daemon.web.page} (skygcs web link prints an address)"}),
         )
         if on_ready is not None:
             on_ready()

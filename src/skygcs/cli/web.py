@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import socket
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skygcs.cli.process import EXIT_OK, configure_logging, run_loop
+from skygcs.config.web import DEFAULT_WEB_PORT
 from skygcs.errors import SkygcsError
 from skygcs.rpc.address import client_address
 
 if TYPE_CHECKING:
     from skygcs.web.web_process import WebOptions
+
+LINK_WITHIN_S = 15.0
+"""A process of Python with aiohttp is up in one second on a quick computer, in five on a slow one."""
+
+NICE = 5
+"""A page that is started beside a daemon leaves it the processor when both want it."""
 
 
 def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -36,7 +46,7 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     web.add_argument("--map", type=Path, metavar="IMAGE", help="an image beneath the fleet view, with two --map-point")
     web.add_argument("--map-point", action="append", default=[], metavar="X,Y,LAT,LON", help="pixel and place of it")
     web.add_argument("--replay", type=Path, metavar="FILE", help="play a tlog instead; nothing can be ordered then")
-    web.add_argument("--no-token", action="store_true", help=argparse.SUPPRESS)
+    web.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)  # by a daemon
     web.add_argument("-v", "--verbose", action="store_true", help="log more")
     web.set_defaults(run=_web)
 
@@ -54,7 +64,9 @@ def _link(args: argparse.Namespace) -> int:
 
 
 def _serve(args: argparse.Namespace) -> int:
-    configure_logging(verbose=args.verbose)
+    configure_logging(verbose=args.verbose, quiet=args.supervised)  # a daemon logs its start itself
+    if args.supervised:
+        os.nice(NICE)
     try:
         from skygcs.web.web_process import serve_web
     except ModuleNotFoundError as error:
@@ -70,22 +82,47 @@ def _serve(args: argparse.Namespace) -> int:
 
 def _options(args: argparse.Namespace) -> WebOptions:
     from skygcs.web.map_image import parse_points, read_map
-    from skygcs.web.web_process import DEFAULT_PORT, WebOptions
+    from skygcs.web.web_process import WebOptions
 
     return WebOptions(
         socket=client_address(args.socket),
         host=args.host,
-        port=DEFAULT_PORT if args.port is None else args.port,
+        port=DEFAULT_WEB_PORT if args.port is None else args.port,
         names=tuple(args.name),
         tls_cert=args.tls_cert,
         tls_key=args.tls_key,
         map_image=None if args.map is None else read_map(args.map, parse_points(args.map_point)),
         replay=args.replay,
-        print_address=not args.no_token,
-        open_browser=not args.no_open and not args.no_token and can_open_browser(),
+        supervised=args.supervised,
+        print_address=not args.supervised,
+        open_browser=not args.no_open and not args.supervised and can_open_browser(),
     )
 
 
 def can_open_browser() -> bool:
     """True on a terminal with a display."""
     return os.isatty(1) and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def wait_for_link(rpc_socket: str, port: int) -> str:
+    """An address of a web process that is starting. Blocking; raises SkygcsError if it does not answer in time."""
+    from skygcs.web.control_socket import ask_for_link, find_control
+
+    deadline = time.monotonic() + LINK_WITHIN_S
+    while True:
+        try:
+            return ask_for_link(find_control(rpc_socket, port), "command")
+        except SkygcsError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.1)
+
+
+def unused_port() -> int:
+    """The usual port, or a free one while it is taken."""
+    for port in (DEFAULT_WEB_PORT, 0):
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", port))
+            return int(probe.getsockname()[1])
+    return DEFAULT_WEB_PORT

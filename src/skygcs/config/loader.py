@@ -36,6 +36,7 @@ from skygcs.config.preflight import PreflightSettings, RuleSettings
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of
+from skygcs.config.web import WebConfig, WebMapConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
 
@@ -326,6 +327,10 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return MonitorConfig
         case ("metrics",):
             return MetricsConfig
+        case ("web",):
+            return WebConfig
+        case ("web", "map"):
+            return WebMapConfig
         case (*_, "separation"):
             return SeparationSettings
         case (*_, "preflight"):
@@ -379,8 +384,26 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
         for name in _listed(config.dialect)
     )
-    update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect, "metrics": metrics}
+    web = None if config.web is None else _web_with_paths(config.web, absolute)
+    update = {
+        "daemon": daemon.model_copy(update=paths),
+        "links": links,
+        "dialect": dialect,
+        "metrics": metrics,
+        "web": web,
+    }
     return config.model_copy(update=update), problems
+
+
+def _web_with_paths(web: WebConfig, absolute: Callable[[Path, KeyPath], Path]) -> WebConfig:
+    paths: dict[str, Any] = {
+        key: absolute(value, ("web", key))
+        for key in ("tls_cert", "tls_key")
+        if (value := getattr(web, key)) is not None
+    }
+    if web.map is not None:
+        paths["map"] = web.map.model_copy(update={"image": absolute(web.map.image, ("web", "map", "image"))})
+    return web.model_copy(update=paths)
 
 
 def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyPath], Path]) -> LinkConfig:

@@ -15,6 +15,7 @@ from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
+from skygcs.config.web import WebConfig
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
@@ -358,6 +359,7 @@ class FleetConfig(Model):
     daemon: DaemonConfig = DaemonConfig()
     monitor: MonitorConfig = MonitorConfig()
     metrics: MetricsConfig | None = None
+    web: WebConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)

@@ -7,9 +7,8 @@ import ipaddress
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from skygcs.config.web import LOOPBACK, address_problem
 from skygcs.errors import RefusedError
-
-LOOPBACK = ("127.0.0.1", "::1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +46,9 @@ def allow_list(address: str, port: int, names: Sequence[str], *, tls: bool) -> A
 
 def check_address(address: str, names: Sequence[str], *, tls: bool) -> None:
     """Raise RefusedError where serving ``address`` would let others listen in, or nobody would be let in."""
-    try:
-        ipaddress.ip_address(address)
-    except ValueError:
-        raise RefusedError(f"web.host {address}: give an IP address of this machine, as 192.168.1.10") from None
-    if address in LOOPBACK:
-        return
-    if not tls:
-        raise RefusedError(
-            f"web.host {address}: another address than 127.0.0.1 needs TLS, or whoever listens in could fly the fleet: "
-            "set web.tls_cert and web.tls_key (--tls-cert, --tls-key)"
-        )
-    if _is_wildcard(address) and not names:
-        raise RefusedError(f"web.host {address}: web.names must list the names or addresses that browsers will ask for")
+    problem = address_problem(address, names, tls=tls)
+    if problem is not None:
+        raise RefusedError(f"web.host {problem}")
 
 
 def _is_wildcard(address: str) -> bool:

@@ -161,6 +161,9 @@ class DaemonConnection:
                 self._change(False, str(error), pages)
             finally:
                 self._clients = {}
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():  # at the moment of the loss: the task group has swallowed it
+                raise asyncio.CancelledError
             self.reconnects += 1
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)

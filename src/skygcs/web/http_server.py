@@ -26,13 +26,11 @@ from aiohttp import WSMsgType, web
 from aiohttp.web_protocol import RequestHandler
 
 from skygcs.web.allow_list import AllowList
+from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
 from skygcs.web.sign_in import Role, SignIn
-
-STATIC = Path(__file__).with_name("static")
-"""The built page; `make web` makes it."""
 
 MAX_CONNECTIONS = 128
 """A browser opens six and its WebSockets."""
@@ -67,8 +65,6 @@ TYPES = {
 """What the built page may consist of; anything else is not served."""
 
 COMPRESSED = {".css", ".html", ".js", ".json", ".svg", ".txt", ".webmanifest"}
-
-NOT_BUILT = "The page is not built: run make web in the source folder, or install a built package."
 
 SIGN_IN = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>skygcs</title></head><body>
 <h1>skygcs</h1><p>This browser is not signed in. Open the address that <code>skygcs web</code> printed, or get

@@ -10,6 +10,7 @@ import secrets
 import signal
 import socket
 import ssl
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,8 +22,9 @@ import structlog
 from skygcs import __version__
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
+from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
-from skygcs.web.allow_list import LOOPBACK, allow_list, check_address
+from skygcs.web.allow_list import allow_list, check_address
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection
@@ -44,8 +46,6 @@ from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ
 from skygcs.web.sign_in import Role, SignIn
 from skygcs.web.state_batches import LatestStates
 
-DEFAULT_PORT = 8750
-
 SECRET_BYTES = 32
 
 _log = structlog.get_logger(__name__)
@@ -60,7 +60,7 @@ class WebOptions:
     token: str | None = None
     """Of a daemon on TCP."""
     host: str = "127.0.0.1"
-    port: int = DEFAULT_PORT
+    port: int = DEFAULT_WEB_PORT
     """0: a free one."""
     names: tuple[str, ...] = ()
     tls_cert: Path | None = None
@@ -70,6 +70,8 @@ class WebOptions:
     """A recording in place of the daemon."""
     print_address: bool = True
     open_browser: bool = False
+    supervised: bool = False
+    """Started by a daemon: it ends when its standard input ends."""
 
 
 class WebProcess:
@@ -205,17 +207,27 @@ async def serve_web(options: WebOptions) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, web.stop)
 
+    if options.supervised:
+        loop.add_reader(sys.stdin, _on_input, loop, web)
+
     def announce(web: WebProcess) -> None:
         if options.print_address:
             print(web.link("command"), flush=True)
         else:
-            print(f"{web.base}/", flush=True)
+            _log.info("web page is up; skygcs web link prints an address", page=f"{web.base}/")
         if options.open_browser:
             import webbrowser
 
             loop.run_in_executor(None, webbrowser.open, web.link("command"))
 
     await web.run(announce)
+
+
+def _on_input(loop: asyncio.AbstractEventLoop, web: WebProcess) -> None:
+    """The daemon has ended, however it did."""
+    if not os.read(sys.stdin.fileno(), 4096):
+        loop.remove_reader(sys.stdin)
+        web.stop()
 
 
 def _local_base(address: str) -> str:
