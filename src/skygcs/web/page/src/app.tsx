@@ -19,7 +19,11 @@ import { Shortcuts } from "./shortcuts.tsx";
 const FLEET = "fleet";
 
 export function App({ store, connection }: { store: Store; connection: Connection }) {
-  const view = useMemo(() => new FleetView(store), [store]);
+  const view = useMemo(() => {
+    const made = new FleetView(store);
+    Object.assign(globalThis, { skygcs: { store, connection, view: made } }); // for tests and the benchmark
+    return made;
+  }, [store, connection]);
   const [page, go] = usePage();
   const shown = useStore(store, (state) => visiblePanels(state).map((panel) => panel.id).join(" "));
   const panels = PANELS.filter((panel) => shown.split(" ").includes(panel.id));
@@ -41,7 +45,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
         </nav>
         <FleetSummary store={store} />
         <ThemeButton />
-        <Shortcuts />
+        <Shortcuts store={store} view={view} />
         <StopButton store={store} connection={connection} />
       </header>
       <Banner store={store} connection={connection} />

@@ -2,7 +2,7 @@
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
-import { isTextField } from "./stop.tsx";
+import { isTextField } from "./stop_key.ts";
 
 export const HOLD_MS = 1_000;
 

@@ -28,5 +28,3 @@ addEventListener("online", () => connection.retryNow());
 document.addEventListener("visibilitychange", () => {
   if (document.visibilityState === "visible") connection.retryNow();
 });
-// For the tests and the benchmark, which look at the page from outside
-Object.assign(globalThis, { skygcs: { store, connection } });

@@ -2,8 +2,8 @@
 
 import { ageText, namesText } from "./format.ts";
 import { useStore, useTick } from "./hooks.ts";
+import { groupOutcomes } from "./outcomes.ts";
 import type { OrderRun, Store } from "./store.ts";
-import type { Outcome } from "./types.ts";
 
 const SHOWN = 3;
 /** What went well goes away by itself; what did not stays until a person dismisses it. */
@@ -73,22 +73,4 @@ function OutcomeList({ order }: { order: OrderRun }) {
       ))}
     </ul>
   );
-}
-
-export interface OutcomeGroup {
-  ok: boolean;
-  text: string;
-  names: string[];
-}
-
-/** Vehicles of which the same is said together, failures first. */
-export function groupOutcomes(outcomes: Readonly<Record<string, Outcome>>): OutcomeGroup[] {
-  const groups = new Map<string, OutcomeGroup>();
-  for (const [name, { ok, message }] of Object.entries(outcomes)) {
-    const key = `${ok ? 1 : 0}${message}`;
-    const group = groups.get(key);
-    if (group === undefined) groups.set(key, { ok, text: message, names: [name] });
-    else group.names.push(name);
-  }
-  return [...groups.values()].sort((a, b) => Number(a.ok) - Number(b.ok));
 }

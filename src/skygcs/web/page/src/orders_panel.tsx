@@ -9,7 +9,7 @@ import { OrderHistory } from "./order_list.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
 import type { PanelProps } from "./panels/registry.ts";
 import { modesFor } from "./modes.ts";
-import { isTextField } from "./stop.tsx";
+import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type State } from "./store.ts";
 
 const DEFAULT_HEIGHT_M = 10;

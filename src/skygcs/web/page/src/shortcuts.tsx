@@ -1,7 +1,9 @@
 // The list of keys, and the keys that belong to no part of the page alone.
 
 import { useEffect, useRef } from "preact/hooks";
-import { isTextField } from "./stop.tsx";
+import { isTextField } from "./stop_key.ts";
+import type { Store } from "./store.ts";
+import type { FleetView } from "./view/fleet_view.ts";
 
 const KEYS: readonly (readonly [string, string])[] = [
   ["Shift+S or F8", "STOP: all vehicles hold where they are"],
@@ -16,15 +18,47 @@ const KEYS: readonly (readonly [string, string])[] = [
   ["?", "This list"],
 ];
 
-export function Shortcuts() {
+/** Keys of the whole page: selection and view. */
+function onPageKey(event: KeyboardEvent, store: Store, view: FleetView): void {
+  if (isTextField(event.target)) return;
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "a") {
+    event.preventDefault();
+    store.dispatch({ type: "select", names: store.state.names, how: "only" });
+    return;
+  }
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  switch (event.key) {
+    case "Escape":
+      if (view.tool !== null) view.setTool(null);
+      else store.dispatch({ type: "select", names: [], how: "only" });
+      break;
+    case "f":
+      view.fit("all");
+      break;
+    case "c":
+      view.setFollow(!view.follow);
+      break;
+    case "+":
+    case "=":
+      view.zoom(1.5);
+      break;
+    case "-":
+      view.zoom(1 / 1.5);
+      break;
+  }
+}
+
+export function Shortcuts({ store, view }: { store: Store; view: FleetView }) {
   const dialog = useRef<HTMLDialogElement>(null);
   useEffect(() => {
     const onKey = (event: KeyboardEvent): void => {
+      if (dialog.current?.open === true) return;
       if (event.key === "?" && !isTextField(event.target)) dialog.current?.showModal();
+      else onPageKey(event, store, view);
     };
     addEventListener("keydown", onKey);
     return () => removeEventListener("keydown", onKey);
-  }, []);
+  }, [store, view]);
   return (
     <>
       <button type="button" class="quiet keys" title="Keys (?)" aria-label="Keys" onClick={() => dialog.current?.showModal()}>?</button>

@@ -4,19 +4,8 @@ import { useEffect } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { useStore } from "./hooks.ts";
 import { sendStop } from "./orders.ts";
+import { isStopKey, isTextField } from "./stop_key.ts";
 import type { Store } from "./store.ts";
-
-/** True for Shift+S outside of text fields, and for F8 everywhere. */
-export function isStopKey(event: Pick<KeyboardEvent, "key" | "shiftKey" | "ctrlKey" | "metaKey" | "altKey" | "repeat">, inText: boolean): boolean {
-  if (event.repeat || event.ctrlKey || event.metaKey || event.altKey) return false;
-  return event.key === "F8" || (event.shiftKey && event.key.toLowerCase() === "s" && !inText);
-}
-
-export function isTextField(target: EventTarget | null): boolean {
-  if (!(target instanceof HTMLElement)) return false;
-  if (target instanceof HTMLInputElement) return !["button", "checkbox", "radio", "range"].includes(target.type);
-  return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
-}
 
 export function StopButton({ store, connection }: { store: Store; connection: Connection }) {
   const role = useStore(store, (state) => state.hello?.role ?? null);

@@ -3,7 +3,7 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { COLUMNS, matches, rowsOf, sorted, type Cell, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
 import { useSlowState } from "./hooks.ts";
-import { isTextField } from "./stop.tsx";
+import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
 
 const REFRESH_MS = 250;

@@ -16,6 +16,8 @@ const WIDTH = 4;
 export class Trail {
   private readonly points = new Float64Array(TRAIL_POINTS * WIDTH);
   private begin = 0;
+  /** The last point that the view has drawn. */
+  drawnEnd: readonly [number, number] | null = null;
   length = 0;
 
   /** Adds a point if it is far enough from the last one; true if it was added. */

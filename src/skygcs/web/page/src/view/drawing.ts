@@ -6,7 +6,7 @@ import type { Frame } from "./frame.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body, Meeting } from "./scene.ts";
-import type { Trails } from "../trails.ts";
+import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
 
 export type Pen = CanvasRenderingContext2D;
 
@@ -140,11 +140,7 @@ export function drawTrails(
   pen.globalAlpha = 1;
 }
 
-function tracePoints(
-  camera: Camera,
-  trail: { length: number; each: (point: (x: number, y: number, z: number, joined: boolean) => void) => void },
-  paths: { old: Path2D; recent: Path2D },
-): void {
+function tracePoints(camera: Camera, trail: Trail, paths: { old: Path2D; recent: Path2D }): void {
   const half = trail.length / 2;
   let index = 0;
   let lastX = 0;
@@ -164,6 +160,7 @@ function tracePoints(
     }
     lastX = px;
     lastY = py;
+    trail.drawnEnd = [x, y];
   });
 }
 
@@ -279,7 +276,7 @@ export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Ite
   for (const [x, y] of homes) {
     const px = toScreenX(camera, x);
     const py = toScreenY(camera, y);
-    const key = `${Math.round(px / 8)},${Math.round(py / 8)}`;
+    const key = `${Math.round(px / 14)},${Math.round(py / 14)}`;
     if (seen.has(key)) continue;
     seen.add(key);
     homePath(pen, px, py, 4);
@@ -298,6 +295,37 @@ export function drawOrigin(pen: Pen, camera: Camera, palette: Palette): void {
   pen.beginPath();
   pen.arc(x, y, 4, 0, 7);
   pen.stroke();
+}
+
+/** From the end of each trail to where its vehicle is now: the trails' layer is some tenths of a second old. */
+export function drawTrailEnds(
+  pen: Pen,
+  camera: Camera,
+  trails: Trails,
+  bodies: readonly Body[],
+  colourOf: (body: Body) => string,
+): void {
+  const byColour = new Map<string, Path2D>();
+  for (const body of bodies) {
+    const from = trails.byName.get(body.name)?.drawnEnd;
+    if (from === undefined || from === null || !body.heard) continue;
+    if (Math.hypot(body.x - from[0], body.y - from[1]) > TRAIL_JUMP_M) continue;
+    const colour = colourOf(body);
+    let path = byColour.get(colour);
+    if (path === undefined) {
+      path = new Path2D();
+      byColour.set(colour, path);
+    }
+    path.moveTo(toScreenX(camera, from[0]), toScreenY(camera, from[1]));
+    path.lineTo(toScreenX(camera, body.x), toScreenY(camera, body.y));
+  }
+  pen.lineWidth = 1.5;
+  pen.globalAlpha = 0.75;
+  for (const [colour, path] of byColour) {
+    pen.strokeStyle = colour;
+    pen.stroke(path);
+  }
+  pen.globalAlpha = 1;
 }
 
 /** From each vehicle to where it is sent. */

@@ -32,6 +32,8 @@ export interface DrawFigures {
   frames: number;
   lastMs: number;
   longestMs: number;
+  /** Frames that could not be drawn to their end. */
+  faults: number;
 }
 
 export class FleetView {
@@ -40,7 +42,7 @@ export class FleetView {
   follow = false;
   frame: Frame | null = null;
   options: ViewOptions = { side: true, labels: true, trails: true, map: true, ...recalledOptions() };
-  readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0 };
+  readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0, faults: 0 };
   tool: Tool | null = null;
   private canvas: HTMLCanvasElement | null = null;
   private pen: draw.Pen | null = null;
@@ -249,7 +251,13 @@ export class FleetView {
 
   private drawTimed(): void {
     const begun = performance.now();
-    this.drawAll(begun);
+    try {
+      this.drawAll(begun);
+    } catch (error) {
+      // one fault, say of a shape from a panel, must not freeze the whole view: the next frame is drawn all the same
+      this.figures.faults += 1;
+      if (this.figures.faults === 1) console.error("the fleet view could not be drawn", error);
+    }
     const took = performance.now() - begun;
     this.figures.frames += 1;
     this.figures.lastMs = took;
@@ -284,6 +292,7 @@ export class FleetView {
     draw.drawOverlays(pen, camera, palette, this.overlays.values());
     draw.drawHomes(pen, camera, palette, this.homes(state));
     if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
+    if (this.options.trails) draw.drawTrailEnds(pen, camera, this.store.trails, shown, colourOf);
     draw.drawGoals(pen, camera, shown, colourOf);
     draw.drawMeetings(pen, camera, palette, meetingsOf(this.scene, this.frame));
     draw.drawBodies(pen, camera, palette, shown, colourOf);
@@ -380,7 +389,7 @@ export class FleetView {
         urgency: (body.failsafe || body.conflict !== null ? 2 : 0) + (body.selected ? 1 : 0),
       }));
       requests.sort((a, b) => b.urgency - a.urgency);
-      this.placements = placeLabels(requests, this.placements);
+      this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx);
     }
     shown.forEach((body, i) => {
       const at = this.placements.get(body.name);

@@ -107,6 +107,8 @@ const GAP_PX = 15;
 export function placeLabels(
   requests: readonly LabelRequest[],
   before: ReadonlyMap<string, Placement>,
+  viewWidthPx: number,
+  viewHeightPx: number,
 ): Map<string, Placement> {
   const cells = new Map<number, Box[]>();
   const placed = new Map<string, Placement>();
@@ -117,7 +119,8 @@ export function placeLabels(
     const sides = had === undefined ? sidesOf(request.widthPx) : [had, ...sidesOf(request.widthPx)];
     for (const side of sides) {
       const box = boxOf(request, side);
-      if (!isFree(cells, box)) continue;
+      const inside = box.left >= 2 && box.top >= 2 && box.right <= viewWidthPx - 2 && box.bottom <= viewHeightPx - 2;
+      if (!inside || !isFree(cells, box)) continue;
       take(cells, box);
       placed.set(request.id, side);
       break;

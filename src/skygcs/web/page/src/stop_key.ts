@@ -1,0 +1,15 @@
+// Which keys mean STOP, and where letters are text.
+
+type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "ctrlKey" | "metaKey" | "altKey" | "repeat">;
+
+/** True for Shift+S outside of text fields, and for F8 everywhere. */
+export function isStopKey(event: Key, inText: boolean): boolean {
+  if (event.repeat || event.ctrlKey || event.metaKey || event.altKey) return false;
+  return event.key === "F8" || (event.shiftKey && event.key.toLowerCase() === "s" && !inText);
+}
+
+export function isTextField(target: EventTarget | null): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (target instanceof HTMLInputElement) return !["button", "checkbox", "radio", "range"].includes(target.type);
+  return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
+}

@@ -1,0 +1,161 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { fitted, lengthText, niceLengthM, toScreenX, toScreenY, toWorld, zoomedAt, type Camera } from "../src/view/camera.ts";
+import { frameAt, fromGeodetic, placeImage, toGeodetic, turned, yawOf } from "../src/view/frame.ts";
+import { placeLabels } from "../src/view/labels.ts";
+import { labelLine, meetingsOf, sceneOf } from "../src/view/scene.ts";
+import { topOf } from "../src/view/side_view.ts";
+import { EMPTY, reduce } from "../src/store.ts";
+import { batch, position, vehicle } from "./fleet.ts";
+
+const CAMERA: Camera = { x: 5, y: -3, pxPerM: 7, widthPx: 800, heightPx: 600 };
+const ORIGIN = { lat_deg: 43.7806, lon_deg: -79.4653, alt_amsl_m: 180, x_heading_deg: 90 };
+
+const ORACLE = [
+  [43.79, -79.45, 1231.4748, 1044.5294],
+  [43.7706, -79.4753, -805.1458, -1111.0300],
+  [43.85, -79.36, 8466.9562, 7716.3207],
+] as const;
+
+function near(a: number, b: number, by: number): void {
+  assert.ok(Math.abs(a - b) <= by, `${a} is not ${b}`);
+}
+
+test("metres and pixels: there and back, y up", () => {
+  const { x, y } = toWorld(CAMERA, 123, 456);
+  near(toScreenX(CAMERA, x), 123, 1e-9);
+  near(toScreenY(CAMERA, y), 456, 1e-9);
+  assert.ok(toScreenY(CAMERA, 10) < toScreenY(CAMERA, 0));
+});
+
+test("zooming keeps the place under the pointer", () => {
+  const before = toWorld(CAMERA, 700, 50);
+  for (const factor of [3, 0.2, 1e9, 1e-9]) {
+    const after = toWorld(zoomedAt(CAMERA, factor, 700, 50), 700, 50);
+    near(after.x, before.x, 1e-6);
+    near(after.y, before.y, 1e-6);
+  }
+});
+
+test("fit shows all of the bounds, and a single vehicle with some metres around it", () => {
+  const all = fitted(CAMERA, { left: -100, right: 300, bottom: 0, top: 50 });
+  assert.ok(toScreenX(all, -100) > 0 && toScreenX(all, 300) < 800);
+  const one = fitted(CAMERA, { left: 4, right: 4, bottom: 4, top: 4 });
+  near(toScreenX(one, 4), 400, 1e-9);
+  assert.ok(one.pxPerM < 30);
+});
+
+test("lengths of the scale are 1, 2 or 5", () => {
+  for (const pxPerM of [0.03, 0.7, 3, 11, 200]) {
+    const length = niceLengthM(pxPerM, 140);
+    assert.ok(length * pxPerM <= 140 && length * pxPerM > 50);
+    assert.match(length.toExponential(), /^[125]e/);
+  }
+  assert.deepEqual([lengthText(2000), lengthText(5), lengthText(0.2)], ["2 km", "5 m", "20 cm"]);
+});
+
+test("geodetic places as pymap3d computes them", () => {
+  const frame = frameAt(ORIGIN);
+  // pymap3d.geodetic2enu(lat, lon, 0, 43.7806, -79.4653, 0)
+  for (const [lat, lon, east, north] of ORACLE) {
+    const [x, y] = fromGeodetic(frame, lat, lon);
+    near(x, east, 1e-3);
+    near(y, north, 1e-3);
+    const back = toGeodetic(frame, x, y);
+    near(back.lat_deg, lat, 1e-9);
+    near(back.lon_deg, lon, 1e-9);
+  }
+});
+
+test("a turned frame: x along its heading, there and back", () => {
+  const [x, y] = turned(0, 10, 0); // x points north
+  near(x, 10, 1e-9);
+  near(y, 0, 1e-9);
+  const frame = frameAt({ ...ORIGIN, x_heading_deg: 37 });
+  const { lat_deg, lon_deg } = toGeodetic(frame, 120, -45);
+  const [bx, by] = fromGeodetic(frame, lat_deg, lon_deg);
+  near(bx, 120, 1e-6);
+  near(by, -45, 1e-6);
+});
+
+test("the nose is the frame's yaw, else the compass heading", () => {
+  const frame = frameAt(ORIGIN);
+  near(yawOf(frame, vehicle("a", 1)) ?? NaN, Math.PI / 2, 1e-9); // 90 degrees from x: north
+  const without = vehicle("a", 1, { position: position(0, 0, 0, { yaw_world_deg: null, heading_deg: 90 }) });
+  near(yawOf(frame, without) ?? NaN, 0, 1e-9); // to the east is along x
+  assert.equal(yawOf(frame, vehicle("a", 1, { position: null })), null);
+});
+
+test("a map lies where its two points pin it, turned and scaled", () => {
+  const frame = frameAt(ORIGIN);
+  const pin = (x_px: number, y_px: number, x: number, y: number) => ({ x_px, y_px, ...toGeodetic(frame, x, y) });
+  const at = placeImage(frame, [pin(10, 20, 0, 0), pin(110, 20, 0, 50)]); // the image's right is north, half a metre a pixel
+  assert.ok(at);
+  const place = (u: number, v: number): [number, number] => [at.a * u + at.c * v + at.e, at.b * u + at.d * v + at.f];
+  near(place(110, 20)[0], 0, 1e-3);
+  near(place(110, 20)[1], 50, 1e-3);
+  near(place(10, 120)[0], 50, 1e-2); // its down is then east
+  near(place(10, 120)[1], 0, 1e-2);
+  assert.equal(placeImage(frame, [pin(1, 1, 0, 0), pin(1, 1, 9, 9)]), null);
+});
+
+test("labels cover neither each other nor a vehicle nor the edge, and stay where they were", () => {
+  const requests = Array.from({ length: 60 }, (_, i) => ({ id: `v${i}`, xPx: 100 + (i % 10) * 45, yPx: 100 + Math.floor(i / 10) * 45, widthPx: 90 }));
+  const placed = placeLabels(requests, new Map(), 800, 600);
+  assert.ok(placed.size > 0 && placed.size < 60);
+  assert.ok(placed.has("v0"), "the first is the most important one");
+  const boxes = [...placed].map(([id, at]) => {
+    const request = requests.find((one) => one.id === id);
+    assert.ok(request);
+    const left = request.xPx + at.dx;
+    const top = request.yPx + at.dy;
+    return { left, top, right: left + 90, bottom: top + (at.full ? 32 : 17) };
+  });
+  for (const [i, a] of boxes.entries()) {
+    assert.ok(a.left >= 0 && a.top >= 0 && a.right <= 800 && a.bottom <= 600);
+    for (const b of boxes.slice(i + 1)) assert.ok(a.right <= b.left || b.right <= a.left || a.bottom <= b.top || b.bottom <= a.top);
+    for (const { xPx, yPx } of requests) assert.ok(xPx < a.left || xPx > a.right || yPx < a.top || yPx > a.bottom);
+  }
+  assert.deepEqual(placeLabels(requests, placed, 800, 600), placed);
+});
+
+function scene(vehicles: ReturnType<typeof vehicle>[], nowMs = 0, carry = true) {
+  const state = reduce(EMPTY, { type: "batch", batch: batch(vehicles), atMs: 0 });
+  return { state, scene: sceneOf(state, frameAt(ORIGIN), nowMs, carry) };
+}
+
+test("a moving vehicle is carried on between two reports, not through a silence", () => {
+  const moving = vehicle("a", 1, { position: position(0, 0, 10, { vel_world_mps: [10, 0, 0], age_s: 0 }) });
+  near(scene([moving], 200).scene.bodies[0]?.x ?? NaN, 2, 1e-9);
+  near(scene([moving], 4_000).scene.bodies[0]?.x ?? NaN, 5, 1e-9);
+  assert.equal(scene([moving], 200, false).scene.bodies[0]?.x, 0);
+  const silent = scene([moving], 60_000).scene;
+  assert.equal(silent.bodies[0]?.heard, false);
+  assert.equal(silent.bodies[0]?.x, 0);
+  assert.equal(silent.moving, false);
+});
+
+test("the label of a vehicle that is not heard says so instead of its last height", () => {
+  const { state, scene: seen } = scene([vehicle("a", 1)], 12_000);
+  const [body] = seen.bodies;
+  assert.ok(body && state.clock);
+  assert.equal(labelLine(body, 1012), "not heard 12 s");
+});
+
+test("a conflict is one for its two vehicles, and may have lost its numbers", () => {
+  const conflict = { level: "warning" as const, closest_m: 1, closest_in_s: 2, margin_m: 2.5 };
+  const a = vehicle("a", 1, { separation: { ...conflict, with: "b" }, position: position(0, 0, 10, { vel_world_mps: [1, 0, 0] }) });
+  const b = vehicle("b", 2, { separation: { level: "warning", with: "a" }, position: position(10, 0, 10) });
+  const meetings = meetingsOf(scene([a, b], 0, false).scene, frameAt(ORIGIN));
+  assert.equal(meetings.length, 1);
+  assert.equal(meetings[0]?.x, 6);
+});
+
+test("the side view does not breathe with each climb", () => {
+  const at = (z: number) => scene([vehicle("a", 1, { position: position(0, 0, z) })]).scene.bodies;
+  const top = topOf(at(20), 0);
+  assert.equal(topOf(at(19), top), top);
+  assert.equal(topOf(at(15), top), top);
+  assert.ok(topOf(at(40), top) > top);
+  assert.ok(topOf(at(1), 100) < 100);
+});
