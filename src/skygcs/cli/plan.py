@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from skygcs.cli import plan_run
 from skygcs.cli.connection import Exit, fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number, within
@@ -29,7 +30,8 @@ from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import PlanFileError, RefusedError, SkygcsError, TrajectoryError
 
-app = typer.Typer(no_args_is_help=True, help="Make, check and show plans of a fleet; needs no daemon.")
+app = typer.Typer(no_args_is_help=True, help="Make, check and show plans of a fleet, without a daemon; fly them.")
+plan_run.add_to(app)
 
 
 class Kind(StrEnum):

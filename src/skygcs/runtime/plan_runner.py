@@ -59,6 +59,9 @@ from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
 
+SLOWEST_CLIMB_MPS = 1.0
+"""Of a take-off, for the charge that it takes: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
+
 CHARGE_S = 5.0
 """Between two looks at the charges of all vehicles."""
 
@@ -289,7 +292,12 @@ class PlanRunner:
         checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
         findings += _certificate_findings(prepared)
         findings += _bounds_findings(checked, request.speed_factor)
-        findings += battery_findings(actors, prepared.duration_s / request.speed_factor, self._record)
+        highest_m = (
+            max((step_m[2] for step_m in prepared.steps[0].starts().values()), default=0.0) if prepared.steps else 0.0
+        )
+        climb_s = (highest_m - min(place[2] for place in measured.places.values())) / SLOWEST_CLIMB_MPS
+        flight_s = prepared.duration_s / request.speed_factor + max(0.0, climb_s)
+        findings += battery_findings(actors, flight_s, self._record)
         if prepared.tubes is not None and prepared.steps:
             checked.execution = Execution(prepared.steps, measured.grounded, prepared.tubes)
         return checked
