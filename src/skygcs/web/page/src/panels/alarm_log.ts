@@ -1,0 +1,117 @@
+// The events with their severity, what a person has acknowledged, and when the alarm sounds.
+
+import type { Action, State, Store } from "../store.ts";
+import { MAX_EVENTS } from "../store.ts";
+import { recall, remember } from "../theme.ts";
+import type { FleetEvent } from "../types.ts";
+import { keyOf, severityOf, type JudgedEvent } from "./event_severity.ts";
+
+/** What happened longer before the page was opened is history: shown, and not open. */
+export const FRESH_S = 300;
+/** How long an alarm sounds that nobody acknowledges. */
+export const SOUNDS_S = 60;
+export const SOUND_EVERY_MS = 4_000;
+const MUTED = "skygcs.muted";
+
+export class AlarmLog {
+  events: readonly JudgedEvent[] = [];
+  acknowledged: ReadonlySet<string> = new Set();
+  muted = recallMuted();
+  private first = true;
+  private soundsUntilMs = -Infinity;
+  private readonly listeners = new Set<() => void>();
+
+  constructor(private readonly nowMs: () => number = () => performance.now()) {}
+
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** Alarms that nobody has acknowledged. */
+  get open(): number {
+    return this.events.filter((event) => event.severity === "alarm" && !this.acknowledged.has(keyOf(event))).length;
+  }
+
+  /** True while the alarm is to be heard. */
+  get sounding(): boolean {
+    return !this.muted && this.open > 0 && this.nowMs() < this.soundsUntilMs;
+  }
+
+  take(action: Action, state: State, unix_s: number): void {
+    if (action.type === "event") {
+      const event = state.events.at(-1);
+      if (event === undefined) return;
+      const judged = { ...event, severity: severityOf(event, armedOf(state, event)) };
+      this.events = [...this.events, judged].slice(-MAX_EVENTS);
+      if (judged.severity === "alarm") this.soundsUntilMs = this.nowMs() + SOUNDS_S * 1000;
+      this.changed();
+    } else if (action.type === "recentEvents") {
+      this.anew(state, unix_s);
+    }
+  }
+
+  acknowledge(events: readonly FleetEvent[]): void {
+    this.keep(new Set([...this.acknowledged, ...events.map(keyOf)]));
+  }
+
+  acknowledgeAll(): void {
+    this.acknowledge(this.events);
+  }
+
+  setMuted(muted: boolean): void {
+    this.muted = muted;
+    remember(MUTED, muted ? "yes" : "no");
+    this.changed();
+  }
+
+  /** The list after a new connection. What was judged before keeps its severity, which was that of its time. */
+  private anew(state: State, unix_s: number): void {
+    const before = new Map(this.events.map((event) => [keyOf(event), event.severity]));
+    this.events = state.events.map((event) => ({
+      ...event,
+      severity: before.get(keyOf(event)) ?? severityOf(event, armedOf(state, event)),
+    }));
+    const old = this.first ? this.events.filter((event) => unix_s - event.time_unix_s > FRESH_S) : [];
+    this.first = false;
+    this.keep(new Set([...this.acknowledged, ...old.map(keyOf)]));
+  }
+
+  /** Acknowledgements of events that are listed; of others nobody asks again. */
+  private keep(keys: ReadonlySet<string>): void {
+    const listed = new Set(this.events.map(keyOf));
+    this.acknowledged = new Set([...keys].filter((key) => listed.has(key)));
+    this.changed();
+  }
+
+  private changed(): void {
+    for (const listener of this.listeners) listener();
+  }
+}
+
+function armedOf(state: State, event: FleetEvent): boolean | null {
+  return event.vehicle === null ? null : (state.vehicles.get(event.vehicle)?.armed ?? null);
+}
+
+function recallMuted(): boolean {
+  return typeof window !== "undefined" && recall(MUTED) === "yes";
+}
+
+/** One for the page. */
+export const alarmLog = new AlarmLog();
+
+/** Judges events from now on and sounds alarms; returns what ends it. */
+export function beginAlarms(store: Store, sound: () => void): () => void {
+  const undo = store.onAction((action, state) => {
+    const before = alarmLog.sounding;
+    alarmLog.take(action, state, Date.now() / 1000);
+    if (alarmLog.sounding && !before) sound();
+  });
+  const timer = setInterval(() => {
+    if (alarmLog.sounding) sound();
+  }, SOUND_EVERY_MS);
+  return () => {
+    undo();
+    clearInterval(timer);
+  };
+}

@@ -1,0 +1,114 @@
+// Drawing on the canvas: points that a click adds, a drag moves, and a click on a point selects. Pure; a panel keeps them.
+
+import type { Vec3 } from "../types.ts";
+import type { Overlay, PointerAt, Shape, Tool } from "../view/overlays.ts";
+
+/** A drawn fence has no more; the check has the same bound. */
+export const MAX_DRAWN_POINTS = 1000;
+
+/** Nearest point within reach of the pointer; null: none. */
+export function hit(points: readonly Vec3[], at: PointerAt): number | null {
+  let best: number | null = null;
+  let bestM = at.reachM;
+  points.forEach(([x, y], i) => {
+    const distanceM = Math.hypot(x - at.x, y - at.y);
+    if (distanceM <= bestM) [best, bestM] = [i, distanceM];
+  });
+  return best;
+}
+
+export function moved(points: readonly Vec3[], index: number, x: number, y: number): Vec3[] {
+  return points.map((point, i) => (i === index ? [round(x), round(y), point[2]] : point));
+}
+
+export function added(points: readonly Vec3[], x: number, y: number, height: number): Vec3[] {
+  return points.length >= MAX_DRAWN_POINTS ? [...points] : [...points, [round(x), round(y), height]];
+}
+
+export function without(points: readonly Vec3[], index: number): Vec3[] {
+  return points.filter((_, i) => i !== index);
+}
+
+/** Decimetres: nobody points better on a screen. */
+function round(value: number): number {
+  return Math.round(value * 10) / 10;
+}
+
+/** What a panel keeps of its drawing. */
+export interface Drawing {
+  points: readonly Vec3[];
+  selected: number | null;
+}
+
+export const NOTHING_DRAWN: Drawing = { points: [], selected: null };
+
+export interface DrawingKeeper {
+  get: () => Drawing;
+  set: (drawing: Drawing) => void;
+}
+
+/** Clicks add points, drags move them, a click on one selects it. `heightM`: of new points. */
+export function pointsTool(keeper: DrawingKeeper, hint: string, heightM: () => number, most = MAX_DRAWN_POINTS): Tool {
+  let dragged: number | null = null;
+  return {
+    cursor: "crosshair",
+    hint,
+    click: (at) => {
+      const { points } = keeper.get();
+      const there = hit(points, at);
+      if (there !== null) keeper.set({ points, selected: there });
+      else if (points.length < most) keeper.set({ points: added(points, at.x, at.y, heightM()), selected: points.length });
+    },
+    grab: (at) => {
+      dragged = hit(keeper.get().points, at);
+      return dragged !== null;
+    },
+    dragTo: (at, done) => {
+      if (dragged === null) return;
+      keeper.set({ points: moved(keeper.get().points, dragged, at.x, at.y), selected: dragged });
+      if (done) dragged = null;
+    },
+  };
+}
+
+/** Drags named places, and adds none. */
+export function goalsTool(
+  get: () => ReadonlyMap<string, Vec3>,
+  set: (name: string, place: Vec3) => void,
+  hint: string,
+): Tool {
+  let dragged: string | null = null;
+  return {
+    cursor: "move",
+    hint,
+    grab: (at) => {
+      const names = [...get().keys()];
+      const index = hit([...get().values()], at);
+      dragged = index === null ? null : (names[index] ?? null);
+      return dragged !== null;
+    },
+    dragTo: (at, done) => {
+      const place = dragged === null ? undefined : get().get(dragged);
+      if (dragged === null || place === undefined) return;
+      set(dragged, [round(at.x), round(at.y), place[2]]);
+      if (done) dragged = null;
+    },
+  };
+}
+
+/** The drawing as shapes: a path with numbered points. */
+export function drawnShapes(drawing: Drawing, closed: boolean): Shape[] {
+  const { points, selected } = drawing;
+  const shapes: Shape[] = [];
+  if (points.length > 1) shapes.push({ kind: "path", points, ink: "draft", closed: closed && points.length > 2, filled: closed });
+  points.forEach((at, i) => {
+    shapes.push({ kind: "mark", at, symbol: "handle", ink: "draft", text: String(i + 1), emphasised: i === selected });
+  });
+  return shapes;
+}
+
+/** One overlay of several lists of shapes; null if there is nothing to show. */
+export function overlay(...parts: (readonly Shape[])[]): Overlay | null {
+  const shapes = parts.flat();
+  return shapes.length === 0 ? null : { shapes, fit: true };
+}

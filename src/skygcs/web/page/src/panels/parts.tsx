@@ -1,0 +1,256 @@
+// What several panels use: answers that are asked for again and again, files that are dropped, small pieces of text.
+
+import type { ComponentChildren } from "preact";
+import { useCallback, useEffect, useRef, useState } from "preact/hooks";
+import type { Connection } from "../connection.ts";
+import { ageText } from "../format.ts";
+import { refusalText } from "../orders.ts";
+import type { Store } from "../store.ts";
+import { ask } from "./calls.ts";
+
+export interface Answer<T> {
+  answer: T | null;
+  /** When it came, on the page's clock. */
+  atMs: number;
+  error: string | null;
+  again: () => void;
+}
+
+/** Asks every so often while it is shown, one question at a time, and not while the tab is hidden. */
+export function usePolled<T>(store: Store, connection: Connection, method: string | null, params: object, everyMs: number): Answer<T> {
+  const [found, setFound] = useState<Omit<Answer<T>, "again">>({ answer: null, atMs: 0, error: null });
+  const [turn, setTurn] = useState(0);
+  const key = JSON.stringify(params);
+  useEffect(() => {
+    if (method === null) return undefined;
+    let here = true;
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const turnOver = (): void => {
+      timer = setTimeout(() => void next(), everyMs);
+    };
+    const next = async (): Promise<void> => {
+      if (document.visibilityState === "hidden") {
+        turnOver();
+        return;
+      }
+      try {
+        const answer = await ask<T>(store, connection, method, JSON.parse(key) as object);
+        if (here) setFound({ answer, atMs: performance.now(), error: null });
+      } catch (error) {
+        if (here) setFound((before) => ({ ...before, error: refusalText(error) }));
+      }
+      if (here) turnOver();
+    };
+    void next();
+    return () => {
+      here = false;
+      clearTimeout(timer);
+    };
+  }, [store, connection, method, key, everyMs, turn]);
+  // another question: its answer has not come yet
+  const asked = useRef(key);
+  if (asked.current !== key) {
+    asked.current = key;
+    if (found.answer !== null) setFound({ answer: null, atMs: 0, error: null });
+  }
+  return { ...found, again: () => setTurn((n) => n + 1) };
+}
+
+export interface Asking<T> {
+  busy: boolean;
+  answer: T | null;
+  error: string | null;
+  run: (params: object) => Promise<T | null>;
+  clear: () => void;
+}
+
+/** One question at a person's wish. A newer one replaces it: an older answer is not shown any more. */
+export function useAsk<T>(store: Store, connection: Connection, method: string): Asking<T> {
+  const [state, setState] = useState<{ busy: boolean; answer: T | null; error: string | null }>({ busy: false, answer: null, error: null });
+  const number = useRef(0);
+  const run = useCallback(
+    async (params: object): Promise<T | null> => {
+      const mine = ++number.current;
+      setState((before) => ({ ...before, busy: true, error: null }));
+      try {
+        const answer = await ask<T>(store, connection, method, params);
+        if (mine === number.current) setState({ busy: false, answer, error: null });
+        return answer;
+      } catch (error) {
+        if (mine === number.current) setState({ busy: false, answer: null, error: refusalText(error) });
+        return null;
+      }
+    },
+    [store, connection, method],
+  );
+  const clear = useCallback(() => {
+    number.current++;
+    setState({ busy: false, answer: null, error: null });
+  }, []);
+  return { ...state, run, clear };
+}
+
+// --- files ------------------------------------------------------------------------------------------------------------
+
+/** In a message of the page, which has at most 4 MiB; base64 and JSON make a file longer. */
+export const MAX_FILE_BYTES = 2_200_000;
+
+export interface FileContent {
+  name: string;
+  text?: string;
+  base64?: string;
+}
+
+/** The file as the checks take it: binary formats in base64. */
+export async function contentOf(file: File): Promise<FileContent> {
+  if (file.size > MAX_FILE_BYTES) {
+    throw new Error(`${file.name}: ${(file.size / 1e6).toFixed(1)} MB; the page takes ${MAX_FILE_BYTES / 1e6} MB, skygcs-cli takes more`);
+  }
+  if (!/\.(skyc|zip)$/i.test(file.name)) return { name: file.name, text: await file.text() };
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  let binary = "";
+  for (let i = 0; i < bytes.length; i += 0x8000) binary += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  return { name: file.name, base64: btoa(binary) };
+}
+
+/** A place to drop files on, which is a button for choosing them, too. */
+export function DropZone(props: { label: string; accept: string; several?: boolean; onFiles: (files: File[]) => void }) {
+  const [over, setOver] = useState(false);
+  const input = useRef<HTMLInputElement>(null);
+  const take = (list: FileList | null | undefined): void => {
+    const files = [...(list ?? [])];
+    if (files.length > 0) props.onFiles(props.several === true ? files : files.slice(0, 1));
+  };
+  return (
+    <div
+      class={over ? "dropzone over" : "dropzone"}
+      onDragOver={(event) => {
+        event.preventDefault();
+        setOver(true);
+      }}
+      onDragLeave={() => setOver(false)}
+      onDrop={(event) => {
+        event.preventDefault();
+        setOver(false);
+        take(event.dataTransfer?.files);
+      }}
+    >
+      <button type="button" onClick={() => input.current?.click()}>
+        {props.label}
+      </button>
+      <span class="muted">or drop it here</span>
+      <input
+        ref={input}
+        type="file"
+        hidden
+        accept={props.accept}
+        multiple={props.several === true}
+        onChange={(event) => {
+          take(event.currentTarget.files);
+          event.currentTarget.value = "";
+        }}
+      />
+    </div>
+  );
+}
+
+/** Gives a text to the browser as a file to keep. */
+export function keepFile(name: string, text: string): void {
+  const url = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
+  const link = document.createElement("a");
+  link.href = url;
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}
+
+// --- pieces -----------------------------------------------------------------------------------------------------------
+
+export function Failure({ text }: { text: string | null }) {
+  return text === null ? null : <p class="failure" role="alert">{text}</p>;
+}
+
+/** "3 s ago"; grey and plain to see where it is old. */
+export function Age({ age_s, old_s = 5 }: { age_s: number | null; old_s?: number }) {
+  if (age_s === null) return <span class="age old">never</span>;
+  return <span class={age_s > old_s ? "age old" : "age"}>{ageText(age_s)}</span>;
+}
+
+/** A title that opens and closes what is below it. */
+export function Fold({ title, side, open = false, children }: { title: ComponentChildren; side?: ComponentChildren; open?: boolean; children: ComponentChildren }) {
+  return (
+    <details class="fold" open={open}>
+      <summary>
+        <span class="foldtitle">{title}</span>
+        {side !== undefined && <span class="foldside">{side}</span>}
+      </summary>
+      {children}
+    </details>
+  );
+}
+
+export interface TabOf {
+  id: string;
+  title: string;
+  count?: number;
+}
+
+export function SubTabs({ label, tabs, now, go }: { label: string; tabs: readonly TabOf[]; now: string; go: (id: string) => void }) {
+  return (
+    <div class="subtabs" role="tablist" aria-label={label}>
+      {tabs.map((tab) => (
+        <button key={tab.id} type="button" role="tab" class="subtab" aria-selected={tab.id === now} onClick={() => go(tab.id)}>
+          {tab.title}
+          {tab.count !== undefined && tab.count > 0 && <span class="badge">{tab.count}</span>}
+        </button>
+      ))}
+    </div>
+  );
+}
+
+/** A number with a label, for a form. What is no number gives null. */
+export function NumberField(props: {
+  label: string;
+  unit?: string;
+  value: number | null;
+  least?: number;
+  most?: number;
+  step?: number | "any";
+  placeholder?: string;
+  onValue: (value: number | null) => void;
+}) {
+  return (
+    <label class="field">
+      <span>{props.label}</span>
+      <input
+        type="number"
+        inputMode="decimal"
+        value={props.value ?? ""}
+        min={props.least}
+        max={props.most}
+        step={props.step ?? "any"}
+        placeholder={props.placeholder}
+        onInput={(event) => {
+          const { valueAsNumber, validity } = event.currentTarget;
+          props.onValue(Number.isFinite(valueAsNumber) && validity.valid ? valueAsNumber : null);
+        }}
+      />
+      {props.unit !== undefined && <span class="unit">{props.unit}</span>}
+    </label>
+  );
+}
+
+export function Choice<T extends string>(props: { label: string; value: T; options: readonly (readonly [T, string])[]; onValue: (value: T) => void }) {
+  return (
+    <label class="field">
+      <span>{props.label}</span>
+      <select value={props.value} onChange={(event) => props.onValue(event.currentTarget.value as T)}>
+        {props.options.map(([value, text]) => (
+          <option key={value} value={value}>
+            {text}
+          </option>
+        ))}
+      </select>
+    </label>
+  );
+}
