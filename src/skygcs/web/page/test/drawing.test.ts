@@ -30,7 +30,7 @@ test("a drag moves the point under it, and one beside all points is not taken", 
   const box = kept();
   box.tool.click?.(at(0, 0));
   assert.equal(box.tool.grab?.(at(9, 9)), false);
-  assert.ok(box.tool.grab?.(at(1, 0)));
+  assert.ok(box.tool.grab(at(1, 0)));
   box.tool.dragTo?.(at(5, 6), false);
   box.tool.dragTo?.(at(7, 8), true);
   box.tool.dragTo?.(at(50, 60), true);

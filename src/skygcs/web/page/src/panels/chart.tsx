@@ -7,8 +7,8 @@ import type { Columns } from "./history_ring.ts";
 
 export interface Curve {
   label: string;
-  /** A colour of the theme: --chart-1 to --chart-6. */
-  colour: 1 | 2 | 3 | 4 | 5 | 6;
+  /** A colour of the theme: --vehicle-1 to --vehicle-7. */
+  colour: 1 | 2 | 3 | 4 | 5 | 6 | 7;
   digits?: number;
   unit?: string;
 }
@@ -36,7 +36,7 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
     const given = JSON.parse(shape) as [string, Curve[], number, ChartProps["range"]];
     const make = (): void => {
       plot.current?.destroy();
-      plot.current = new uPlot(options(here, given[1], given[2], given[3]), read.current() as uPlot.AlignedData, here);
+      plot.current = new uPlot(options(here, given[1], given[2], given[3]), read.current(), here);
     };
     make();
     const resize = new ResizeObserver(() => plot.current?.setSize({ width: Math.max(here.clientWidth, 120), height: given[2] }));
@@ -50,7 +50,7 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
     };
   }, [shape]);
   useEffect(() => {
-    plot.current?.setData(read.current() as uPlot.AlignedData);
+    plot.current?.setData(read.current());
   }, [version]);
   return (
     <figure class="chart">
@@ -72,8 +72,8 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
 function options(place: HTMLElement, curves: readonly Curve[], height: number, range: ChartProps["range"]): uPlot.Options {
   const style = getComputedStyle(document.documentElement);
   const colour = (name: string, fallback: string): string => style.getPropertyValue(name).trim() || fallback;
-  const ink = colour("--muted", "#888");
-  const grid = { stroke: colour("--line", "#8884"), width: 1 };
+  const ink = colour("--text-muted", "#888");
+  const grid = { stroke: colour("--edge", "#8884"), width: 1 };
   const font = "11px system-ui, sans-serif";
   const axis = { stroke: ink, grid, ticks: { ...grid, size: 4 }, font };
   return {
@@ -88,7 +88,7 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
     ],
     series: [{}, ...curves.map((curve) => ({
       label: curve.label,
-      stroke: colour(`--chart-${curve.colour}`, "#48f"),
+      stroke: colour(`--vehicle-${curve.colour}`, "#48f"),
       width: 1.5,
       spanGaps: false,
       points: { show: false },

@@ -1,0 +1,117 @@
+// All events in one list: severity, filter, acknowledgement, and the sound for what needs a person.
+
+import { useEffect, useReducer, useState } from "preact/hooks";
+import { useStore } from "../hooks.ts";
+import { alarmLog } from "./alarm_log.ts";
+import { keyOf, SEVERITIES, shownEvents, type JudgedEvent, type Severity } from "./event_severity.ts";
+import type { PanelProps } from "./registry.ts";
+import { canSound, playAlarm } from "./sound.ts";
+
+const NAMES: Readonly<Record<Severity, string>> = { alarm: "Alarms", warning: "Warnings", info: "Reports" };
+const SHOWN = 300;
+
+export default function EventsPanel({ store }: PanelProps) {
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  useEffect(() => alarmLog.onChange(() => redraw(0)), []);
+  const selection = useStore(store, (state) => state.selection);
+  const [severities, setSeverities] = useState<ReadonlySet<Severity>>(new Set(SEVERITIES));
+  const [words, setWords] = useState("");
+  const [open, setOpen] = useState(false);
+  const [selected, setSelected] = useState(false);
+  const vehicles = selected && selection.size > 0 ? selection : null;
+  const rows = shownEvents(alarmLog.events, { severities, vehicles, words, open }, alarmLog.acknowledged);
+  const counts = new Map(SEVERITIES.map((one) => [one, alarmLog.events.filter((event) => event.severity === one).length]));
+  return (
+    <div class="panel eventspanel">
+      <div class="row wrap">
+        {SEVERITIES.map((one) => (
+          <button
+            key={one}
+            type="button"
+            class="chip"
+            data-severity={one}
+            aria-pressed={severities.has(one)}
+            onClick={() => setSeverities(toggled(severities, one))}
+          >
+            {NAMES[one]} <b>{counts.get(one)}</b>
+          </button>
+        ))}
+        <button type="button" class="chip" aria-pressed={open} onClick={() => setOpen(!open)}>
+          Not acknowledged
+        </button>
+        <button type="button" class="chip" aria-pressed={selected} disabled={selection.size === 0} onClick={() => setSelected(!selected)}>
+          Selected vehicles
+        </button>
+        <input type="search" placeholder="Search events" aria-label="Search events" value={words} onInput={(event) => setWords(event.currentTarget.value)} />
+        <span class="spacer" />
+        <Sound />
+        <button type="button" class={alarmLog.open > 0 ? "primary" : ""} disabled={alarmLog.open === 0} onClick={() => alarmLog.acknowledgeAll()}>
+          Acknowledge all{alarmLog.open > 0 ? ` (${alarmLog.open})` : ""}
+        </button>
+      </div>
+      <ul class="events" aria-label="Events, the newest first">
+        {rows.slice(0, SHOWN).map((event) => (
+          <EventRow key={event.id} event={event} acknowledged={alarmLog.acknowledged.has(keyOf(event))} select={(name) => store.dispatch({ type: "select", names: [name], how: "only" })} />
+        ))}
+      </ul>
+      {rows.length === 0 && <p class="note">{alarmLog.events.length === 0 ? "Nothing has happened yet." : "No event passes the filter."}</p>}
+      {rows.length > SHOWN && <p class="note">{rows.length - SHOWN} older ones; search for them.</p>}
+    </div>
+  );
+}
+
+function EventRow({ event, acknowledged, select }: { event: JudgedEvent; acknowledged: boolean; select: (name: string) => void }) {
+  const { vehicle } = event;
+  const open = event.severity === "alarm" && !acknowledged;
+  return (
+    <li data-severity={event.severity} data-open={open}>
+      <time class="muted">{new Date(event.time_unix_s * 1000).toLocaleTimeString([], { hour12: false })}</time>
+      <span class="severity">{event.severity}</span>
+      {vehicle === null ? (
+        <span class="who muted">–</span>
+      ) : (
+        <button type="button" class="link who" onClick={() => select(vehicle)}>
+          {vehicle}
+        </button>
+      )}
+      <span class="kind muted">{event.kind.replaceAll("_", " ")}</span>
+      <span class="what">{event.text}</span>
+      {open && (
+        <button type="button" onClick={() => alarmLog.acknowledge([event])}>
+          Acknowledge
+        </button>
+      )}
+    </li>
+  );
+}
+
+function Sound() {
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  return (
+    <>
+      <button
+        type="button"
+        aria-pressed={!alarmLog.muted}
+        title={canSound() ? "Alarms sound until they are acknowledged" : "The browser allows sound after the first click or key on the page"}
+        onClick={() => alarmLog.setMuted(!alarmLog.muted)}
+      >
+        {alarmLog.muted ? "Sound off" : "Sound on"}
+      </button>
+      <button
+        type="button"
+        onClick={() => {
+          playAlarm();
+          redraw(0);
+        }}
+      >
+        Test sound
+      </button>
+    </>
+  );
+}
+
+function toggled(set: ReadonlySet<Severity>, one: Severity): ReadonlySet<Severity> {
+  const next = new Set(set);
+  if (!next.delete(one)) next.add(one);
+  return next;
+}

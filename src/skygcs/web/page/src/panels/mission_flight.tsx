@@ -1,0 +1,126 @@
+// What the selected vehicles hold and where they are in it; start, pause, resume, another item.
+
+import { useState } from "preact/hooks";
+import { namesText } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { refusalText, sendOrder } from "../orders.ts";
+import { ask, mayOrder } from "./calls.ts";
+import { Failure, keepFile, NumberField, usePolled, type FileContent } from "./parts.tsx";
+import type { PanelProps } from "./registry.ts";
+
+export interface MissionStatus {
+  vehicle: string;
+  item: number | null;
+  reached: number | null;
+  state: string | null;
+  counts: Readonly<Record<"mission" | "fence" | "rally", number | null>>;
+  transfer: { what: string; percent: number | null; sent?: number } | null;
+  last: Readonly<Record<string, { ok: boolean; message: string } | null>>;
+}
+
+/** Of the selected vehicles; without a selection of none. */
+export function useMissionStatus({ store, connection }: PanelProps, targets: readonly string[]): readonly MissionStatus[] {
+  const method = targets.length === 0 ? null : "missions.status";
+  const { answer } = usePolled<MissionStatus[]>(store, connection, method, { targets }, 1000);
+  return targets.length === 0 ? [] : (answer ?? []);
+}
+
+export function MissionFlight(props: PanelProps & { status: readonly MissionStatus[]; targets: readonly string[]; showDownloaded: (file: FileContent) => void }) {
+  const { store, connection, status, targets } = props;
+  const orders = useStore(store, mayOrder);
+  const [item, setItem] = useState<number | null>(null);
+  const order = (label: string, method: string, params: object = {}): void => void sendOrder(store, connection, { label, method, params, targets });
+  if (targets.length === 0) return <p class="note">Select the vehicles that are to fly it.</p>;
+  const whom = namesText(targets);
+  return (
+    <section class="card" aria-label="On board">
+      <h3>On board</h3>
+      <table class="plain">
+        <thead>
+          <tr>
+            <th>vehicle</th>
+            <th>state</th>
+            <th class="number">item</th>
+            <th class="number">mission</th>
+            <th class="number">fence</th>
+          </tr>
+        </thead>
+        <tbody>
+          {status.map((one) => (
+            <tr key={one.vehicle}>
+              <td>{one.vehicle}</td>
+              <td>
+                {one.transfer === null ? (one.state ?? "not reported") : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
+                {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
+              </td>
+              <td class="number">{one.item ?? "–"}</td>
+              <td class="number">{one.counts.mission ?? "?"}</td>
+              <td class="number">{one.counts.fence ?? "?"}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+      {orders && (
+        <div class="row wrap">
+          <HoldButton what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
+            Start
+          </HoldButton>
+          <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
+            Pause
+          </button>
+          <button type="button" onClick={() => order("Resume mission", "missions.resume")}>
+            Resume
+          </button>
+          <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
+          <button type="button" disabled={item === null} onClick={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
+            Go to it
+          </button>
+          <HoldButton danger what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
+            Delete mission
+          </HoldButton>
+          <HoldButton danger what={`Delete the fence of ${whom}`} act={() => order("Delete fence", "missions.clear", { lists: ["fence"] })}>
+            Delete fence
+          </HoldButton>
+        </div>
+      )}
+      {orders && targets.length === 1 && <Download {...props} name={targets[0] ?? ""} />}
+    </section>
+  );
+}
+
+function Download(props: PanelProps & { name: string; showDownloaded: (file: FileContent) => void }) {
+  const { name, showDownloaded } = props;
+  const [state, setState] = useState<{ busy: boolean; error: string | null; file: FileContent | null }>({ busy: false, error: null, file: null });
+  const read = async (): Promise<void> => {
+    setState({ busy: true, error: null, file: null });
+    try {
+      const file = await downloaded(props, name);
+      setState({ busy: false, error: null, file });
+      showDownloaded(file);
+    } catch (error) {
+      setState({ busy: false, error: refusalText(error), file: null });
+    }
+  };
+  const { file } = state;
+  return (
+    <div class="row wrap">
+      <button type="button" disabled={state.busy} onClick={() => void read()}>
+        {state.busy ? "Reading …" : `Read from ${name}`}
+      </button>
+      {file !== null && (
+        <button type="button" onClick={() => keepFile(file.name, file.text ?? "")}>
+          Save to file
+        </button>
+      )}
+      <Failure text={state.error} />
+    </div>
+  );
+}
+
+/** Reads what a vehicle holds, as a file. */
+async function downloaded({ store, connection }: PanelProps, name: string): Promise<FileContent> {
+  const answer = await ask<{ outcome: { ok: boolean; message: string }; plan: string | null }>(store, connection, "missions.download", { target: name });
+  if (answer.plan === null) throw new Error(answer.outcome.message);
+  return { name: `${name}.plan`, text: answer.plan };
+}

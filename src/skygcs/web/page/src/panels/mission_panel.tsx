@@ -1,0 +1,309 @@
+// Missions and fences: a file or a drawing, its check, the upload to the selected vehicles, and the flight.
+
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { namesText } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { refusalText, sendOrder } from "../orders.ts";
+import type { State } from "../store.ts";
+import type { Vec3 } from "../types.ts";
+import { mayOrder } from "./calls.ts";
+import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
+import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
+import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
+import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, type FileContent } from "./parts.tsx";
+import type { PanelProps } from "./registry.ts";
+
+const OVERLAY = "mission";
+/** Between the last change of a drawing and its check. */
+const CHECK_AFTER_MS = 350;
+
+type What = "file" | "mission" | "polygon" | "circle";
+
+const TABS: readonly { id: What; title: string }[] = [
+  { id: "file", title: "File" },
+  { id: "mission", title: "Draw waypoints" },
+  { id: "polygon", title: "Draw fence" },
+  { id: "circle", title: "Fence circle" },
+];
+
+type Ending = "return" | "land" | "hold";
+
+/** What a person drew, and how it is meant. It outlives the panel. */
+interface Draft {
+  drawing: Drawing;
+  heightM: number;
+  takeoffM: number | null;
+  end: Ending;
+  inclusion: boolean;
+  radiusM: number;
+}
+
+const NEW_DRAFT: Draft = { drawing: NOTHING_DRAWN, heightM: 20, takeoffM: 10, end: "return", inclusion: true, radiusM: 50 };
+const drafts = new Map<What, Draft>();
+let lastTab: What = "file";
+let lastFile: FileContent | null = null;
+
+export default function MissionPanel(props: PanelProps) {
+  const { store, view } = props;
+  const selection = useStore(store, (state) => state.selection);
+  const targets = useMemo(() => [...selection], [selection]);
+  const [tab, setTab] = useState<What>(lastTab);
+  const [checked, setChecked] = useState<CheckedMission | null>(null);
+  const [draft, setDraft] = useState<Draft>(drafts.get(tab) ?? NEW_DRAFT);
+  const status = useMissionStatus(props, targets);
+  const [first] = status;
+  const current = first?.item ?? null;
+  useEffect(() => {
+    const drawn = tab === "file" ? [] : drawnShapes(draft.drawing, tab === "polygon");
+    const circle = tab === "circle" ? circleShapes(draft) : [];
+    const shown = checked === null || tab !== "file" ? [] : missionShapes(checked, current);
+    view.setOverlay(OVERLAY, overlay(shown, circle, drawn));
+  }, [view, checked, draft, tab, current]);
+  useEffect(() => () => {
+    view.setOverlay(OVERLAY, null);
+    view.setTool(null);
+  }, [view]);
+  const go = (id: string): void => {
+    lastTab = id as What;
+    setTab(lastTab);
+    setChecked(null);
+    setDraft(drafts.get(lastTab) ?? NEW_DRAFT);
+  };
+  const keep = (next: Draft): void => {
+    drafts.set(tab, next);
+    setDraft(next);
+  };
+  return (
+    <div class="panel missionpanel">
+      <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
+      {tab === "file" ? <FromFile {...props} targets={targets} setChecked={setChecked} /> : <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} setChecked={setChecked} targets={targets} />}
+      {checked !== null && <Checked {...props} checked={checked} targets={targets} fenceOnly={tab === "polygon" || tab === "circle"} />}
+      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
+    </div>
+  );
+}
+
+function circleShapes(draft: Draft): Parameters<typeof overlay>[0] {
+  const [centre] = draft.drawing.points;
+  if (centre === undefined) return [];
+  return [{ kind: "circle", centre, radiusM: draft.radiusM, ink: draft.inclusion ? "draft" : "danger", filled: true, dashed: !draft.inclusion }];
+}
+
+/** What a check has to know of the vehicle and of the picture. */
+function context(state: State, targets: readonly string[]): object {
+  const vehicle = targets[0] === undefined ? undefined : state.vehicles.get(targets[0]);
+  const place = vehicle?.position?.enu_m;
+  const family = vehicle?.autopilot === "px4" || vehicle?.autopilot === "ardupilot" ? vehicle.autopilot : null;
+  return {
+    origin: state.origin,
+    autopilot: family,
+    ...(place === null || place === undefined ? {} : { vehicle_xy_m: [place[0], place[1]] }),
+  };
+}
+
+// --- from a file ------------------------------------------------------------------------------------------------------
+
+function FromFile({ store, connection, targets, setChecked }: PanelProps & { targets: readonly string[]; setChecked: (checked: CheckedMission | null) => void }) {
+  const check = useAsk<CheckedMission>(store, connection, "web.mission.check");
+  const [unread, setUnread] = useState<string | null>(null);
+  const origin = useStore(store, (state) => state.origin);
+  const [file, setFile] = useState(lastFile);
+  const { run } = check;
+  // the file is checked again for another vehicle, or about another origin
+  useEffect(() => {
+    if (lastFile === null) return;
+    void run({ file: lastFile, ...context(store.state, targets) }).then(setChecked);
+  }, [run, store, origin, targets, file, setChecked]);
+  const take = async (files: File[]): Promise<void> => {
+    const [first] = files;
+    if (first === undefined) return;
+    try {
+      lastFile = await contentOf(first);
+      setUnread(null);
+      setFile(lastFile);
+    } catch (error) {
+      setUnread(refusalText(error));
+    }
+  };
+  return (
+    <>
+      <DropZone label="Open a mission or fence" accept=".plan,.waypoints,.txt,.mission,.json" onFiles={(files) => void take(files)} />
+      <p class="muted">QGroundControl .plan, Mission Planner .waypoints (QGC WPL 110): mission, fence and rally points.</p>
+      {check.busy && <p class="note">Checking …</p>}
+      <Failure text={unread ?? check.error} />
+    </>
+  );
+}
+
+// --- drawn ------------------------------------------------------------------------------------------------------------
+
+function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Draft) => void; setChecked: (checked: CheckedMission | null) => void; targets: readonly string[] }) {
+  const { store, connection, view, what, draft, keep, setChecked, targets } = props;
+  const fence = what !== "mission";
+  const check = useAsk<CheckedMission>(store, connection, fence ? "web.fence.check" : "web.mission.check");
+  const origin = useStore(store, (state) => state.origin);
+  const latest = useRef({ draft, keep });
+  latest.current = { draft, keep };
+  useEffect(() => {
+    const keeper = {
+      get: () => latest.current.draft.drawing,
+      set: (drawing: Drawing) => latest.current.keep({ ...latest.current.draft, drawing }),
+    };
+    const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one. Escape ends drawing.";
+    view.setTool(pointsTool(keeper, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined));
+    return () => view.setTool(null);
+  }, [view, what, fence]);
+  const { run, clear } = check;
+  const asked = drawnParams(what, draft);
+  const key = JSON.stringify(asked);
+  useEffect(() => {
+    if (key === "null") {
+      clear();
+      setChecked(null);
+      return undefined;
+    }
+    const timer = setTimeout(() => {
+      const { autopilot, vehicle_xy_m } = context(store.state, targets) as { autopilot: string | null; vehicle_xy_m?: number[] };
+      const more = fence ? { autopilot } : { autopilot, ...(vehicle_xy_m === undefined ? {} : { vehicle_xy_m }) };
+      void run({ drawn: JSON.parse(key) as object, origin, ...more }).then(setChecked);
+    }, CHECK_AFTER_MS);
+    return () => clearTimeout(timer);
+  }, [key, run, clear, store, origin, targets, fence, setChecked]);
+  return (
+    <>
+      <p class="muted">{hintOf(what)}</p>
+      {origin === null && <p class="failure">The fleet has no origin yet: what is drawn has no place on earth.</p>}
+      {what === "mission" && <MissionFields draft={draft} keep={keep} />}
+      {what === "circle" && <NumberField label="Radius" unit="m" value={draft.radiusM} least={1} most={100000} onValue={(value) => value !== null && keep({ ...draft, radiusM: value })} />}
+      {fence && <Choice label="Vehicles stay" value={draft.inclusion ? "in" : "out"} options={[["in", "inside"], ["out", "outside"]]} onValue={(value) => keep({ ...draft, inclusion: value === "in" })} />}
+      <Points draft={draft} keep={keep} heights={!fence} />
+      {check.busy && <p class="note">Checking …</p>}
+      <Failure text={check.error} />
+    </>
+  );
+}
+
+function hintOf(what: What): string {
+  switch (what) {
+    case "mission":
+      return "Click waypoints on the view; drag them; their heights are above home.";
+    case "polygon":
+      return "Click the corners of the fence on the view.";
+    default:
+      return "Click the middle of the fence on the view.";
+  }
+}
+
+function drawnParams(what: What, draft: Draft): object | null {
+  const { points } = draft.drawing;
+  switch (what) {
+    case "mission":
+      return points.length === 0 ? null : { waypoints: points, takeoff_height_m: draft.takeoffM, end: draft.end };
+    case "polygon":
+      return points.length < 3 ? null : { polygons: [{ inclusion: draft.inclusion, corners: points.map(([x, y]) => [x, y]) }] };
+    default: {
+      const [centre] = points;
+      return centre === undefined ? null : { circles: [{ inclusion: draft.inclusion, center: [centre[0], centre[1]], radius_m: draft.radiusM }] };
+    }
+  }
+}
+
+function MissionFields({ draft, keep }: { draft: Draft; keep: (draft: Draft) => void }) {
+  return (
+    <div class="row wrap">
+      <NumberField label="Height of new points" unit="m" value={draft.heightM} least={1} most={500} onValue={(value) => value !== null && keep({ ...draft, heightM: value })} />
+      <NumberField label="Take off to" unit="m" value={draft.takeoffM} least={1} most={500} placeholder="none" onValue={(value) => keep({ ...draft, takeoffM: value })} />
+      <Choice label="Then" value={draft.end} options={[["return", "return and land"], ["land", "land at the last point"], ["hold", "hold at the last point"]]} onValue={(end) => keep({ ...draft, end })} />
+    </div>
+  );
+}
+
+function Points({ draft, keep, heights }: { draft: Draft; keep: (draft: Draft) => void; heights: boolean }) {
+  const { points, selected } = draft.drawing;
+  const set = (next: readonly Vec3[], index: number | null): void => keep({ ...draft, drawing: { points: next, selected: index } });
+  if (points.length === 0) return null;
+  return (
+    <>
+      <ol class="points" aria-label="Points">
+        {points.map(([x, y, up], i) => (
+          <li key={i} aria-selected={i === selected}>
+            <button type="button" class="link" onClick={() => set(points, i)}>
+              {x.toFixed(1)}, {y.toFixed(1)}
+            </button>
+            {heights && (
+              <NumberField label={`Height of point ${i + 1}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && set(points.map((point, k): Vec3 => (k === i ? [point[0], point[1], value] : point)), i)} />
+            )}
+            <button type="button" class="quiet" aria-label={`Remove point ${i + 1}`} onClick={() => set(without(points, i), null)}>
+              ×
+            </button>
+          </li>
+        ))}
+      </ol>
+      <button type="button" onClick={() => set([], null)}>
+        Clear the drawing
+      </button>
+    </>
+  );
+}
+
+// --- what was found ---------------------------------------------------------------------------------------------------
+
+function Checked({ store, connection, checked, targets, fenceOnly }: PanelProps & { checked: CheckedMission; targets: readonly string[]; fenceOnly: boolean }) {
+  const orders = useStore(store, mayOrder);
+  const text = checked.text ?? lastFile?.text ?? null;
+  const lists = fenceOnly ? ["fence"] : checked.holds;
+  const upload = (force: boolean): void =>
+    void sendOrder(store, connection, {
+      label: `Upload ${checked.name}`,
+      method: "missions.upload",
+      params: { plan: text, name: checked.name, lists, force },
+      targets,
+    });
+  const length = lengthOf(checked);
+  return (
+    <section class="card" aria-label={`Check of ${checked.name}`}>
+      <header class="row wrap">
+        <h3>{checked.name}</h3>
+        <span class={checked.ok ? "verdict good" : "verdict failure"}>{checked.ok ? "can be flown" : "refused"}</span>
+      </header>
+      <p>
+        {countsText(checked)}
+        {length > 0 ? `, ${length < 1000 ? `${Math.round(length)} m` : `${(length / 1000).toFixed(1)} km`} between its waypoints` : ""}
+      </p>
+      <ul class="findings">
+        {checked.findings.map((finding, i) => (
+          <li key={i} data-verdict={finding.severity === "error" ? "fail" : "unknown"}>
+            <span class="verdict">{finding.severity}</span> {finding.item === null ? finding.list : `${finding.list} item ${finding.item}`}: {finding.text}
+          </li>
+        ))}
+      </ul>
+      {[...checked.notes, ...checked.changes.map((change) => `changed at the upload: ${change}`)].map((note) => <p key={note} class="muted">{note}</p>)}
+      {checked.mission.length > 0 && (
+        <details>
+          <summary>Items</summary>
+          <ol class="items">
+            {checked.mission.slice(0, 500).map((item) => (
+              <li key={item.number} value={item.number}>
+                {commandText(item.name)}
+                {item.height_m !== null && <span class="muted"> {item.height_m.toFixed(1)} m above {item.height_above ?? "?"}</span>}
+              </li>
+            ))}
+          </ol>
+        </details>
+      )}
+      {orders && (
+        <div class="row wrap">
+          <button type="button" class="primary" disabled={targets.length === 0 || text === null || !checked.ok} onClick={() => upload(false)}>
+            Upload to {targets.length === 0 ? "selected vehicles" : namesText(targets)}
+          </button>
+          {!checked.ok && text !== null && targets.length > 0 && (
+            <HoldButton danger what={`Upload ${checked.name} to ${namesText(targets)} in spite of its errors`} act={() => upload(true)}>
+              Upload all the same
+            </HoldButton>
+          )}
+        </div>
+      )}
+    </section>
+  );
+}

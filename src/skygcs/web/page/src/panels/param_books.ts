@@ -1,0 +1,39 @@
+// What the page knows of vehicles' parameters: values, edits that wait, what was set here. It outlives the panel.
+
+import type { ParamEntry } from "./param_values.ts";
+
+export interface ParamBook {
+  params: readonly ParamEntry[];
+  edits: ReadonlyMap<string, number>;
+  /** Set from this page: marked. */
+  setHere: ReadonlySet<string>;
+  sysid: number;
+  compid: number;
+  autopilot: string;
+}
+
+const EMPTY_BOOK: ParamBook = { params: [], edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic" };
+
+/** Vehicles whose parameters are kept: 100 kB each. */
+export const MAX_BOOKS = 20;
+
+export class ParamBooks {
+  private readonly byName = new Map<string, ParamBook>();
+
+  of(name: string): ParamBook {
+    return this.byName.get(name) ?? EMPTY_BOOK;
+  }
+
+  /** Keeps the changed book, and forgets the one that was changed longest ago. */
+  change(name: string, change: (book: ParamBook) => ParamBook): ParamBook {
+    const book = change(this.of(name));
+    this.byName.delete(name);
+    this.byName.set(name, book);
+    const [oldest] = this.byName.keys();
+    if (this.byName.size > MAX_BOOKS && oldest !== undefined) this.byName.delete(oldest);
+    return book;
+  }
+}
+
+/** One for the page. */
+export const paramBooks = new ParamBooks();

@@ -1,0 +1,230 @@
+// The flight of a plan by the daemon: give it to the daemon, check it against the fleet, run, pause, resume, abort, land.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { namesText } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { refusalText } from "../orders.ts";
+import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
+import { Choice, Failure, NumberField, usePolled } from "./parts.tsx";
+import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
+import type { PanelProps } from "./registry.ts";
+
+interface PlanStatus {
+  plan: string | null;
+  name: string | null;
+  kind: string | null;
+  state: string;
+  phase: string | null;
+  step: number | null;
+  steps: number | null;
+  reason: string | null;
+  speed: number | null;
+  clock: { trajectory_s: number; duration_s: number; finishes_in_s: number | null } | null;
+  waits_for: readonly string[];
+  vehicles: readonly { vehicle: string; state: string; error_m: number | null; tube_m: number | null; left: string | null }[];
+}
+
+interface Report {
+  ok: boolean;
+  findings: readonly { vehicle: string | null; check: string; severity: "ok" | "note" | "warning" | "refused"; text: string; todo: string; insist: boolean }[];
+  certificate: Certificate | null;
+  way_there: Certificate | null;
+  duration_s: number | null;
+  steps: readonly { name: string; duration_s: number | null }[];
+}
+
+type Mode = "position" | "velocity" | "attitude";
+
+/** Nothing is being flown. */
+const AT_REST = new Set(["none", "loaded", "checked", "aborted", "landed", "finished"]);
+/** A line of the daemon's socket has 1 MiB; the text is inside JSON. */
+const MAX_PLAN_CHARS = 1_000_000;
+
+export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; follow: (t_s: number) => void }) {
+  const { store, connection, checked, follow } = props;
+  const orders = useStore(store, mayOrder);
+  const replay = useStore(store, (state) => state.hello?.replay ?? false);
+  const polled = usePolled<PlanStatus>(store, connection, replay || !orders ? null : "plan.status", {}, 500);
+  const status = polled.answer;
+  const flies = status !== null && !AT_REST.has(status.state);
+  const follower = useRef(follow);
+  follower.current = follow;
+  const at_s = flies ? (status.clock?.trajectory_s ?? null) : null;
+  useEffect(() => {
+    if (at_s !== null) follower.current(at_s);
+  }, [at_s]);
+  if (replay || !orders) return null;
+  return (
+    <section class="card" aria-label="Flight of the plan">
+      <h3>Flight</h3>
+      <Failure text={polled.error} />
+      {status !== null && status.state !== "none" && <StatusView status={status} />}
+      {flies ? <Running {...props} status={status} /> : <Before {...props} checked={checked} status={status} />}
+    </section>
+  );
+}
+
+function StatusView({ status }: { status: PlanStatus }) {
+  return (
+    <>
+      <p>
+        <b>{status.name ?? "plan"}</b>: {status.state.replaceAll("_", " ")}
+        {status.phase !== null && status.phase !== "" ? `, ${status.phase}` : ""}
+        {status.step !== null && status.steps !== null ? ` (step ${status.step} of ${status.steps})` : ""}
+        {status.clock?.finishes_in_s != null ? `, ${status.clock.finishes_in_s.toFixed(0)} s more` : ""}
+      </p>
+      {status.reason !== null && status.reason !== "" && <p class="failure">{status.reason}</p>}
+      {status.waits_for.length > 0 && <p class="muted">Waits for {namesText(status.waits_for)}.</p>}
+      {status.vehicles.length > 0 && !AT_REST.has(status.state) && (
+        <table class="plain">
+          <thead>
+            <tr>
+              <th>vehicle</th>
+              <th>state</th>
+              <th class="number">error</th>
+              <th class="number">allowed</th>
+            </tr>
+          </thead>
+          <tbody>
+            {status.vehicles.map((one) => (
+              <tr key={one.vehicle} class={one.left === null ? "" : "lost"}>
+                <td>{one.vehicle}</td>
+                <td>{one.left === null ? one.state : `left: ${one.left}`}</td>
+                <td class="number">{one.error_m === null ? "–" : `${one.error_m.toFixed(2)} m`}</td>
+                <td class="number">{one.tube_m === null ? "–" : `${one.tube_m.toFixed(2)} m`}</td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      )}
+    </>
+  );
+}
+
+function Running({ store, connection, status }: PanelProps & { status: PlanStatus }) {
+  const targets = status.vehicles.map((one) => one.vehicle);
+  const [speed, setSpeed] = useState<number | null>(status.speed ?? 1);
+  const order = (label: string, method: string, params: object = {}): void =>
+    void orderWith(store, connection, { label, method, params, targets }, readMessage);
+  const whom = namesText(targets);
+  return (
+    <>
+      <div class="row wrap">
+        {status.state === "paused" || status.state === "stopped" ? (
+          <HoldButton what={`Resume the plan of ${whom}`} act={() => order("Resume plan", "plan.resume")}>
+            Resume
+          </HoldButton>
+        ) : (
+          <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>
+            Pause
+          </button>
+        )}
+        <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>
+          Land
+        </button>
+        <HoldButton danger what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort")}>
+          Abort
+        </HoldButton>
+      </div>
+      {status.kind === "timed" && (
+        <div class="row">
+          <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
+          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>
+            Change
+          </button>
+        </div>
+      )}
+    </>
+  );
+}
+
+function Before({ store, connection, checked, status }: PanelProps & { checked: CheckedPlan | null; status: PlanStatus | null }) {
+  const [mode, setMode] = useState<Mode>("position");
+  const [speed, setSpeed] = useState<number | null>(1);
+  const [report, setReport] = useState<Report | null>(null);
+  const [busy, setBusy] = useState(false);
+  const [error, setError] = useState<string | null>(null);
+  const text = checked?.text ?? null;
+  useEffect(() => setReport(null), [checked, mode, speed]);
+  const params = { mode, speed: speed ?? 1 };
+  const targets = Object.keys(checked?.goals ?? {});
+  const examine = async (): Promise<void> => {
+    if (text === null || checked === null) return;
+    setBusy(true);
+    setError(null);
+    try {
+      if (text.length > MAX_PLAN_CHARS) throw new Error(`the plan has ${(text.length / 1e6).toFixed(1)} MB; the daemon takes 1 MB in one request`);
+      await ask(store, connection, "plan.load", { plan: JSON.parse(text) as object, name: checked.name });
+      setReport(await ask<Report>(store, connection, "plan.check", params));
+    } catch (failed) {
+      setError(refusalText(failed));
+    }
+    setBusy(false);
+  };
+  const run = async (force: boolean): Promise<void> => {
+    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { ...params, force }, targets };
+    const answer = await orderWith<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: found }) => ({
+      ok: started,
+      outcomes: {},
+      text: started ? null : found.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; "),
+    }));
+    if (answer !== null) setReport(answer.started ? null : answer.report);
+  };
+  if (checked === null) return <p class="note">{status === null || status.state === "none" ? "Open or make a plan to fly it." : ""}</p>;
+  const whom = namesText(targets);
+  const insists = report !== null && !report.ok && report.findings.filter((one) => one.severity === "refused").every((one) => one.insist);
+  return (
+    <>
+      <div class="row wrap">
+        <Choice label="Flown by" value={mode} options={[["position", "position setpoints"], ["velocity", "velocity setpoints"], ["attitude", "attitude setpoints"]]} onValue={setMode} />
+        <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
+      </div>
+      <button type="button" disabled={!checked.ok || busy || text === null} onClick={() => void examine()}>
+        {busy ? "Checking with the fleet …" : "Check with the fleet"}
+      </button>
+      <Failure text={error} />
+      {report !== null && <ReportView report={report} />}
+      {report !== null && report.ok && (
+        <HoldButton what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run(false)}>
+          Fly it
+        </HoldButton>
+      )}
+      {insists && (
+        <HoldButton danger what={`Fly the plan with ${whom} in spite of what is refused`} act={() => void run(true)}>
+          Fly it all the same
+        </HoldButton>
+      )}
+    </>
+  );
+}
+
+const SEVERITIES = ["refused", "warning", "note", "ok"];
+const VERDICTS: Readonly<Record<string, string>> = { refused: "fail", warning: "unknown", note: "skipped", ok: "pass" };
+
+function ReportView({ report }: { report: Report }) {
+  const [all, setAll] = useState(false);
+  const findings = [...report.findings].sort((a, b) => SEVERITIES.indexOf(a.severity) - SEVERITIES.indexOf(b.severity));
+  const shown = all ? findings : findings.filter((one) => one.severity !== "ok");
+  return (
+    <>
+      <p class={report.ok ? "good" : "failure"}>{report.ok ? "The fleet is ready for it." : "It is not flown as it is."}</p>
+      <ul class="findings">
+        {shown.map((one, i) => (
+          <li key={i} data-verdict={VERDICTS[one.severity]}>
+            <span class="verdict">{one.severity}</span> {one.vehicle === null ? "" : `${one.vehicle}: `}
+            {one.text}
+            {one.todo !== "" && <p class="muted">{one.todo}</p>}
+          </li>
+        ))}
+      </ul>
+      {findings.length > shown.length && (
+        <button type="button" class="quiet" onClick={() => setAll(true)}>
+          {findings.length - shown.length} checks passed
+        </button>
+      )}
+      {report.way_there?.closest != null && <p class="muted">On the way to the start: {approachText(report.way_there.closest)}</p>}
+      {report.steps.length > 0 && <p class="muted">Steps: {report.steps.map((step) => step.name).join(", ")}</p>}
+    </>
+  );
+}

@@ -1,0 +1,309 @@
+// Plans for the fleet: files, a formation or goals that are dragged; the certificate; the timeline; the flight.
+
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useStore } from "../hooks.ts";
+import { refusalText } from "../orders.ts";
+import type { State } from "../store.ts";
+import type { Vec3 } from "../types.ts";
+import type { Tool } from "../view/overlays.ts";
+import { goalsTool, overlay } from "./drawing.ts";
+import { formation, SHAPES, type FormationShape } from "./formation.ts";
+import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAsk, type FileContent } from "./parts.tsx";
+import { PlanFlight } from "./plan_flight.tsx";
+import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
+import { PlanTimeline } from "./plan_timeline.ts";
+import type { PanelProps } from "./registry.ts";
+import { Timeline } from "./timeline.tsx";
+
+const OVERLAY = "plan";
+const SHAPE_OVERLAY = "plan draft";
+
+type Source = "files" | "formation" | "goals";
+
+const TABS: readonly { id: Source; title: string }[] = [
+  { id: "files", title: "File" },
+  { id: "formation", title: "Formation" },
+  { id: "goals", title: "Final positions" },
+];
+
+/** It outlives the panel: another tab must not lose a plan. */
+let lastChecked: CheckedPlan | null = null;
+let lastSource: Source = "files";
+
+export default function PlanPanel(props: PanelProps) {
+  const { view } = props;
+  const [source, setSource] = useState<Source>(lastSource);
+  const [checked, setChecked] = useState<CheckedPlan | null>(lastChecked);
+  const timeline = useMemo(() => (checked === null || checked.paths === null ? null : new PlanTimeline(checked.paths)), [checked]);
+  const still = useMemo(() => (checked === null ? [] : planShapes(checked, timeline)), [checked, timeline]);
+  const [t_s, setT] = useState(0);
+  useEffect(() => {
+    view.setOverlay(OVERLAY, overlay(still, timeline === null ? [] : ghostShapes(timeline, t_s)));
+  }, [view, still, timeline, t_s]);
+  useEffect(() => () => {
+    view.setOverlay(OVERLAY, null);
+    view.setOverlay(SHAPE_OVERLAY, null);
+    view.setTool(null);
+  }, [view]);
+  const take = (next: CheckedPlan | null): void => {
+    lastChecked = next;
+    setChecked(next);
+    setT(0);
+  };
+  return (
+    <div class="panel planpanel">
+      <SubTabs label="Where it comes from" tabs={TABS} now={source} go={(id) => { lastSource = id as Source; setSource(lastSource); }} />
+      {source === "files" && <FromFiles {...props} take={take} />}
+      {source === "formation" && <FromFormation {...props} take={take} />}
+      {source === "goals" && <FromGoals {...props} take={take} />}
+      {checked !== null && <Judged checked={checked} discard={() => take(null)} />}
+      {timeline !== null && <Timeline timeline={timeline} phases={checked?.paths?.phases ?? []} downwashRatio={checked?.certificate?.downwash_ratio ?? 2} t_s={t_s} setT={setT} />}
+      <PlanFlight {...props} checked={checked} follow={setT} />
+    </div>
+  );
+}
+
+/** Where the page sees vehicles that take no part. */
+function standingBut(state: State, names: readonly string[]): Record<string, Vec3> {
+  const found: Record<string, Vec3> = {};
+  for (const vehicle of state.vehicles.values()) {
+    const place = vehicle.position?.enu_m;
+    if (place !== null && place !== undefined && !names.includes(vehicle.name)) found[vehicle.name] = place;
+  }
+  return found;
+}
+
+// --- files ------------------------------------------------------------------------------------------------------------
+
+function FromFiles({ store, connection, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const [unread, setUnread] = useState<string | null>(null);
+  const open = async (files: File[]): Promise<void> => {
+    setUnread(null);
+    try {
+      const content: FileContent[] = await Promise.all(files.map(contentOf));
+      const { origin } = store.state;
+      take(await check.run({ files: content, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) }));
+    } catch (error) {
+      setUnread(refusalText(error));
+    }
+  };
+  return (
+    <>
+      <DropZone label="Open a plan" several accept=".json,.skyc,.csv" onFiles={(files) => void open(files)} />
+      <p class="muted">Plans of skygcs (.json), Skybrush shows (.skyc), paths or Crazyswarm trajectories (.csv, one or several).</p>
+      {check.busy && <p class="note">Certifying …</p>}
+      <Failure text={unread ?? check.error} />
+    </>
+  );
+}
+
+// --- planned here -----------------------------------------------------------------------------------------------------
+
+/** Places to start from: above where vehicles are, at least so high. */
+function startsOf(state: State, names: readonly string[], leastM: number): Record<string, Vec3> {
+  const found: Record<string, Vec3> = {};
+  for (const name of names) {
+    const place = state.vehicles.get(name)?.position?.enu_m;
+    if (place !== null && place !== undefined) found[name] = [round(place[0]), round(place[1]), round(Math.max(place[2], leastM))];
+  }
+  return found;
+}
+
+function round(value: number): number {
+  return Math.round(value * 100) / 100;
+}
+
+function useSelected(store: PanelProps["store"]): readonly string[] {
+  const selection = useStore(store, (state) => state.selection);
+  return useMemo(() => [...selection], [selection]);
+}
+
+function FromFormation({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+  const names = useSelected(store);
+  const [shape, setShape] = useState<FormationShape>("v");
+  const [spacing, setSpacing] = useState(8);
+  const [height, setHeight] = useState(20);
+  const [yaw, setYaw] = useState(90);
+  const [middle, setMiddle] = useState<readonly [number, number]>(() => middleOf(store.state, names));
+  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const places = useMemo(
+    () => formation(shape, names.length, spacing, [middle[0], middle[1], height], (yaw * Math.PI) / 180),
+    [shape, names, spacing, middle, height, yaw],
+  );
+  useEffect(() => {
+    view.setOverlay(SHAPE_OVERLAY, overlay(places.map((at) => ({ kind: "mark", at, symbol: "ghost", ink: "draft", yawRad: (yaw * Math.PI) / 180 }))));
+  }, [view, places, yaw]);
+  useEffect(() => {
+    const put = (x: number, y: number): void => setMiddle([Math.round(x * 10) / 10, Math.round(y * 10) / 10]);
+    const tool: Tool = {
+      cursor: "crosshair",
+      hint: "Click: the middle of the formation.",
+      click: (at) => put(at.x, at.y),
+    };
+    view.setTool(tool);
+    return () => {
+      view.setTool(null);
+      view.setOverlay(SHAPE_OVERLAY, null);
+    };
+  }, [view]);
+  const plan = async (): Promise<void> => {
+    const starts = startsOf(store.state, names, height / 2);
+    const task = { starts, formation: { shape, spacing_m: spacing, middle_m: [middle[0], middle[1], height], yaw_deg: yaw } };
+    take(await check.run({ task, standing: standingBut(store.state, names) }));
+  };
+  return (
+    <>
+      <div class="row wrap">
+        <Choice label="Shape" value={shape} options={SHAPES.map((one) => [one, one === "v" ? "V" : one])} onValue={setShape} />
+        <NumberField label="Spacing" unit="m" value={spacing} least={0.5} most={1000} onValue={(value) => value !== null && setSpacing(value)} />
+        <NumberField label="Height" unit="m" value={height} least={1} most={500} onValue={(value) => value !== null && setHeight(value)} />
+        <NumberField label="Looks to" unit="° from x" value={yaw} least={-360} most={360} onValue={(value) => value !== null && setYaw(value)} />
+        <NumberField label="Middle x" unit="m" value={middle[0]} onValue={(value) => value !== null && setMiddle([value, middle[1]])} />
+        <NumberField label="y" unit="m" value={middle[1]} onValue={(value) => value !== null && setMiddle([middle[0], value])} />
+      </div>
+      <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
+    </>
+  );
+}
+
+function middleOf(state: State, names: readonly string[]): readonly [number, number] {
+  const places = Object.values(startsOf(state, names, 0));
+  if (places.length === 0) return [0, 0];
+  const mean = (k: 0 | 1): number => Math.round(places.reduce((sum, place) => sum + place[k], 0) / places.length);
+  return [mean(0), mean(1)];
+}
+
+function FromGoals({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+  const names = useSelected(store);
+  const [height, setHeight] = useState(20);
+  const [exchange, setExchange] = useState(false);
+  const [goals, setGoals] = useState<ReadonlyMap<string, Vec3>>(new Map());
+  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  // who is selected anew begins where it is; who was dragged stays where it was put
+  useEffect(() => {
+    const starts = startsOf(store.state, names, height);
+    setGoals((before) => new Map(names.flatMap((name) => {
+      const place = before.get(name) ?? starts[name];
+      return place === undefined ? [] : [[name, place] as const];
+    })));
+  }, [store, names, height]);
+  const latest = useRef(goals);
+  latest.current = goals;
+  useEffect(() => {
+    const tool = goalsTool(() => latest.current, (name, place) => setGoals((before) => new Map([...before, [name, place]])), "Drag each vehicle's final position.");
+    view.setTool(tool);
+    return () => {
+      view.setTool(null);
+      view.setOverlay(SHAPE_OVERLAY, null);
+    };
+  }, [view]);
+  useEffect(() => {
+    view.setOverlay(SHAPE_OVERLAY, overlay([...goals].map(([name, at]) => ({ kind: "mark", at, symbol: "handle", ink: "draft", text: name }))));
+  }, [view, goals]);
+  const plan = async (): Promise<void> => {
+    const task = { starts: startsOf(store.state, names, height / 2), goals: Object.fromEntries(goals), exchange };
+    take(await check.run({ task, standing: standingBut(store.state, names) }));
+  };
+  return (
+    <>
+      <div class="row wrap">
+        <NumberField label="Height of all" unit="m" value={height} least={1} most={500} onValue={(value) => {
+          if (value === null) return;
+          setHeight(value);
+          setGoals((before) => new Map([...before].map(([name, [x, y]]) => [name, [x, y, value]])));
+        }} />
+        <label class="check">
+          <input type="checkbox" checked={exchange} onChange={(event) => setExchange(event.currentTarget.checked)} /> vehicles may change places
+        </label>
+      </div>
+      {goals.size > 0 && (
+        <table class="plain">
+          <tbody>
+            {[...goals].map(([name, [x, y, up]]) => (
+              <tr key={name}>
+                <td>{name}</td>
+                <td class="number">{x.toFixed(1)}, {y.toFixed(1)}</td>
+                <td>
+                  <NumberField label={`Height of ${name}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && setGoals(new Map([...goals, [name, [x, y, value]]]))} />
+                </td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      )}
+      <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
+    </>
+  );
+}
+
+function PlanButton({ names, busy, plan, error }: { names: readonly string[]; busy: boolean; plan: () => Promise<void>; error: string | null }) {
+  return (
+    <>
+      {names.length === 0 && <p class="note">Select the vehicles that take part.</p>}
+      <button type="button" class="primary" disabled={names.length === 0 || busy} onClick={() => void plan()}>
+        {busy ? "Planning …" : `Plan for ${names.length} ${names.length === 1 ? "vehicle" : "vehicles"}`}
+      </button>
+      <Failure text={error} />
+    </>
+  );
+}
+
+// --- the judgement ----------------------------------------------------------------------------------------------------
+
+function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => void }) {
+  const { certificate } = checked;
+  return (
+    <section class="card" aria-label="Certificate">
+      <header class="row">
+        <h3>{checked.name}</h3>
+        <span class={checked.ok ? "verdict good" : "verdict failure"}>{checked.ok ? "certified" : "refused"}</span>
+        <button type="button" class="quiet" aria-label="Discard the plan" onClick={discard}>
+          ×
+        </button>
+      </header>
+      <p>
+        {checked.format}
+        {certificate !== null && `, ${certificate.vehicles} ${certificate.vehicles === 1 ? "vehicle" : "vehicles"}, ${certificate.kind}`}
+        {checked.paths !== null && `, ${checked.paths.duration_s.toFixed(1)} s`}
+        {checked.attempts.length > 0 && `, ${checked.attempts.at(-1) ?? ""}`}
+      </p>
+      {!checked.ok && (
+        <ul class="findings">
+          {checked.reasons.slice(0, 20).map((reason) => <li key={reason} data-verdict="fail">{reason}</li>)}
+        </ul>
+      )}
+      {certificate?.closest != null && (
+        <>
+          <p>Closest: {approachText(certificate.closest)}</p>
+          <Terms approach={certificate.closest} ratio={certificate.downwash_ratio} />
+        </>
+      )}
+      {checked.paths?.exact === false && <p class="muted">Long: it is drawn by samples; the certificate is exact.</p>}
+    </section>
+  );
+}
+
+function Terms({ approach, ratio }: { approach: Approach; ratio: number }) {
+  return (
+    <Fold title="Terms of the margin">
+      <table class="plain">
+        <thead>
+          <tr>
+            <th>m (heights / {ratio})</th>
+            {approach.vehicles.map((name) => <th key={name} class="number">{name}</th>)}
+          </tr>
+        </thead>
+        <tbody>
+          {termRows(approach).map(([name, one, other]) => (
+            <tr key={name}>
+              <td>{name}</td>
+              <td class="number">{one.toFixed(3)}</td>
+              <td class="number">{other.toFixed(3)}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </Fold>
+  );
+}

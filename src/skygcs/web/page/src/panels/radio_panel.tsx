@@ -1,0 +1,301 @@
+// The radios: how the air is used and planned, what each class and vehicle takes, the radio's own reports over time,
+// and what other programs cost.
+
+import type { ComponentChildren } from "preact";
+import { useEffect, useReducer, useRef } from "preact/hooks";
+import { fixed, percentText } from "../format.ts";
+import { Chart } from "./chart.tsx";
+import { HistoryRing } from "./history_ring.ts";
+import { Failure, usePolled } from "./parts.tsx";
+import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
+import type { PanelProps } from "./registry.ts";
+
+interface RadioVehicle {
+  name: string;
+  sysid: number;
+  weight: number;
+  planned_bytes_per_s: number;
+  measured_bytes_per_s: number | null;
+  loss: number | null;
+  round_trip_s: number | null;
+  settled: boolean;
+  scaled: boolean;
+  streams: Readonly<Record<string, { planned_hz: number; measured_hz: number }>>;
+}
+
+interface ThirdParty {
+  bytes_per_s: number;
+  sources: readonly { source: string; age_s: number; sent: number; sent_bytes: number; counts: Readonly<Record<string, number>> }[];
+}
+
+interface Radio {
+  link: string;
+  peer: string;
+  vehicles: readonly RadioVehicle[];
+  down: { budget_bytes_per_s: number; per_vehicle_bytes_per_s: number; planned_bytes_per_s: number; measured_bytes_per_s: number; factor: number };
+  up: {
+    base_bytes_per_s: number;
+    bytes_per_s: number;
+    paced_by: string;
+    round_s: number | null;
+    radio: RadioReport | null;
+    classes: Readonly<Record<string, ClassCounters>>;
+    third_party: ThirdParty | null;
+  };
+  poor: readonly string[];
+  history: readonly RadioReport[];
+}
+
+interface Link {
+  name: string;
+  type: string;
+  role: string;
+  state: string;
+  last_error: string | null;
+  channels: readonly { peer: string; counters?: Readonly<Record<string, number>> }[];
+}
+
+/** Ten minutes at one report a second. */
+const REPORT_ROWS = 600;
+const MAX_RADIOS = 16;
+
+/** Kept while the page is open: what the radio said an hour ago is not asked for again. */
+const kept = new Map<string, { reports: HistoryRing; classes: ClassRates }>();
+
+function keptOf(link: string): { reports: HistoryRing; classes: ClassRates } {
+  const known = kept.get(link) ?? { reports: new HistoryRing(REPORT_SERIES.length, REPORT_ROWS), classes: new ClassRates() };
+  if (kept.size < MAX_RADIOS) kept.set(link, known);
+  return known;
+}
+
+export default function RadioPanel({ store, connection }: PanelProps) {
+  const radios = usePolled<Radio[]>(store, connection, "link.status", {}, 1000);
+  const links = usePolled<Link[]>(store, connection, "links.list", {}, 2000);
+  return (
+    <div class="panel radiopanel">
+      <Failure text={radios.error} />
+      {radios.answer?.map((radio) => <RadioView key={`${radio.link} ${radio.peer}`} radio={radio} atMs={radios.atMs} />)}
+      {radios.answer?.length === 0 && (
+        <p class="note">No link has airtime to show: give the radio's link role = "radio" in the fleet file. Links that are not radios are below.</p>
+      )}
+      <Links links={links.answer ?? []} />
+      <Failure text={links.error} />
+    </div>
+  );
+}
+
+function RadioView({ radio, atMs }: { radio: Radio; atMs: number }) {
+  const { up, down } = radio;
+  const own = keptOf(`${radio.link} ${radio.peer}`);
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  const taken = useRef(0);
+  useEffect(() => {
+    if (taken.current === atMs) return;
+    taken.current = atMs;
+    const unix_s = Date.now() / 1000;
+    // the first answer brings the last minute with it
+    const rows = own.reports.length === 0 ? radio.history : up.radio === null ? [] : [up.radio];
+    for (const report of rows) own.reports.add(unix_s - report.age_s, reportRow(report));
+    own.classes.take(atMs / 1000, up.classes);
+    redraw(0);
+  }, [own, radio, up, atMs]);
+  return (
+    <section class="radio" aria-label={`Radio ${radio.link}`}>
+      <header class="row wrap">
+        <h2>{radio.link}</h2>
+        <span class="muted">{radio.peer}</span>
+        {up.round_s !== null && <span class="muted">a round takes {fixed(up.round_s, 2)} s</span>}
+        {radio.poor.length > 0 && <span class="failure">degraded: {radio.poor.join(", ")}</span>}
+      </header>
+      <div class="bars">
+        <Bar title="Down: measured" value={down.measured_bytes_per_s} most={down.budget_bytes_per_s} mark={down.planned_bytes_per_s}>
+          {bytes(down.measured_bytes_per_s)} of {bytes(down.budget_bytes_per_s)} available, {bytes(down.planned_bytes_per_s)} planned
+          {down.factor < 1 ? `, cut to ${percentText(down.factor)} after losses` : ""}
+        </Bar>
+        <Bar title="Up: sent" value={own.classes.total} most={up.base_bytes_per_s} mark={up.bytes_per_s}>
+          {own.classes.total === null ? "–" : bytes(own.classes.total)} of {bytes(up.bytes_per_s)} now, {bytes(up.base_bytes_per_s)} at best, paced by its {up.paced_by}
+        </Bar>
+      </div>
+      <div class="columns">
+        <Reports radio={radio} reports={own.reports} />
+        <div>
+          <Classes classes={up.classes} rates={own.classes} />
+          <Others third={up.third_party} />
+        </div>
+      </div>
+      <Vehicles vehicles={radio.vehicles} each={down.per_vehicle_bytes_per_s} />
+    </section>
+  );
+}
+
+function Reports({ radio, reports }: { radio: Radio; reports: HistoryRing }) {
+  if (radio.up.radio === null && reports.length === 0) return <p class="note">The radio reports nothing (RADIO_STATUS): is its MAVLink framing on?</p>;
+  const version = reports.version;
+  return (
+    <div>
+      <Chart title="Free buffer, %" curves={[{ label: "txbuf", colour: 1 }]} columns={() => reports.columns([0])} version={version} range={[0, 100]} />
+      <Chart
+        title="Signal and noise"
+        curves={[
+          { label: "rssi", colour: 3 },
+          { label: "noise", colour: 2 },
+          { label: "remote rssi", colour: 7 },
+          { label: "remote noise", colour: 4 },
+        ]}
+        columns={() => reports.columns([1, 2, 3, 4])}
+        version={version}
+        range={[0, null]}
+      />
+    </div>
+  );
+}
+
+function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: ClassRates }) {
+  const rows = Object.entries(classes).filter(([, one]) => one.waiting + one.sent + one.dropped + one.refused > 0);
+  if (rows.length === 0) return <p class="note">Nothing was sent up yet.</p>;
+  return (
+    <div class="scroll">
+      <table class="plain">
+        <caption>Sent up, by class</caption>
+        <thead>
+          <tr>
+            {["class", "B/s", "sent", "bytes", "waiting", "replaced", "dropped", "refused", "wait p95"].map((title, i) => (
+              <th key={title} class={i > 0 ? "number" : ""}>{title}</th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {rows.map(([name, one]) => (
+            <tr key={name}>
+              <td>{name.replaceAll("_", " ").toLowerCase()}</td>
+              <td class="number">{fixed(rates.of(name), 0) ?? "–"}</td>
+              {[one.sent, one.sent_bytes, one.waiting, one.replaced, one.dropped, one.refused].map((value, i) => <td key={i} class="number">{countText(value)}</td>)}
+              <td class="number">{one.wait_p95_s === null ? "–" : `${fixed(one.wait_p95_s, 2)} s`}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function Others({ third }: { third: ThirdParty | null }) {
+  if (third === null || third.sources.length === 0) return <p class="note">No other program sends through this radio.</p>;
+  return (
+    <div class="scroll">
+      <table class="plain">
+        <caption>Other programs: together at most {bytes(third.bytes_per_s)}</caption>
+        <thead>
+          <tr>
+            <th>from</th>
+            <th class="number">sent</th>
+            <th class="number">bytes</th>
+            <th>held back</th>
+          </tr>
+        </thead>
+        <tbody>
+          {third.sources.map((one) => (
+            <tr key={one.source} class={one.age_s > 5 ? "lost" : ""}>
+              <td>{one.source}</td>
+              <td class="number">{countText(one.sent)}</td>
+              <td class="number">{countText(one.sent_bytes)}</td>
+              <td>{Object.entries(one.counts).map(([what, count]) => `${what.replaceAll("_", " ")} ${countText(count)}`).join(", ") || "nothing"}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function Vehicles({ vehicles, each }: { vehicles: readonly RadioVehicle[]; each: number }) {
+  return (
+    <div class="scroll">
+      <table class="plain">
+        <caption>Vehicles: a timeslot carries {bytes(each)}</caption>
+        <thead>
+          <tr>
+            {["vehicle", "used", "B/s", "planned", "position Hz", "loss", "round trip", ""].map((title, i) => (
+              <th key={title} class={i > 1 && i < 7 ? "number" : ""}>{title}</th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {[...vehicles].sort((a, b) => a.sysid - b.sysid).map((one) => {
+            const position = one.streams["GLOBAL_POSITION_INT"];
+            return (
+              <tr key={one.name}>
+                <td>{one.name}</td>
+                <td class="barcell"><Meter value={one.measured_bytes_per_s} most={each} mark={one.planned_bytes_per_s} /></td>
+                <td class="number">{fixed(one.measured_bytes_per_s, 0) ?? "–"}</td>
+                <td class="number">{fixed(one.planned_bytes_per_s, 0)}</td>
+                <td class="number">{position === undefined ? "–" : `${fixed(position.measured_hz, 1)} of ${fixed(position.planned_hz, 1)}`}</td>
+                <td class="number">{percentText(one.loss) ?? "–"}</td>
+                <td class="number">{one.round_trip_s === null ? "–" : `${fixed(one.round_trip_s, 2)} s`}</td>
+                <td class="muted">{remarks(one)}</td>
+              </tr>
+            );
+          })}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function remarks(one: RadioVehicle): string {
+  const words = [one.settled ? "" : "being set up", one.scaled ? "less than requested" : "", one.weight >= 4 ? "flown" : one.weight >= 2 ? "selected" : ""];
+  return words.filter(Boolean).join(", ");
+}
+
+function Links({ links }: { links: readonly Link[] }) {
+  return (
+    <div class="scroll">
+      <table class="plain">
+        <caption>Links</caption>
+        <thead>
+          <tr>
+            {["link", "type", "state", "peer", "received", "sent", "dropped", "bad CRC"].map((title, i) => <th key={title} class={i > 3 ? "number" : ""}>{title}</th>)}
+          </tr>
+        </thead>
+        <tbody>
+          {links.flatMap((link) =>
+            (link.channels.length === 0 ? [null] : link.channels.slice(0, 8)).map((channel, i) => (
+              <tr key={`${link.name} ${i}`} class={link.state === "up" ? "" : "lost"}>
+                <td>{i === 0 ? link.name : ""}</td>
+                <td>{i === 0 ? link.type.replaceAll("_", " ") : ""}</td>
+                <td>{i === 0 ? (link.state === "up" ? "up" : `${link.state}${link.last_error === null ? "" : `: ${link.last_error}`}`) : ""}</td>
+                <td>{channel?.peer ?? ""}</td>
+                {["rx_frames", "tx_frames", "tx_dropped", "bad_crc"].map((key) => <td key={key} class="number">{countText(channel?.counters?.[key])}</td>)}
+              </tr>
+            )),
+          )}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function bytes(value: number): string {
+  return `${countText(Math.round(value))} B/s`;
+}
+
+function Bar({ title, value, most, mark, children }: { title: string; value: number | null; most: number; mark: number; children: ComponentChildren }) {
+  return (
+    <div class="bar">
+      <span>{title}</span>
+      <Meter value={value} most={most} mark={mark} />
+      <span class="muted">{children}</span>
+    </div>
+  );
+}
+
+/** How much of a budget is used; a line where it is planned to be. */
+function Meter({ value, most, mark }: { value: number | null; most: number; mark: number }) {
+  const share = (of: number | null): number => (of === null || most <= 0 ? 0 : Math.min(Math.max(of / most, 0), 1) * 100);
+  return (
+    <span class="meter" role="meter" aria-valuemin={0} aria-valuemax={100} aria-valuenow={Math.round(share(value))} data-full={share(value) > 90}>
+      <i style={{ width: `${share(value)}%` }} />
+      <em style={{ left: `${share(mark)}%` }} />
+    </span>
+  );
+}

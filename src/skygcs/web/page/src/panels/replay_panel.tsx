@@ -1,0 +1,108 @@
+// A recording: play, speed, and a bar to scrub. It stands below the top bar, so that nobody takes it for the present.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { useTick } from "../hooks.ts";
+import { refusalText } from "../orders.ts";
+import { clockText, placeAt, type ReplayInfo } from "./replay_time.ts";
+import { Failure } from "./parts.tsx";
+import type { PanelProps } from "./registry.ts";
+
+const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
+/** A bar that is dragged asks for so many places a second at most: each is a whole fleet. */
+const SEEK_EVERY_MS = 150;
+const STEP_S = 10;
+
+export default function ReplayPanel({ store, connection }: PanelProps) {
+  const [info, setInfo] = useState<{ info: ReplayInfo; atMs: number } | null>(null);
+  const [error, setError] = useState<string | null>(null);
+  const [dragged, setDragged] = useState<number | null>(null);
+  const nowMs = useTick(100);
+  const take = (next: ReplayInfo): void => setInfo({ info: next, atMs: performance.now() });
+  const order = (method: string, params: object = {}): void => {
+    connection.call<ReplayInfo>(method, params).then(
+      (next) => {
+        take(next);
+        setError(null);
+      },
+      (failed: unknown) => setError(refusalText(failed)),
+    );
+  };
+  useEffect(() => {
+    const ask = (): void => {
+      connection.call<ReplayInfo>("replay.info").then(take, (failed: unknown) => setError(refusalText(failed)));
+    };
+    ask();
+    const undo = [connection.on<ReplayInfo>("replay.position", take), connection.onPhase((phase) => phase.kind === "open" && ask())];
+    return () => undo.forEach((each) => each());
+  }, [connection]);
+  const seek = useSeek((position_s) => order("replay.seek", { position_s }));
+  if (info === null) return <p class="replay">Replay: opening the recording … <Failure text={error} /></p>;
+  const now = info.info;
+  const position_s = dragged ?? placeAt(now, info.atMs, nowMs);
+  const may = store.state.hello?.role === "command";
+  const at = new Date((now.start_unix_s + position_s) * 1000);
+  return (
+    <div class="replay" role="group" aria-label="Replay">
+      <b class="replaymark">Replay</b>
+      <span class="file" title={now.file}>{now.file.split("/").at(-1)}</span>
+      <button type="button" class="primary" disabled={!may} aria-label={now.playing ? "Pause" : "Play"} onClick={() => order(now.playing ? "replay.pause" : "replay.play")}>
+        {now.playing ? "Pause" : now.ended ? "Play again" : "Play"}
+      </button>
+      <select
+        aria-label="Speed"
+        disabled={!may}
+        value={String(now.speed)}
+        onChange={(event) => order("replay.speed", { speed: Number(event.currentTarget.value) })}
+      >
+        {[...new Set([...SPEEDS, now.speed])].sort((a, b) => a - b).map((speed) => <option key={speed} value={String(speed)}>{speed}×</option>)}
+      </select>
+      <span class="clock">{clockText(position_s)}</span>
+      <input
+        type="range"
+        aria-label="Place in the recording"
+        aria-valuetext={clockText(position_s)}
+        min={0}
+        max={Math.max(now.duration_s, 0.1)}
+        step={0.1}
+        disabled={!may}
+        value={position_s}
+        onInput={(event) => {
+          const wanted = event.currentTarget.valueAsNumber;
+          setDragged(wanted);
+          seek(wanted);
+        }}
+        onChange={() => setDragged(null)}
+        onKeyDown={(event) => {
+          // a tenth of a second is too small a step for a recording of an hour
+          const step = event.key === "PageUp" ? STEP_S : event.key === "PageDown" ? -STEP_S : 0;
+          if (step === 0) return;
+          event.preventDefault();
+          seek(Math.min(Math.max(position_s + step, 0), now.duration_s));
+        }}
+      />
+      <span class="clock muted">{clockText(now.duration_s)}{now.scanned === false ? " so far" : ""}</span>
+      <span class="muted date">{at.toLocaleString([], { hour12: false })}</span>
+      <Failure text={error} />
+    </div>
+  );
+}
+
+/** The newest place that was wanted, not every one on the way. */
+function useSeek(send: (position_s: number) => void): (position_s: number) => void {
+  const wanted = useRef<number | null>(null);
+  const timer = useRef<ReturnType<typeof setTimeout> | null>(null);
+  const latest = useRef(send);
+  latest.current = send;
+  useEffect(() => () => {
+    if (timer.current !== null) clearTimeout(timer.current);
+  }, []);
+  return (position_s) => {
+    wanted.current = position_s;
+    if (timer.current !== null) return;
+    timer.current = setTimeout(() => {
+      timer.current = null;
+      if (wanted.current !== null) latest.current(wanted.current);
+      wanted.current = null;
+    }, SEEK_EVERY_MS);
+  };
+}

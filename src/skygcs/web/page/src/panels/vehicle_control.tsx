@@ -1,0 +1,215 @@
+// Flight by setpoints of one vehicle: who flies it and why, the error as it is now, and the gains.
+
+import { useEffect, useState } from "preact/hooks";
+import { fixed } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore, useTick } from "../hooks.ts";
+import { sendOrder } from "../orders.ts";
+import { ask, mayOrder, orderWith } from "./calls.ts";
+import { Chart } from "./chart.tsx";
+import { histories } from "./histories.ts";
+import { Failure, NumberField } from "./parts.tsx";
+import { refusalText } from "../orders.ts";
+import type { VehicleProps } from "./vehicle_panel.tsx";
+import type { Outcome } from "../types.ts";
+
+const MODES = [
+  ["position", "Position"],
+  ["velocity", "Velocity"],
+  ["attitude", "Attitude"],
+] as const;
+
+export function VehicleControl(props: VehicleProps) {
+  const { store, connection, name } = props;
+  useTick(200);
+  const orders = useStore(store, mayOrder);
+  const control = store.state.vehicles.get(name)?.control ?? null;
+  const errors = histories.errorOf(name);
+  const order = (mode: string): void =>
+    void sendOrder(store, connection, { label: mode === "off" ? "Setpoints off" : `Fly by ${mode} setpoints`, method: "control.set", params: { mode }, targets: [name] });
+  return (
+    <>
+      <p>
+        {control === null || control.state === "off"
+          ? "Its autopilot flies it: skygcs sends no setpoints."
+          : `Setpoints: ${control.state}${control.control_mode === null ? "" : `, by ${control.control_mode}`}`}
+      </p>
+      {(control?.reasons ?? []).map((reason) => <p key={reason} class="failure">{reason}</p>)}
+      {orders && (
+        <div class="row">
+          {MODES.map(([mode, title]) => (
+            <HoldButton key={mode} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>
+              {title}
+            </HoldButton>
+          ))}
+          <button type="button" disabled={control === null || control.state === "off"} onClick={() => order("off")}>
+            Off
+          </button>
+        </div>
+      )}
+      <Chart
+        title="Error, m"
+        curves={[
+          { label: "distance", colour: 2 },
+          { label: "x", colour: 1 },
+          { label: "y", colour: 3 },
+          { label: "up", colour: 5 },
+        ]}
+        columns={() => errors.columns()}
+        version={errors.version}
+        heightPx={160}
+      />
+      {control !== null && control.state !== "off" && <Figures control={control} />}
+      <Gains {...props} enabled={orders} />
+    </>
+  );
+}
+
+function Figures({ control }: { control: Readonly<Record<string, unknown>> }) {
+  const rows: readonly (readonly [string, string])[] = [
+    ["error", metres(control["error_m"])],
+    ["reference", vector((control["reference"] as { pos_enu_m?: unknown } | null)?.pos_enu_m)],
+    ["age of the state", seconds(control["state_age_s"])],
+    ["delay, p95", seconds(control["delay_p95_s"])],
+    ["round trip, p95", seconds(control["rtt_s"])],
+    ["rate", `${number(control["rate_hz"], 1)} Hz`],
+    ["late ticks", `${number(control["late"], 0)} of ${number(control["ticks"], 0)}`],
+    ["lateness, p99", seconds(control["lateness_p99_s"])],
+    ["thrust", number(control["thrust"], 3)],
+    ["roll, pitch", `${number(control["roll_deg"], 1)}°, ${number(control["pitch_deg"], 1)}°`],
+    ["at its limits", list(control["saturation"])],
+  ];
+  return (
+    <dl class="fields">
+      {rows.map(([label, text]) => (
+        <div key={label}>
+          <dt>{label}</dt>
+          <dd>{text}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}
+
+function number(value: unknown, digits: number): string {
+  return typeof value === "number" ? (fixed(value, digits) ?? "–") : "–";
+}
+
+function metres(value: unknown): string {
+  return typeof value === "number" ? `${number(value, 2)} m` : "–";
+}
+
+function seconds(value: unknown): string {
+  return typeof value === "number" ? `${number(value, 3)} s` : "–";
+}
+
+function vector(value: unknown): string {
+  return Array.isArray(value) ? `${value.map((one) => number(one, 1)).join(", ")} m` : "–";
+}
+
+function list(value: unknown): string {
+  return Array.isArray(value) && value.length > 0 ? value.join(", ") : "none";
+}
+
+// --- gains ------------------------------------------------------------------------------------------------------------
+
+type AxisGains = Readonly<Record<string, number>>;
+
+interface GainsOf {
+  xy: AxisGains;
+  z: AxisGains;
+  hover_thrust: number;
+  limits: Readonly<Record<string, number>>;
+}
+
+interface GainsAnswer {
+  outcomes: Readonly<Record<string, Outcome>>;
+  gains: Readonly<Record<string, GainsOf>>;
+}
+
+const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "position P", vel_p: "velocity P", vel_i: "velocity I", vel_d: "velocity D" };
+
+function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: boolean }) {
+  const [gains, setGains] = useState<GainsOf | null>(null);
+  const [error, setError] = useState<string | null>(null);
+  const [changes, setChanges] = useState<Readonly<Record<string, number | null>>>({});
+  useEffect(() => {
+    if (!enabled) return undefined;
+    let here = true;
+    ask<GainsAnswer>(store, connection, "control.gains", { targets: [name] }).then(
+      (answer) => here && setGains(answer.gains[name] ?? null),
+      (failed: unknown) => here && setError(refusalText(failed)),
+    );
+    return () => {
+      here = false;
+    };
+  }, [store, connection, name, enabled]);
+  if (gains === null) return <Failure text={error} />;
+  const changed = Object.entries(changes).filter(([key, value]) => value !== null && value !== valueAt(gains, key));
+  const invalid = Object.values(changes).includes(null);
+  const apply = async (): Promise<void> => {
+    const request = { label: `Set ${changed.length} gains`, method: "control.gains", params: { targets: [name], ...nested(changed) }, targets: [name] };
+    const answer = await orderWith<GainsAnswer>(store, connection, request, ({ outcomes }) => ({
+      ok: Object.values(outcomes).every((one) => one.ok),
+      outcomes,
+      text: null,
+    }));
+    if (answer === null) return;
+    setGains(answer.gains[name] ?? null);
+    setChanges({});
+  };
+  return (
+    <section aria-label="Gains">
+      <h3>Gains of attitude control</h3>
+      <div class="gains">
+        {(["xy", "z"] as const).map((axis) => (
+          <fieldset key={axis} class="card">
+            <legend>{axis === "xy" ? "horizontal" : "vertical"}</legend>
+            {Object.entries(gains[axis]).map(([key, value]) => (
+              <NumberField
+                key={key}
+                label={GAIN_WORDS[key] ?? key}
+                value={changes[`${axis}.${key}`] ?? value}
+                least={0}
+                most={100}
+                onValue={(typed) => setChanges((before) => ({ ...before, [`${axis}.${key}`]: typed }))}
+              />
+            ))}
+          </fieldset>
+        ))}
+      </div>
+      <NumberField
+        label="hover thrust"
+        value={changes["hover_thrust"] ?? gains.hover_thrust}
+        least={0}
+        most={1}
+        onValue={(typed) => setChanges((before) => ({ ...before, hover_thrust: typed }))}
+      />
+      <div class="row">
+        <HoldButton what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0 || invalid} act={() => void apply()}>
+          Set gains
+        </HoldButton>
+        <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>
+          Discard
+        </button>
+      </div>
+    </section>
+  );
+}
+
+function valueAt(gains: GainsOf, key: string): number | undefined {
+  const [axis, gain] = key.split(".");
+  if (axis === "xy" || axis === "z") return gains[axis][gain ?? ""];
+  return gains.hover_thrust;
+}
+
+/** {"xy.vel_p": 1} as {xy: {vel_p: 1}}. */
+function nested(changes: readonly (readonly [string, number | null])[]): object {
+  const found: Record<string, unknown> = {};
+  for (const [key, value] of changes) {
+    const [axis = "", gain] = key.split(".");
+    if (gain === undefined) found[axis] = value;
+    else found[axis] = { ...(found[axis] as object | undefined), [gain]: value };
+  }
+  return found;
+}

@@ -1,0 +1,343 @@
+// Parameters of one vehicle: search, edits that wait, a file to compare with. Nothing is set before a person says so,
+// and a list that is on its way blocks nothing.
+
+import { useRef, useState } from "preact/hooks";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { refusalText } from "../orders.ts";
+import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
+import { contentOf, DropZone, Failure, keepFile, useAsk, usePolled } from "./parts.tsx";
+import { matches, parseValue, rangeText, sameValue, valueText, type ParamEntry } from "./param_values.ts";
+import { paramBooks, type ParamBook } from "./param_books.ts";
+import type { VehicleProps } from "./vehicle_panel.tsx";
+
+const SHOWN = 150;
+
+interface ParamList {
+  lists: Readonly<Record<string, { ok: boolean; message: string; params: readonly ParamEntry[] | null; compid: number; sysid: number; autopilot: string }>>;
+}
+
+interface ParamStatus {
+  known: number;
+  complete: boolean;
+  loading: { received: number; count: number | null; percent: number | null; remaining_s: number | null } | null;
+}
+
+interface SetAnswer {
+  outcomes: Readonly<Record<string, Readonly<Record<string, { ok: boolean; result: string; message: string; value: number | null }>>>>;
+}
+
+export interface ParamsDifference {
+  name: string;
+  entries: number;
+  same: number;
+  changes: readonly { name: string; value: number; before: number | null; sort: string }[];
+  skipped: readonly (readonly [string, string])[];
+  unknown: readonly string[];
+  problems: readonly string[];
+  warnings: readonly string[];
+}
+
+export function VehicleParams(props: VehicleProps) {
+  const { store, connection, name } = props;
+  const orders = useStore(store, mayOrder);
+  const [book, setBook] = useState<ParamBook>(() => paramBooks.of(name));
+  const [search, setSearch] = useState("");
+  const [onlyChanged, setOnlyChanged] = useState(false);
+  const keep = (change: (book: ParamBook) => ParamBook): void => setBook(paramBooks.change(name, change));
+  const list = useReading(props, keep);
+  const { answer: status } = usePolled<Record<string, ParamStatus>>(store, connection, "params.status", { targets: [name] }, list.busy ? 500 : 5000);
+  const loading = status?.[name]?.loading ?? null;
+  const shown = book.params.filter((one) => matches(one.name, search) && (!onlyChanged || book.edits.has(one.name) || book.setHere.has(one.name)));
+  return (
+    <>
+      <div class="row">
+        <button type="button" class={book.params.length === 0 ? "primary" : ""} disabled={!orders || list.busy} onClick={() => void list.read()}>
+          {list.busy ? "Reading …" : book.params.length === 0 ? "Read all" : "Read again"}
+        </button>
+        {list.busy && (
+          <button type="button" onClick={() => void list.cancel()}>
+            Cancel
+          </button>
+        )}
+        {book.params.length > 0 && (
+          <button type="button" onClick={() => keepFile(`${name}.param`, book.params.map((one) => `${one.name},${valueText(one.value)}\n`).join(""))}>
+            Save to file
+          </button>
+        )}
+        <span class="muted">{progressText(loading, book.params.length)}</span>
+      </div>
+      {loading !== null && <progress max={100} value={loading.percent ?? 0} aria-label="Parameters read" />}
+      <Failure text={list.error} />
+      {!orders && book.params.length === 0 && <p class="note">This address may only look, and parameters are asked for over the radio.</p>}
+      {book.params.length > 0 && (
+        <>
+          <div class="row">
+            <input type="search" placeholder="Search: words, or MPC_*" aria-label="Search parameters" value={search} onInput={(event) => setSearch(event.currentTarget.value)} />
+            <label class="check">
+              <input type="checkbox" checked={onlyChanged} onChange={(event) => setOnlyChanged(event.currentTarget.checked)} /> changed
+            </label>
+          </div>
+          <Edits {...props} book={book} keep={keep} enabled={orders} />
+          <FileDifference {...props} book={book} keep={keep} />
+          <ParamTable book={book} rows={shown} keep={keep} enabled={orders} />
+        </>
+      )}
+    </>
+  );
+}
+
+function progressText(loading: ParamStatus["loading"], known: number): string {
+  if (loading === null) return known === 0 ? "" : `${known} parameters`;
+  const rest = loading.remaining_s === null ? "" : `, ${Math.ceil(loading.remaining_s)} s more`;
+  return `${loading.received} of ${loading.count ?? "?"}${rest}`;
+}
+
+function useReading({ store, connection, name }: VehicleProps, keep: (change: (book: ParamBook) => ParamBook) => void): {
+  busy: boolean;
+  error: string | null;
+  read: () => Promise<void>;
+  cancel: () => Promise<void>;
+} {
+  const [busy, setBusy] = useState(false);
+  const [error, setError] = useState<string | null>(null);
+  const read = async (): Promise<void> => {
+    setBusy(true);
+    setError(null);
+    try {
+      // the list comes when it is whole: minutes over a slow radio
+      const found = (await ask<ParamList>(store, connection, "params.list", { targets: [name] })).lists[name];
+      if (found === undefined || !found.ok) setError(found?.message ?? "no answer for this vehicle");
+      if (found !== undefined && found.params !== null && found.params.length > 0) {
+        const { params, sysid, compid, autopilot } = found;
+        keep((book) => ({ ...book, params: [...params].sort((a, b) => a.name.localeCompare(b.name)), sysid, compid, autopilot }));
+      }
+    } catch (failed) {
+      setError(refusalText(failed));
+    }
+    setBusy(false);
+  };
+  const cancel = async (): Promise<void> => {
+    try {
+      await ask(store, connection, "params.cancel", { targets: [name] });
+    } catch (failed) {
+      setError(refusalText(failed));
+    }
+  };
+  return { busy, error, read, cancel };
+}
+
+// --- edits ------------------------------------------------------------------------------------------------------------
+
+function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & { book: ParamBook; keep: (change: (book: ParamBook) => ParamBook) => void; enabled: boolean }) {
+  const [busy, setBusy] = useState(false);
+  if (book.edits.size === 0) return null;
+  const apply = async (): Promise<void> => {
+    setBusy(true);
+    const params = Object.fromEntries(book.edits);
+    const label = book.edits.size === 1 ? `Set ${[...book.edits.keys()].join()}` : `Set ${book.edits.size} parameters`;
+    const request = { label, method: "params.set", params: { targets: [name], params }, targets: [name] };
+    const answer = await orderWith<SetAnswer>(store, connection, request, readSet(name));
+    const outcomes = answer?.outcomes[name];
+    if (outcomes !== undefined) keep((before) => afterSet(before, outcomes));
+    setBusy(false);
+  };
+  return (
+    <section class="card edits" aria-label="Changes that wait">
+      <ul>
+        {[...book.edits].map(([param, value]) => (
+          <li key={param}>
+            <code>{param}</code> {valueText(book.params.find((one) => one.name === param)?.value ?? null)} → <b>{valueText(value)}</b>
+            <button
+              type="button"
+              class="quiet"
+              aria-label={`Leave ${param} as it is`}
+              onClick={() => keep((before) => ({ ...before, edits: new Map([...before.edits].filter(([one]) => one !== param)) }))}
+            >
+              ×
+            </button>
+          </li>
+        ))}
+      </ul>
+      <div class="row">
+        <HoldButton what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
+          {busy ? "Setting …" : `Set ${book.edits.size}`}
+        </HoldButton>
+        <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>
+          Discard
+        </button>
+      </div>
+    </section>
+  );
+}
+
+function readSet(name: string): Reader<SetAnswer> {
+  return (answer) => {
+    const of = answer.outcomes[name] ?? {};
+    const outcomes = Object.fromEntries(Object.entries(of).map(([param, { ok, result, message }]) => [param, { ok, result, message }]));
+    return { ok: Object.values(of).every((one) => one.ok), outcomes, text: null };
+  };
+}
+
+/** What the vehicle now reports takes the place of what was known; what it took is no edit any more. */
+function afterSet(book: ParamBook, outcomes: SetAnswer["outcomes"][string]): ParamBook {
+  const edits = new Map([...book.edits].filter(([param]) => outcomes[param]?.ok !== true));
+  const setHere = new Set([...book.setHere, ...Object.keys(outcomes).filter((param) => outcomes[param]?.ok === true)]);
+  const params = book.params.map((one) => ({ ...one, value: outcomes[one.name]?.value ?? one.value }));
+  return { ...book, edits, setHere, params };
+}
+
+function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: readonly ParamEntry[]; keep: (change: (book: ParamBook) => ParamBook) => void; enabled: boolean }) {
+  const [most, setMost] = useState(SHOWN);
+  const edit = (param: ParamEntry, value: number | null): void =>
+    keep((before) => {
+      const edits = new Map(before.edits);
+      if (value === null || sameValue(value, param.value)) edits.delete(param.name);
+      else edits.set(param.name, value);
+      return { ...before, edits };
+    });
+  return (
+    <>
+      <table class="plain params">
+        <thead>
+          <tr>
+            <th>parameter</th>
+            <th class="number">value</th>
+            <th>type</th>
+          </tr>
+        </thead>
+        <tbody>
+          {rows.slice(0, most).map((one) => (
+            <tr key={one.name} data-changed={book.edits.has(one.name) ? "waits" : book.setHere.has(one.name) ? "set" : undefined}>
+              <td>
+                <code>{one.name}</code>
+              </td>
+              <td class="number">
+                {enabled ? <ValueField param={one} edited={book.edits.get(one.name)} edit={edit} /> : valueText(one.value)}
+              </td>
+              <td class="muted">{one.type.toLowerCase()}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+      {rows.length === 0 && <p class="note">No parameter of that name.</p>}
+      {rows.length > most && (
+        <button type="button" onClick={() => setMost(most + SHOWN)}>
+          {rows.length - most} more
+        </button>
+      )}
+    </>
+  );
+}
+
+function ValueField({ param, edited, edit }: { param: ParamEntry; edited: number | undefined; edit: (param: ParamEntry, value: number | null) => void }) {
+  const [typed, setTyped] = useState<string | null>(null);
+  const [problem, setProblem] = useState<string | null>(null);
+  const take = (text: string): void => {
+    const parsed = parseValue(text, param.type);
+    setProblem(parsed.ok ? null : parsed.problem);
+    if (!parsed.ok) return;
+    setTyped(null);
+    edit(param, parsed.value);
+  };
+  return (
+    <>
+      <input
+        class="value"
+        aria-label={`${param.name}: ${rangeText(param.type)}`}
+        aria-invalid={problem !== null}
+        title={rangeText(param.type)}
+        inputMode="decimal"
+        value={typed ?? valueText(edited ?? param.value)}
+        onInput={(event) => setTyped(event.currentTarget.value)}
+        onKeyDown={(event) => {
+          if (event.key === "Enter") take(event.currentTarget.value);
+          if (event.key === "Escape") {
+            setTyped(null);
+            setProblem(null);
+          }
+        }}
+        onBlur={(event) => {
+          if (typed !== null) take(event.currentTarget.value);
+        }}
+      />
+      {problem !== null && <small class="failure">{problem}</small>}
+    </>
+  );
+}
+
+// --- a file -----------------------------------------------------------------------------------------------------------
+
+function FileDifference({ store, connection, book, keep }: VehicleProps & { book: ParamBook; keep: (change: (book: ParamBook) => ParamBook) => void }) {
+  const check = useAsk<ParamsDifference>(store, connection, "web.params.check");
+  const [unread, setUnread] = useState<string | null>(null);
+  const latest = useRef(book);
+  latest.current = book;
+  const compare = async (files: File[]): Promise<void> => {
+    const [file] = files;
+    if (file === undefined) return;
+    try {
+      const { params, sysid, compid, autopilot } = latest.current;
+      setUnread(null);
+      await check.run({ file: await contentOf(file), params, sysid, compid, autopilot });
+    } catch (error) {
+      setUnread(refusalText(error));
+    }
+  };
+  const found = check.answer;
+  return (
+    <>
+      <DropZone label="Compare with a file" accept=".params,.param,.parm,.txt" onFiles={(files) => void compare(files)} />
+      <Failure text={unread ?? check.error} />
+      {found !== null && (
+        <section class="card" aria-label={`Compared with ${found.name}`}>
+          <header class="row">
+            <h3>{found.name}</h3>
+            <span class="muted">
+              {found.changes.length} of {found.entries} differ, {found.same} are the same
+            </span>
+            <button type="button" class="quiet" aria-label="Close" onClick={check.clear}>
+              ×
+            </button>
+          </header>
+          {[...found.warnings, ...found.problems].map((text) => <p key={text} class="failure">{text}</p>)}
+          {found.unknown.length > 0 && <p class="muted">{found.unknown.length} that the vehicle does not have: {found.unknown.slice(0, 8).join(", ")}</p>}
+          {found.skipped.length > 0 && <p class="muted">{found.skipped.length} that belong to one vehicle are left out: calibration, statistics, identity</p>}
+          <table class="plain">
+            <thead>
+              <tr>
+                <th>parameter</th>
+                <th class="number">vehicle</th>
+                <th class="number">file</th>
+              </tr>
+            </thead>
+            <tbody>
+              {found.changes.map((change) => (
+                <tr key={change.name}>
+                  <td>
+                    <code>{change.name}</code>
+                  </td>
+                  <td class="number">{valueText(change.before)}</td>
+                  <td class="number">
+                    <b>{valueText(change.value)}</b>
+                  </td>
+                </tr>
+              ))}
+            </tbody>
+          </table>
+          {found.changes.length > 0 && (
+            <button
+              type="button"
+              onClick={() => {
+                keep((before) => ({ ...before, edits: new Map([...before.edits, ...found.changes.map((change) => [change.name, change.value] as const)]) }));
+                check.clear();
+              }}
+            >
+              Take over {found.changes.length} values
+            </button>
+          )}
+        </section>
+      )}
+    </>
+  );
+}

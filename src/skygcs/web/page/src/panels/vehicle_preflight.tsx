@@ -1,0 +1,137 @@
+// Preflight of one vehicle: what was found, and the parameters that would mend it, set only as a person chose them.
+
+import { useState } from "preact/hooks";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { mayOrder, orderWith } from "./calls.ts";
+import { Failure, useAsk, usePolled } from "./parts.tsx";
+import { valueText } from "./param_values.ts";
+import type { VehicleProps } from "./vehicle_panel.tsx";
+
+interface Fix {
+  name: string;
+  before: number;
+  value: number;
+}
+
+interface Finding {
+  check: string;
+  verdict: "pass" | "fail" | "unknown" | "skipped";
+  severity: string;
+  text: string;
+  todo: string;
+  fixes: readonly Fix[];
+}
+
+interface Report {
+  ok: boolean;
+  summary: string;
+  findings: readonly Finding[];
+  fixes: readonly Fix[];
+  fixed: Readonly<Record<string, { ok: boolean; message: string }>>;
+  unfixed: string;
+}
+
+interface PreflightAnswer {
+  ok: boolean;
+  vehicles: Readonly<Record<string, Report>>;
+}
+
+interface PreflightStatus {
+  state: string;
+  required: boolean;
+  age_s: number | null;
+  valid_s: number | null;
+  refusal: string | null;
+  report: Report | null;
+}
+
+const ORDER = ["fail", "unknown", "pass", "skipped"];
+
+export function VehiclePreflight({ store, connection, name }: VehicleProps) {
+  const orders = useStore(store, mayOrder);
+  const status = usePolled<Record<string, PreflightStatus>>(store, connection, "preflight.status", { targets: [name] }, 3000);
+  const run = useAsk<PreflightAnswer>(store, connection, "preflight.run");
+  const [left, setLeft] = useState<ReadonlySet<string>>(new Set());
+  const here = status.answer?.[name] ?? null;
+  const report = run.answer?.vehicles[name] ?? here?.report ?? null;
+  const chosen = (report?.fixes ?? []).filter((fix) => !left.has(fix.name));
+  const fix = async (): Promise<void> => {
+    const confirmed = { [name]: Object.fromEntries(chosen.map((one) => [one.name, one.value])) };
+    await orderWith<PreflightAnswer>(
+      store,
+      connection,
+      { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] },
+      (answer) => readFixed(answer.vehicles[name]),
+    );
+    run.clear();
+    status.again();
+  };
+  return (
+    <>
+      <div class="row">
+        <p>
+          {here === null ? "" : here.state === "never" ? "Not examined since it started." : `Preflight ${here.state}.`}
+          {here?.required === true ? " A pass is required to arm." : ""}
+        </p>
+        <button type="button" class="primary" disabled={!orders || run.busy} onClick={() => void run.run({ targets: [name] })}>
+          {run.busy ? "Examining …" : "Examine"}
+        </button>
+      </div>
+      <Failure text={run.error ?? status.error} />
+      {report !== null && (
+        <>
+          <p class={report.ok ? "good" : "failure"}>{report.summary}</p>
+          {report.unfixed !== "" && <p class="failure">{report.unfixed}</p>}
+          <Fixes fixes={report.fixes} left={left} setLeft={setLeft} />
+          {chosen.length > 0 && orders && (
+            <HoldButton what={`Set ${chosen.length} parameters of ${name}`} act={() => void fix()}>
+              Set {chosen.length} {chosen.length === 1 ? "parameter" : "parameters"}
+            </HoldButton>
+          )}
+          <ul class="findings">
+            {[...report.findings].sort((a, b) => ORDER.indexOf(a.verdict) - ORDER.indexOf(b.verdict)).map((one) => (
+              <li key={one.check} data-verdict={one.verdict} data-severity={one.severity}>
+                <b>{one.check}</b> <span class="verdict">{one.verdict}</span>
+                <p>{one.text}</p>
+                {one.todo !== "" && one.verdict !== "pass" && <p class="muted">{one.todo}</p>}
+              </li>
+            ))}
+          </ul>
+        </>
+      )}
+    </>
+  );
+}
+
+function Fixes({ fixes, left, setLeft }: { fixes: readonly Fix[]; left: ReadonlySet<string>; setLeft: (left: ReadonlySet<string>) => void }) {
+  if (fixes.length === 0) return null;
+  return (
+    <fieldset class="card">
+      <legend>Parameters that would mend it</legend>
+      {fixes.map((fix) => (
+        <label key={fix.name} class="check">
+          <input
+            type="checkbox"
+            checked={!left.has(fix.name)}
+            onChange={(event) => {
+              const next = new Set(left);
+              if (event.currentTarget.checked) next.delete(fix.name);
+              else next.add(fix.name);
+              setLeft(next);
+            }}
+          />
+          <code>{fix.name}</code> {valueText(fix.before)} → <b>{valueText(fix.value)}</b>
+        </label>
+      ))}
+    </fieldset>
+  );
+}
+
+function readFixed(report: Report | undefined): { ok: boolean; outcomes: Record<string, { ok: boolean; result: string; message: string }>; text: string | null } {
+  const outcomes = Object.fromEntries(
+    Object.entries(report?.fixed ?? {}).map(([param, { ok, message }]) => [param, { ok, result: ok ? "accepted" : "failed", message }]),
+  );
+  const unfixed = report?.unfixed ?? "";
+  return { ok: unfixed === "" && Object.values(outcomes).every((one) => one.ok), outcomes, text: unfixed === "" ? null : unfixed };
+}

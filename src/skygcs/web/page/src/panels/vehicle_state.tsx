@@ -1,0 +1,122 @@
+// All telemetry of one vehicle by group, with ages; its status texts and components.
+
+import { useStore, useTick } from "../hooks.ts";
+import { Age, Failure, Fold, usePolled } from "./parts.tsx";
+import { fieldText, groupsOf, labelOf } from "./telemetry_text.ts";
+import type { VehicleProps } from "./vehicle_panel.tsx";
+
+/** What vehicles.get answers beside what web.state has. */
+export interface FullState {
+  name: string;
+  status_texts: readonly { severity: string; level: number; text: string; compid: number; age_s: number }[];
+  components: readonly { compid: number; name: string | null; type: string | null; age_s: number; messages: number }[];
+  messages: Readonly<Record<string, { rate_hz: number; age_s: number; count: number }>>;
+  [group: string]: unknown;
+}
+
+const OPEN_GROUPS = new Set(["position", "battery", "gps"]);
+/** A group that is so old is not of now. */
+const OLD_S = 5;
+
+export function useFullState({ store, connection, name }: VehicleProps, everyMs = 1000): { state: FullState | null; sinceS: number; error: string | null } {
+  const { answer, atMs, error } = usePolled<FullState>(store, connection, "vehicles.get", { target: name }, everyMs);
+  const nowMs = useTick(500);
+  return { state: answer, sinceS: Math.max(nowMs - atMs, 0) / 1000, error };
+}
+
+export function VehicleFields(props: VehicleProps) {
+  const { state, sinceS, error } = useFullState(props);
+  if (state === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;
+  const { groups, plain } = groupsOf(state);
+  return (
+    <>
+      <Failure text={error} />
+      <Fields fields={plain} />
+      {groups.map(({ name, fields, age_s }) => (
+        <Fold key={name} open={OPEN_GROUPS.has(name)} title={labelOf(name).text} side={age_s === null ? undefined : <Age age_s={age_s + sinceS} old_s={OLD_S} />}>
+          <div class={age_s !== null && age_s + sinceS > OLD_S ? "lost" : undefined}>
+            <Fields fields={fields} />
+          </div>
+        </Fold>
+      ))}
+      <Fold title="components" side={state.components.length}>
+        <table class="plain">
+          <thead>
+            <tr>
+              <th>component</th>
+              <th>type</th>
+              <th class="number">messages</th>
+              <th class="number">age</th>
+            </tr>
+          </thead>
+          <tbody>
+            {state.components.map((one) => (
+              <tr key={one.compid}>
+                <td>
+                  {one.compid} {one.name ?? ""}
+                </td>
+                <td>{one.type ?? "–"}</td>
+                <td class="number">{one.messages}</td>
+                <td class="number">
+                  <Age age_s={one.age_s + sinceS} />
+                </td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      </Fold>
+    </>
+  );
+}
+
+function Fields({ fields }: { fields: readonly (readonly [string, unknown])[] }) {
+  return (
+    <dl class="fields">
+      {fields.map(([key, value]) => {
+        const { text, unit } = labelOf(key);
+        return (
+          <div key={key}>
+            <dt>{text}</dt>
+            <dd>
+              {fieldText(key, value)}
+              {unit !== "" && value !== null && <span class="unit"> {unit}</span>}
+            </dd>
+          </div>
+        );
+      })}
+    </dl>
+  );
+}
+
+export function VehicleTexts(props: VehicleProps) {
+  const { state, sinceS, error } = useFullState(props);
+  const events = useStore(props.store, (all) => all.events).filter((event) => event.vehicle === props.name && event.kind !== "statustext");
+  if (state === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;
+  return (
+    <>
+      {state.status_texts.length === 0 && <p class="note">The vehicle has sent no text.</p>}
+      <ul class="texts">
+        {[...state.status_texts].reverse().map((one, i) => (
+          <li key={`${i} ${one.text}`} data-tone={one.level <= 3 ? "danger" : one.level === 4 ? "warning" : "info"}>
+            <span class="muted">
+              {one.severity}
+              {one.compid !== 1 ? ` from ${one.compid}` : ""}
+            </span>{" "}
+            {one.text} <Age age_s={one.age_s + sinceS} old_s={Infinity} />
+          </li>
+        ))}
+      </ul>
+      <h3>Events of {props.name}</h3>
+      <ul class="texts">
+        {events.slice(-60).reverse().map((event) => (
+          <li key={event.id}>
+            <span class="muted">
+              {new Date(event.time_unix_s * 1000).toLocaleTimeString()} {event.kind.replace("_", " ")}
+            </span>{" "}
+            {event.text}
+          </li>
+        ))}
+      </ul>
+    </>
+  );
+}
