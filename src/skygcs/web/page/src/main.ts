@@ -3,6 +3,7 @@
 import { h, render } from "preact";
 import { App } from "./app.tsx";
 import { Connection } from "./connection.ts";
+import { beginPanels } from "./panels/index.ts";
 import { beginSession } from "./session.ts";
 import { Store } from "./store.ts";
 import { beginTheme } from "./theme.ts";
@@ -17,6 +18,7 @@ if (root !== null) {
   root.replaceChildren();
   render(h(App, { store, connection }), root);
 }
+beginPanels(store);
 beginSession(connection, store, () => performance.now());
 
 // Only a person's own input is reported as such; the browser marks it.
