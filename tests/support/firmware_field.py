@@ -229,17 +229,24 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.daemon.start()
         self.watcher.start()
         self.wait(lambda: self.said("all are ready"), START_S, "every vehicle is ready")
-        self.wait(lambda: self.daemon.known() == 2 and self.connected(), 30, "the daemon knows both")
+        self.wait(lambda: self.daemon.known() == len(self.names) and self.connected(), 30, "the daemon knows all")
 
     def launch(self) -> None:
         """Start the firmware; returns at once."""
-        words = [sys.executable, "-m", "skygcs", "sitl", f"--{'px4' if self.px4 else 'ardupilot'}", "2"]
+        words = [sys.executable, "-m", "skygcs", "sitl", *self.kinds()]
         words += ["--first-sysid", str(self.sysids[0]), "--port", str(self.relay.port)]
         words += ["--home", ",".join(map(str, HOME)), "--spacing", str(SPACING_M)]
         words += ["--folder", str(self.folder / "vehicles")]
-        words += [word for param in PARAMS[self.firmware] for word in ("--param", param)]
+        words += [word for param in self.params() for word in ("--param", param)]
         with self.sitl_log.open("wb") as log:
             self.sitl = subprocess.Popen(words, stdout=log, stderr=log, cwd=ROOT)
+
+    def kinds(self) -> list[str]:
+        """How many vehicles of which firmware, as options of `skygcs sitl`."""
+        return [f"--{'px4' if self.px4 else 'ardupilot'}", "2"]
+
+    def params(self) -> list[str]:
+        return list(PARAMS[self.firmware])
 
     def said(self, text: str) -> bool:
         assert self.sitl is not None
@@ -473,6 +480,47 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
             yield connection
         finally:
             connection.close()
+
+
+MIXED_SYSID = 31
+"""Of the first of `MixedField`."""
+
+
+class MixedField(Field):
+    """Two PX4s and two ArduCopters in one fleet: the PX4s first, `SPACING_M` apart to the east."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__("px4", folder)
+        self.sysids = [MIXED_SYSID + i for i in range(4)]
+        self.names = [f"{'px' if i < 2 else 'copter'}{sysid}" for i, sysid in enumerate(self.sysids)]
+        self.one, self.two = self.names[:2]
+        self.daemon.file.write_text(self.daemon.file.read_text().split("[origin]")[0] + self.mixed_toml())
+
+    def mixed_toml(self) -> str:
+        text = f"""
+[origin]
+lat_deg = {HOME[0]}
+lon_deg = {HOME[1]}
+alt_amsl_m = {HOME[2]}
+
+[links.vehicles]
+type = "udp_server"
+host = "127.0.0.1"
+port = {self.daemon_port}
+role = "vehicle"
+
+[defaults.control]
+fence = {{ x_m = [-40, 60], y_m = [-40, 60], up_m = [0, 60] }}
+"""
+        for i, (name, sysid) in enumerate(zip(self.names, self.sysids, strict=True)):
+            text += f'\n[vehicles.{name}]\nsysid = {sysid}\nautopilot = "{"px4" if i < 2 else "ardupilot"}"\n'
+        return text
+
+    def kinds(self) -> list[str]:
+        return ["--px4", "2", "--ardupilot", "2"]
+
+    def params(self) -> list[str]:
+        return [f"{family}:{param}" for family, params in PARAMS.items() for param in params]
 
 
 def available() -> list[str]:

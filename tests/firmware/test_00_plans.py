@@ -1,0 +1,171 @@
+"""Plans flown by two PX4s and two ArduCopters in one fleet, from the ground to the landing. Before the other files,
+which have one firmware each."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+
+from skygcs.core.plan.certificate import Certificate
+from skygcs.core.plan.certify import certify
+from skygcs.core.plan.fleet_plan import FlightSpace, Plan, TimedPlan
+from skygcs.core.plan.layered_flight import layered
+from skygcs.core.plan.margins import MarginRule, Uncertainty
+from skygcs.core.plan.straight_flight import straight_trajectories
+from skygcs.core.separation import separation_m
+from skygcs.core.trajectory import MotionLimits
+from support.firmware_field import HOME, SPACING_M, MixedField, available
+from support.firmware_report import Report, Row
+from support.planned import content
+
+pytestmark = [pytest.mark.only("px4"), pytest.mark.minutes]
+
+UP_M = 10.0
+LIMITS = MotionLimits(speed_mps=2.0, acceleration_mps2=1.0, climb_mps=1.5, descent_mps=1.0)
+RULE = MarginRule()
+TUBE_M = Uncertainty().tracking_error_m
+
+Vector = tuple[float, float, float]
+
+
+@pytest.fixture(scope="module")
+def fleet(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Iterator[MixedField]:
+    if set(available()) != {"px4", "ardupilot"}:
+        pytest.skip("both firmwares have to be named; `make test-firmware` says what to set")
+    folder = tmp_path_factory.mktemp("mixed")
+    field = MixedField(folder)
+    try:
+        field.start()
+        yield field
+    finally:
+        field.stop()
+
+
+@pytest.fixture
+def row(request: pytest.FixtureRequest, fleet: MixedField, report: Report) -> Iterator[dict[str, Any]]:
+    """What the scenario measured."""
+    made = Row(request.node.nodeid.rpartition("/")[2], "failed")
+    began = time.monotonic()
+    yield made.figures
+    made.seconds = time.monotonic() - began
+    made.modes = {name: fleet.truth(name).modes_since(began) for name in fleet.names}
+    if "finished" in made.figures:
+        made.outcome = "passed"
+    report.add(made)
+    if any(fleet.truth(name).armed for name in fleet.names):
+        fleet.daemon.call("vehicles.land", targets="all")
+        fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 120, "all have landed")
+    fleet.wait_idle()
+
+
+def stands(fleet: MixedField) -> dict[str, Vector]:
+    return {name: (i * SPACING_M, 0.0, UP_M) for i, name in enumerate(fleet.names)}
+
+
+def crossing(fleet: MixedField) -> TimedPlan:
+    """From a line to the east to a line to the north: the ways of each two neighbours cross, at different times."""
+    starts = stands(fleet)
+    goals = [(1.5 * SPACING_M, 6.0 * i + 3.0, UP_M) for i in range(len(starts))]
+    ways = straight_trajectories(list(starts.values()), goals, LIMITS)
+    return TimedPlan(dict(zip(starts, ways, strict=True)))
+
+
+def swap(fleet: MixedField) -> Plan:
+    """Every vehicle to the place of the one opposite, in layers: each PX4 with an ArduCopter."""
+    starts = stands(fleet)
+    half = [RULE.half_m(name) for name in starts]
+    found = layered(
+        list(starts),
+        list(starts.values()),
+        list(reversed(starts.values())),
+        half,
+        RULE.downwash_ratio,
+        FlightSpace(ceiling_m=55.0),
+        0.0,
+    )
+    assert not isinstance(found, str), found
+    return found[0]
+
+
+@pytest.mark.parametrize("make", [crossing, swap])
+def test_a_mixed_fleet_flies_a_plan(fleet: MixedField, row: dict[str, Any], make: Any) -> None:
+    plan = make(fleet)
+    certificate = certify(plan, RULE, FlightSpace())
+    assert certificate.certified and certificate.closest is not None, certificate.reasons()
+    fleet.daemon.call("plan.load", plan=content(plan), name=make.__name__)
+    began = time.monotonic()
+    answer = fleet.daemon.call("plan.run", mode="position", set_return_heights=True, force=True)
+    report = answer["report"]
+    assert answer["started"], [f for f in report["findings"] if f["severity"] == "refused"]
+    row["return_heights_m"] = {name: now[0] for name, now in report["return_heights"].items()}
+    over = ("finished", "stopped", "aborted", "landed")
+    errors: dict[str, float] = dict.fromkeys(fleet.names, 0.0)
+    seen: list[str] = []
+
+    def ended() -> bool:
+        status = fleet.daemon.call("plan.status")
+        if not seen or seen[-1] != status["state"]:
+            seen.append(status["state"])
+        if status["state"] == "flying":
+            for vehicle in status["vehicles"]:
+                errors[vehicle["vehicle"]] = max(errors[vehicle["vehicle"]], vehicle["error_m"] or 0.0)
+        return status["state"] in over
+
+    fleet.wait(ended, 400, "the plan ends")
+    status = fleet.daemon.call("plan.status")
+    row |= {"states": seen, "seconds": round(time.monotonic() - began, 1), "reason": status["reason"]}
+    row["most_off_m"] = {name: round(error, 2) for name, error in errors.items()}
+    row["margins"] = report["certificate"] and report["certificate"].get("margins")
+    _compare(fleet, row, certificate, began)
+    assert status["state"] == "finished", status["reason"]
+    fleet.daemon.call("plan.land")
+    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")
+    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] == "landed", 20, "the plan has landed")
+    row["finished"] = True
+
+
+def _compare(fleet: MixedField, row: dict[str, Any], certificate: Certificate, since: float) -> None:
+    """What was measured with what was certified: in each pair the vehicles stay as far apart as the margin without the
+    tracking errors, and as the certified least distance of the references less both tubes."""
+    closest = certificate.closest
+    assert closest is not None
+    least = {pair: least_m for pair, least_m in _least(fleet, since).items()}
+    nearest = min(least, key=lambda pair: least[pair])
+    row["certified_least_m"] = round(closest.distance_m, 2)
+    row["certified_pair"] = list(closest.vehicles)
+    row["measured_least_m"] = round(least[nearest], 2)
+    row["measured_pair"] = list(nearest)
+    row["apart_needed_m"] = round(2 * (RULE.half_m(nearest[0]) - TUBE_M), 2)
+    assert least[nearest] >= row["apart_needed_m"], row
+
+
+def _least(fleet: MixedField, since: float) -> Mapping[tuple[str, str], float]:
+    """The least distance of each pair by their own positions, carried together in time, in the downwash metric."""
+    tracks = {name: [p for p in fleet.truth(name).track if p[0] >= since] for name in fleet.names}
+    found: dict[tuple[str, str], float] = {}
+    for i, a in enumerate(fleet.names):
+        for b in fleet.names[i + 1 :]:
+            found[a, b] = min(
+                separation_m(*(q - p for p, q in zip(_place(one), _at(tracks[b], one[0]), strict=True)), 2.0)
+                for one in tracks[a]
+            )
+    return found
+
+
+def _at(track: list[tuple[float, float, float, float]], at: float) -> Vector:
+    """Between the two positions around this time."""
+    later = next((n for n, point in enumerate(track) if point[0] >= at), len(track) - 1)
+    before, after = track[max(0, later - 1)], track[later]
+    share = 0.0 if after[0] <= before[0] else min(1.0, max(0.0, (at - before[0]) / (after[0] - before[0])))
+    p, q = _place(before), _place(after)
+    return p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
+
+
+def _place(point: tuple[float, float, float, float]) -> Vector:
+    _, lat_deg, lon_deg, height_m = point
+    east_m = (lon_deg - HOME[1]) * math.cos(math.radians(HOME[0])) * 111_319.5
+    return east_m, (lat_deg - HOME[0]) * 111_132.0, height_m
