@@ -207,3 +207,27 @@ async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict
         await gcs("plan.land")
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
         await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 10.0)
+
+
+async def test_a_second_flight_begins_in_the_mode_that_the_landing_left(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        starts, goals = crossing(gcs)
+        for ends in (goals, starts):
+            begins = starts if ends is goals else goals
+            await run(gcs, timed(begins, ends))
+            await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 240.0)
+            assert state(gcs) == "finished"
+            await gcs("plan.land")
+            await gcs.until(lambda: state(gcs) == "landed", 120.0)
+            await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 60.0)
+            await asyncio.sleep(5.0)
+
+
+async def test_the_tracking_error_of_the_fleet_file_widens_the_tube(tmp_path: Path) -> None:
+    tables = {"vehicles": {"v1": {"sysid": 1, "separation": {"tracking_error_m": 1.3}}}}
+    async with flown(tmp_path, px4=2, tables=tables) as gcs:
+        starts, goals = crossing(gcs)
+        await run(gcs, timed(starts, goals))
+        report = (await gcs("plan.status"))["vehicles"]
+        tubes = {vehicle["vehicle"]: vehicle["tube_m"] for vehicle in report}
+        assert tubes["v1"] == pytest.approx(tubes["v2"] + 0.9)

@@ -482,6 +482,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
             connection.close()
 
 
+TRACKING_ERROR_M = {"px4": 1.0, "ardupilot": 0.6}
+"""Of plans in position. PX4's simulated position wanders by 0.3 m, its height by 0.9 m."""
+
 MIXED_SYSID = 31
 """Of the first of `MixedField`."""
 
@@ -513,7 +516,9 @@ role = "vehicle"
 fence = {{ x_m = [-40, 60], y_m = [-40, 60], up_m = [0, 60] }}
 """
         for i, (name, sysid) in enumerate(zip(self.names, self.sysids, strict=True)):
-            text += f'\n[vehicles.{name}]\nsysid = {sysid}\nautopilot = "{"px4" if i < 2 else "ardupilot"}"\n'
+            family = "px4" if i < 2 else "ardupilot"
+            text += f'\n[vehicles.{name}]\nsysid = {sysid}\nautopilot = "{family}"\n'
+            text += f"separation = {{ tracking_error_m = {TRACKING_ERROR_M[family]} }}\n"
         return text
 
     def kinds(self) -> list[str]:

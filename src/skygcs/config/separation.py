@@ -31,6 +31,8 @@ class SeparationSettings(Model):
     """Vertical distances are divided by it: 2. Of two vehicles the larger counts."""
     acceleration_mps2: Annotated[float, Field(ge=0, le=50)] | None = None
     """The acceleration with which it may have left its course since its last position: 3."""
+    tracking_error_m: Annotated[float, Field(ge=0.05, le=20)] | None = None
+    """How far it may be from its reference in a plan: 0.4 until it is measured in flight. The larger one counts."""
     priority: Annotated[int, Field(ge=-1000, le=1000)] | None = None
     """Of two vehicles that are about to meet, the one of lower priority holds: 0. Equal: the later name."""
 

@@ -37,11 +37,11 @@ def uncertainty(actor: VehicleActor) -> Uncertainty:
     known: dict[str, Any] = {}
     sources: dict[str, str] = {}
     settings = actor.config.separation
-    for name in ("wingspan_m", "position_error_m"):
+    for name in ("wingspan_m", "position_error_m", "tracking_error_m"):
         if (value := getattr(settings, name)) is not None:
             known[name], sources[name] = value, FLEET_FILE
     record, clock = actor.offboard.tracking, actor.offboard.clock
-    if (error_m := record.tracking_error_m) is not None:
+    if (error_m := record.tracking_error_m) is not None and error_m > known.get("tracking_error_m", 0.0):
         known["tracking_error_m"] = min(error_m, LARGEST_M)
         sources["tracking_error_m"] = f"measured over {_minutes(record.measured_s)}"
     if (delay_s := record.delay_s) is not None:

@@ -131,11 +131,12 @@ def margin_rule(
         settings, known = actor.config.separation, record(actor)
         footprint = settings.footprint()
         ratio = max(ratio, footprint.downwash_ratio)
-        tracking = known.tracking_error_m
+        tracking, named = known.tracking_error_m, settings.tracking_error_m
+        is_measured = tracking is not None and tracking > (named or 0.0)
         by_vehicle[actor.name] = Uncertainty(
             wingspan_m=footprint.wingspan_m,
             position_error_m=footprint.position_error_m,
-            tracking_error_m=default.tracking_error_m if tracking is None else tracking,
+            tracking_error_m=max((e for e in (tracking, named) if e is not None), default=default.tracking_error_m),
             delay_s=default.delay_s if known.delay_s is None else known.delay_s,
         )
         if actor in taking_part:
@@ -144,7 +145,7 @@ def margin_rule(
                 "position_error_m": [footprint.position_error_m, _source(settings.position_error_m)],
                 "tracking_error_m": [
                     round(by_vehicle[actor.name].tracking_error_m, 3),
-                    "default" if tracking is None else "measured p99",
+                    "measured p99" if is_measured else _source(named),
                 ],
                 "delay_s": [
                     round(by_vehicle[actor.name].delay_s, 3),

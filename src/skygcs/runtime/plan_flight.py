@@ -46,6 +46,8 @@ KIND = "plan"
 ARM_WAIT_S = 20.0
 """A vehicle that is not ready yet is tried again for so long."""
 
+COPTER_TAKEOFF_MODE = "GUIDED"
+
 LONGEST_AGE_S = 2.0
 """A position is carried on with its velocity for no longer."""
 
@@ -146,7 +148,7 @@ class PlanFlight:
             place = None if sight is None else sight.place_m
             off_m = None
             if place is not None and self.group is not None and not execution.over:
-                off_m = execution.step.off_m(name, place, trajectory_s)
+                off_m = execution.off_m(name, place, trajectory_s)
             left = execution.left.get(name)
             found.append(
                 {
@@ -196,10 +198,9 @@ class FlightOrders:
         sights = flight.look(now)
         state, trajectory_s = flight.clock(now)
         if state is ClockState.RUNNING:
-            step = flight.execution.step
             for name, sight in sights.items():
                 if sight.place_m is not None and sight.age_s < LONGEST_AGE_S and sight.left is None:
-                    records(flight.actors[name]).tracked(step.off_m(name, sight.place_m, trajectory_s))
+                    records(flight.actors[name]).tracked(flight.execution.off_m(name, sight.place_m, trajectory_s))
         self.carry_out(flight, flight.execution.tick(now, state, trajectory_s, sights))
 
     def carry_out(self, flight: PlanFlight, orders: Sequence[Order]) -> None:
@@ -259,7 +260,7 @@ class FlightOrders:
         actor, settings = flight.actors[name], flight.settings
         match kind:
             case OrderKind.ARM:
-                outcome = await actor.arm(wait_s=ARM_WAIT_S)
+                outcome = await self._arm(actor)
             case OrderKind.DISARM:
                 outcome = await actor.disarm()
             case OrderKind.TAKEOFF:
@@ -275,6 +276,16 @@ class FlightOrders:
         if kind is OrderKind.DISARM and not outcome.ok and not settings.force:
             self._on_event(Event(KIND, name, actor.sysid, f"{name} could not be disarmed: {outcome.message}", {}))
         self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message))
+
+    async def _arm(self, actor: VehicleActor) -> Outcome:
+        """In the mode of the take-off that follows: after a landing an ArduCopter is in LAND, in which it does not
+        arm."""
+        vehicle = actor.vehicle
+        if vehicle.family == "ardupilot" and not vehicle.armed and vehicle.mode != COPTER_TAKEOFF_MODE:
+            outcome = await actor.set_mode(COPTER_TAKEOFF_MODE)
+            if not outcome.ok:
+                return outcome
+        return await actor.arm(wait_s=ARM_WAIT_S)
 
     async def _take_off(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
         """To where the first step has it."""

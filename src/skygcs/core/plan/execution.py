@@ -21,7 +21,8 @@ In a step that flies (to_starts, returning, flying) and while it is paused:
 
     a vehicle                                                        is in trouble
     --------------------------------------------------------------   -------------------------------------------
-    is farther from its reference (or straight way) than its tube    for `LATE_S`, or at twice the tube at once
+    is farther from its reference (or straight way) than its tube,   for `LATE_S`, or at twice the tube at once
+    heights divided by the downwash ratio as in the certificate
     has sent no position                                             for `SILENT_S`
     does not follow any more: guard, pilot, an order, lost           at once
     has not come to its place at the barrier                         for `BARRIER_S`
@@ -32,7 +33,6 @@ within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle d
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -236,6 +236,13 @@ class Execution:
     def tube_m(self, name: str) -> float:
         return self.tubes.tube_m(name, timed=self.step.timed)
 
+    def off_m(self, name: str, place_m: Vector, trajectory_s: float) -> float:
+        """How far a vehicle is from where it may be in this step, in the metric of the margins."""
+        return self.step.off_m(name, place_m, trajectory_s, self.tubes.downwash_ratio)
+
+    def _apart_m(self, a: Vector, b: Vector) -> float:
+        return separation_m(a[0] - b[0], a[1] - b[1], a[2] - b[2], self.tubes.downwash_ratio)
+
     # -- orders of people
 
     def begin(self) -> list[Order]:
@@ -274,7 +281,7 @@ class Execution:
         for name in self.names:
             place = sights[name].place_m
             silent = place is None or sights[name].age_s > SILENT_S
-            if silent or self.step.off_m(name, place or (0.0, 0.0, 0.0), trajectory_s) > self.tube_m(name):
+            if silent or self.off_m(name, place or (0.0, 0.0, 0.0), trajectory_s) > self.tube_m(name):
                 found.append(name)
         return found
 
@@ -483,7 +490,7 @@ class Execution:
                 return name, f"{name} left: {sight.left.text}", sights
             if sight.place_m is None or sight.age_s > SILENT_S:
                 return name, f"{name} is silent: no position for {sight.age_s:.1f} s", sights
-            off_m, tube_m = self.step.off_m(name, sight.place_m, trajectory_s), self.tube_m(name)
+            off_m, tube_m = self.off_m(name, sight.place_m, trajectory_s), self.tube_m(name)
             if off_m <= tube_m:
                 self._watch.late.pop(name, None)
                 continue
@@ -502,7 +509,7 @@ class Execution:
                 sight.place_m is not None
                 and sight.age_s <= SILENT_S
                 and sight.speed_mps <= SLOW_MPS
-                and math.dist(sight.place_m, place) <= self.tubes.free_m[name]
+                and self._apart_m(sight.place_m, place) <= self.tubes.free_m[name]
             )
             if not there:
                 self._watch.settled.pop(name, None)

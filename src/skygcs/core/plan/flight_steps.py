@@ -52,12 +52,15 @@ class FlightStep:
         """Where each vehicle is at its begin."""
         return {name: trajectory.start_enu_m for name, trajectory in self.trajectories.items()}
 
-    def off_m(self, name: str, place_m: Vector, trajectory_s: float) -> float:
-        """How far a vehicle is from where it may be: from its reference, or from its straight way."""
+    def off_m(self, name: str, place_m: Vector, trajectory_s: float, downwash_ratio: float) -> float:
+        """How far a vehicle is from where it may be, in the metric of the certificate: from its reference, or from its
+        straight way."""
         trajectory = self.trajectories[name]
+        place = _scaled(place_m, downwash_ratio)
         if self.timed:
-            return math.dist(place_m, trajectory.at(trajectory_s).pos_enu_m)
-        return distance_to_leg(place_m, trajectory.start_enu_m, trajectory.end_enu_m)
+            return math.dist(place, _scaled(trajectory.at(trajectory_s).pos_enu_m, downwash_ratio))
+        begin, end = trajectory.start_enu_m, trajectory.end_enu_m
+        return distance_to_leg(place, _scaled(begin, downwash_ratio), _scaled(end, downwash_ratio))
 
 
 def steps_of(plan: Plan, limits: MotionLimits) -> list[FlightStep]:
@@ -144,6 +147,10 @@ def _shifted(coefficients: Coefficients, by_s: float) -> Coefficients:
         for k in range(len(c) - 2, low - 1, -1):
             c[k] += by_s * c[k + 1]
     return tuple(c)
+
+
+def _scaled(place_m: Vector, downwash_ratio: float) -> Vector:
+    return place_m[0], place_m[1], place_m[2] / downwash_ratio
 
 
 def distance_to_leg(place_m: Vector, begin_m: Vector, end_m: Vector) -> float:
