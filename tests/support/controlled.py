@@ -9,16 +9,19 @@ import asyncio
 import json
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from click.testing import Result
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
+from skygcs.core.geo import Origin
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import NAMES, FakeDaemon, FakeFleet, FakeOutcome, FakeVehicle
 
@@ -86,6 +89,12 @@ class ControlledVehicle(FakeVehicle):
         self.refuses_after: int | None = None
         """Takes so many setpoints before."""
 
+    @property
+    def vehicle(self) -> Any:
+        """As much of it as planning asks for."""
+        place = None if self.no_frame else self.position_m
+        return SimpleNamespace(replayed=False, enu_m=lambda: place, telemetry_at=lambda _: time.monotonic())
+
     async def goto(self, **place: Any) -> FakeOutcome:
         outcome = await self._order("goto", **place)
         if outcome.ok and not self.stuck:
@@ -140,6 +149,10 @@ class ControlledVehicle(FakeVehicle):
 
 
 class ControlledFleet(FakeFleet):
+    def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
+        super().__init__(vehicles)
+        self.origin = Origin(43.7806, -79.4653, 180.0)
+
     def setpoint(self, targets: str | list[str], /, **setpoint: Any) -> dict[str, FakeOutcome]:
         vehicles = [v for v in self.resolve(targets) if isinstance(v, ControlledVehicle)]
         return {v.name: v.take({k: x for k, x in setpoint.items() if x is not None}) for v in vehicles}

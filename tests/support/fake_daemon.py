@@ -6,6 +6,7 @@ As a process, for the command line: python -m support.fake_daemon SOCKET [NUMBER
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import sys
 import tempfile
@@ -13,21 +14,27 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
+from skygcs.config.separation import SeparationSettings
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.vehicle.stop import require_confirmed
+from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
+from skygcs.planning.process import OnProgress, ProcessLimits
+from skygcs.planning.worker import answered
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Order
+from skygcs.runtime.planning_queue import PlanningQueue
 
 NAMES = ("alpha", "bravo", "carol")
 
@@ -100,6 +107,9 @@ class FakeVehicle:
         self.delay_s = 0.0
         self.fails: Exception | None = None
         self.state_fails: Exception | None = None
+        self.config = SimpleNamespace(separation=SeparationSettings())
+        clock = SimpleNamespace(ticks=0, lateness_p99_s=lambda: None)
+        self.offboard = SimpleNamespace(tracking=TrackingRecord(), clock=clock)
 
     async def _order(self, order: str, **arguments: Any) -> FakeOutcome:
         self.orders.append((order, arguments))
@@ -501,6 +511,13 @@ class FakeCorrections(list[tuple[str, bytes, bool]]):
         return dict(self.told)
 
 
+async def compute_here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
+    """In place of a planning process."""
+    if on_progress is not None:
+        on_progress({"what": "certify", "done": 1, "total": 1})
+    return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
+
+
 class FakeDaemon:
     """Everything `skygcs.rpc.context.Services` asks for."""
 
@@ -533,6 +550,10 @@ class FakeDaemon:
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
         self._on_frame: list[tuple[set[int] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
         self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
+
+    @cached_property
+    def planning(self) -> PlanningQueue:
+        return PlanningQueue(asyncio.get_running_loop(), compute_here)
 
     def vehicle(self, name: str) -> FakeVehicle:
         return self.fleet.resolve(name)[0]

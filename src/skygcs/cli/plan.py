@@ -1,12 +1,15 @@
-"""`skygcs-cli plan`: make, check and show plans of a fleet. Needs no daemon.
+"""`skygcs-cli plan`: make, check and show plans of a fleet; without a daemon, or with what it measured (--fleet).
 
-A plan is certified or refused: exit code 0 or 1. Formats and mathematics: docs/explanation/plans.md. What computes with
-numpy is imported in functions.
+A plan is certified or refused: exit code 0 or 1. Formats and mathematics: docs/explanation/plans.md. Certificates are
+computed by a process of their own (`skygcs.planning`).
 """
 
 from __future__ import annotations
 
+import asyncio
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,23 +17,35 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cli import plan_run
-from skygcs.cli.connection import Exit, fail, run_offline
-from skygcs.cli.options import Json
-from skygcs.cli.parsing import finite, parse_number, within
+from skygcs.cli.connection import run, run_offline
+from skygcs.cli.options import Json, with_groups
+from skygcs.cli.parsing import finite
+from skygcs.cli.plan_certificates import Answer, asked, computed, print_answer, print_refusal
+from skygcs.cli.plan_options import (
+    Fleet,
+    Limits,
+    MarginOptions,
+    OriginOption,
+    SpaceOptions,
+    motion_limits,
+    origin_of,
+    vector,
+)
 from skygcs.cli.render import console, print_json, table
 from skygcs.core.geo import Origin
-from skygcs.core.plan.certificate import Approach, Certificate
 from skygcs.core.plan.file_reading import MAX_FILE_BYTES
-from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
+from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
 from skygcs.core.plan.formations import SHAPES, formation
-from skygcs.core.plan.margins import GIVEN, MarginRule, Uncertainty
+from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_files import ReadPlan, read_plan
-from skygcs.core.plan.plan_json import write_plan_json
+from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_content
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
-from skygcs.errors import PlanFileError, RefusedError, SkygcsError, TrajectoryError
+from skygcs.errors import PlanFileError, RefusedError, SkygcsError
+from skygcs.planning.request import check_request, make_request
+from skygcs.rpc.client import Client
 
-app = typer.Typer(no_args_is_help=True, help="Make, check and show plans of a fleet, without a daemon; fly them.")
+app = typer.Typer(no_args_is_help=True, help="Make, check, show and fly plans of a fleet.")
 plan_run.add_to(app)
 
 
@@ -51,89 +66,49 @@ Files = Annotated[
 OneFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Starts and goals, or paths: CSV or TOML.", show_default=False)
 ]
-MarginOption = Annotated[
-    float | None,
-    typer.Option("--margin", metavar="M", help="This margin for each pair, in place of its terms.", parser=finite),
-]
-Wingspan = Annotated[
-    float | None, typer.Option("--wingspan", metavar="M", help="Tip to tip, for the margin.", parser=finite)
-]
-PositionError = Annotated[
-    float | None, typer.Option("--position-error", metavar="M", help="Of a vehicle, for the margin.", parser=finite)
-]
-TrackingError = Annotated[
-    float | None, typer.Option("--tracking-error", metavar="M", help="p99 of it, for the margin.", parser=finite)
-]
-DelayOption = Annotated[
-    float | None, typer.Option("--delay", metavar="S", help="p99 of setpoints, for timed plans.", parser=finite)
-]
-Downwash = Annotated[
-    float,
-    typer.Option("--downwash", metavar="RATIO", help="A vertical distance counts 1/RATIO of it.", parser=finite),
-]
-Limits = Annotated[
-    str | None,
-    typer.Option(
-        "--limits",
-        metavar="V,A,J",
-        help="Speed, acceleration, jerk: for timing (5,2,4), checked if given.",
-        show_default=False,
-    ),
-]
-OriginOption = Annotated[
-    str | None, typer.Option("--origin", metavar="LAT,LON,ALT", help="For logs by latitude and longitude.")
-]
-Ceiling = Annotated[
-    float | None, typer.Option("--ceiling", metavar="M", help="No vehicle above, less its margin.", parser=finite)
-]
-Floor = Annotated[float | None, typer.Option("--floor", metavar="M", help="No vehicle below.", parser=finite)]
-Fence = Annotated[
-    str | None, typer.Option("--fence", metavar="X,Y;X,Y;…", help="Corners of a polygon, which may be concave.")
-]
-Standing = Annotated[
-    list[str] | None,
-    typer.Option("--standing", metavar="NAME,X,Y,Z", help="A vehicle that takes no part; may be repeated."),
-]
 
 
 @app.command()
+@with_groups
 def check(
     files: Files,
-    margin: MarginOption = None,
-    wingspan: Wingspan = None,
-    position_error: PositionError = None,
-    tracking_error: TrackingError = None,
-    delay: DelayOption = None,
-    downwash: Downwash = 2.0,
+    margins: MarginOptions,
+    place: SpaceOptions,
     limits: Limits = None,
     origin: OriginOption = None,
-    ceiling: Ceiling = None,
-    floor: Floor = None,
-    fence: Fence = None,
-    standing: Standing = None,
+    fleet: Fleet = False,
     json_output: Json = False,
 ) -> None:
     """Certify a plan or refuse it: the closest pair, when and where, and every term of its margin.
 
     Exit code 0: certified, 1: refused.
     """
-    rule = _rule(margin, downwash, _uncertainty(wingspan, position_error, tracking_error, delay))
-    motion, place = _limits(limits), _origin(origin)
-    added = _space(ceiling, floor, fence, standing)
+    motion, here, added = motion_limits(limits), origin_of(origin), place.space()
+    if fleet:
+        params = margins.asked_of_daemon()
+
+        async def by_daemon(gcs: Client) -> int:
+            found = _read(files, motion, here or await _origin_of_fleet(gcs))
+            return await _certified_by_daemon(gcs, found, added, motion, params, limits is not None, json_output)
+
+        run(by_daemon)
+    rule = margins.rule()
 
     def command() -> int:
-        from skygcs.core.plan.certify import certify
-
-        found = _read(files, motion, place)
-        certificate = certify(found.plan, rule, _joined(found.space, added), limits=None if limits is None else motion)
-        return _answer(certificate, json_output, found.format)
+        found = _read(files, motion, here)
+        space = found.space.joined(added)
+        request = check_request(found.plan, rule, motion, space, within_limits=limits is not None)
+        return print_answer(computed(request, json_output), json_output, found.format)
 
     run_offline(command)
 
 
 @app.command()
+@with_groups
 def make(
     file: OneFile,
+    margins: MarginOptions,
+    place: SpaceOptions,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help=".json, .skyc, or a folder for Crazyswarm CSV files."),
@@ -150,47 +125,32 @@ def make(
     heading: Annotated[
         float, typer.Option("--yaw", metavar="DEG", help="It looks there, counter-clockwise from x.", parser=finite)
     ] = 0.0,
-    margin: MarginOption = None,
-    wingspan: Wingspan = None,
-    position_error: PositionError = None,
-    tracking_error: TrackingError = None,
-    delay: DelayOption = None,
-    downwash: Downwash = 2.0,
     limits: Limits = None,
-    ceiling: Ceiling = None,
-    floor: Floor = None,
-    fence: Fence = None,
-    standing: Standing = None,
+    fleet: Fleet = False,
     json_output: Json = False,
 ) -> None:
     """Make a certified plan from starts and goals, from a formation, or from paths.
 
     FILE is a table of initial and final positions, or CSV vehicle,t,x,y,z,yaw: two rows of a vehicle without times are
-    its start and its goal (with --formation one is enough), anything else is a path that is kept as it is.
+    its start and its goal (with --formation or --fleet one is enough), anything else is a path that is kept as it is.
     Exit code 0: certified and written, 1: refused.
     """
-    rule = _rule(margin, downwash, _uncertainty(wingspan, position_error, tracking_error, delay))
-    motion = _limits(limits)
-    space = _space(ceiling, floor, fence, standing)
-    middle = None if at is None else _vector("--at", at)
+    motion, space = motion_limits(limits), place.space()
+    middle = None if at is None else vector("--at", at)
     wanted = None if shape is None else (shape, spacing, middle, heading)
     if shape is not None and middle is None:
         raise typer.BadParameter("--formation needs --at X,Y,Z")
+    question = _Question(file, wanted, exchange or shape is not None, kind, motion, limits is not None)
+    if fleet:
+        params = margins.asked_of_daemon()
 
-    def command() -> int:
-        from skygcs.core.plan.certify import certify
+        async def by_daemon(gcs: Client) -> int:
+            answer = await _made_by_daemon(gcs, question, space, params, json_output)
+            return _answered(answer, output, motion, json_output)
 
-        starts, goals = _ends(file, wanted)
-        if goals is None:
-            plan = _read([file], motion, None).plan
-            certificate = certify(plan, rule, space, limits=None if limits is None else motion)
-            written = _write(output, plan, space, certificate, motion) if certificate.certified else ""
-            return _answer(certificate, json_output, "paths", written)
-        return _search(
-            _Question(starts, goals, exchange or shape is not None, kind), rule, motion, space, json_output, output
-        )
-
-    run_offline(command)
+        run(by_daemon)
+    rule = margins.rule()
+    run_offline(lambda: _answered(computed(question.request(rule, space), json_output), output, motion, json_output))
 
 
 @app.command()
@@ -205,7 +165,7 @@ def show(
     json_output: Json = False,
 ) -> None:
     """Show the vehicles of a plan: where from, where to, how long, how fast; and draw it."""
-    motion, place = _limits(limits), _origin(origin)
+    motion, place = motion_limits(limits), origin_of(origin)
     if output is not None and output.suffix.lower() not in (".svg", ".html"):
         raise typer.BadParameter(f"--output: {output.name!r} ends neither in .svg nor in .html")
 
@@ -218,86 +178,6 @@ def show(
 
 def add_to(app_: typer.Typer) -> None:
     app_.add_typer(app, name="plan", rich_help_panel="Orders")
-
-
-# --- options ----------------------------------------------------------------------------------------------------------
-
-
-def _uncertainty(*given: float | None) -> Uncertainty:
-    names = ("wingspan_m", "position_error_m", "tracking_error_m", "delay_s")
-    values: dict[str, Any] = {name: value for name, value in zip(names, given, strict=True) if value is not None}
-    try:
-        return Uncertainty(**values, sources=dict.fromkeys(values, GIVEN))
-    except RefusedError as error:
-        raise typer.BadParameter(str(error)) from None
-
-
-def _rule(margin: float | None, downwash: float, uncertainty: Uncertainty) -> MarginRule:
-    try:
-        return MarginRule(uncertainty, downwash_ratio=downwash, fixed_m=margin)
-    except RefusedError as error:
-        raise typer.BadParameter(str(error)) from None
-
-
-def _limits(text: str | None) -> MotionLimits:
-    if text is None:
-        return MotionLimits()
-    speed, acceleration, jerk = _numbers("--limits", text, 3)
-    try:
-        default = MotionLimits()
-        return MotionLimits(speed, acceleration, jerk, min(speed, default.climb_mps), min(speed, default.descent_mps))
-    except TrajectoryError as error:
-        raise typer.BadParameter(f"--limits: {error}") from None
-
-
-def _origin(text: str | None) -> Origin | None:
-    if text is None:
-        return None
-    lat, lon, alt = _numbers("--origin", text, 3)
-    within("--origin", lat, -90, 90)
-    within("--origin", lon, -180, 180)
-    return Origin(lat, lon, alt)
-
-
-def _space(
-    ceiling: float | None, floor: float | None, fence: str | None, standing: Sequence[str] | None
-) -> FlightSpace:
-    corners = [_numbers("--fence", corner, 2) for corner in fence.split(";")] if fence else []
-    if corners and len(corners) < 3:
-        raise typer.BadParameter("--fence: a fence has three corners at least")
-    places: dict[str, Vector] = {}
-    for text in standing or ():
-        name, _, place = text.partition(",")
-        if not name or name in places:
-            raise typer.BadParameter(f"--standing: {text!r} is not NAME,X,Y,Z of another vehicle")
-        places[name] = _vector("--standing", place)
-    return FlightSpace(tuple((x, y) for x, y in corners), floor, ceiling, (), places)
-
-
-def _joined(own: FlightSpace, added: FlightSpace) -> FlightSpace:
-    """What the file says, and what the options add or replace."""
-    return FlightSpace(
-        added.fence or own.fence,
-        own.floor_m if added.floor_m is None else added.floor_m,
-        own.ceiling_m if added.ceiling_m is None else added.ceiling_m,
-        own.boxes,
-        {**own.standing, **added.standing},
-    )
-
-
-def _vector(option: str, text: str) -> Vector:
-    x, y, z = _numbers(option, text, 3)
-    return x, y, z
-
-
-def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    parts = text.split(",")
-    if len(parts) != count:
-        raise typer.BadParameter(f"{option}: {text!r} is not {count} numbers with commas")
-    numbers = tuple(parse_number(part.strip(), option) for part in parts)
-    for number in numbers:
-        within(option, number, -1e5, 1e5)
-    return numbers
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -328,9 +208,12 @@ def _read(files: Sequence[Path], limits: MotionLimits, origin: Origin | None) ->
 
 Places = dict[str, Vector]
 
+Wanted = tuple[str, float, Vector | None, float]
+"""Shape, spacing, middle and heading (degrees) of a formation."""
 
-def _ends(file: Path, wanted: tuple[str, float, Vector | None, float] | None) -> tuple[Places, Places | None]:
-    """Starts and goals; no goals where the file holds paths."""
+
+def _ends(file: Path, wanted: Wanted | None, *, one_is_enough: bool = False) -> tuple[Places, Places | None]:
+    """Starts and goals; no goals where the file holds paths. ``one_is_enough``: a single place is a goal."""
     from math import radians
 
     if file.suffix.lower() == ".toml" or b"initial_x" in _bytes(file)[:4096]:
@@ -346,7 +229,8 @@ def _ends(file: Path, wanted: tuple[str, float, Vector | None, float] | None) ->
             raise PlanFileError(str(file), "", "starts and goals are in a .csv or .toml")
         paths = read_paths(str(file), _bytes(file))
         starts = {name: path.points[0] for name, path in paths.items()}
-        if wanted is None and any(path.times or len(path.points) != 2 for path in paths.values()):
+        counts = {len(path.points) for path in paths.values()}
+        if wanted is None and (any(path.times for path in paths.values()) or counts - {2, 1 if one_is_enough else 2}):
             return starts, None
         goals = {name: path.points[-1] for name, path in paths.items()}
     if wanted is not None:
@@ -356,15 +240,17 @@ def _ends(file: Path, wanted: tuple[str, float, Vector | None, float] | None) ->
     return starts, goals
 
 
-def _write(output: Path | None, plan: Plan, space: FlightSpace, certificate: Certificate, limits: MotionLimits) -> str:
-    """Write the plan in the format of the name; what was written, for people."""
+def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits) -> str:
+    """Write a plan in the format of the name; what was written, for people."""
     if output is None:
         return ""
-    trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)
     suffix = output.suffix.lower()
     if suffix == ".json":
-        output.write_text(write_plan_json(plan, space, certificate.as_dict()))
-    elif suffix == ".skyc":
+        output.write_text(json.dumps(content) + "\n")
+        return f"written to {output}"
+    plan, _ = plan_from_json("the plan", content)
+    trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)
+    if suffix == ".skyc":
         from skygcs.core.plan.skyc import write_skyc
 
         output.write_bytes(write_skyc(trajectories))
@@ -382,79 +268,81 @@ def _write(output: Path | None, plan: Plan, space: FlightSpace, certificate: Cer
     return f"written to {output}"
 
 
-# --- answers ----------------------------------------------------------------------------------------------------------
+# --- questions and answers --------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
 class _Question:
     """What `plan make` is asked for."""
 
-    def __init__(self, starts: Places, goals: Places, exchangeable: bool, kind: Kind) -> None:
-        self.starts = starts
-        self.goals = goals
-        self.exchangeable = exchangeable
-        self.kind = kind
+    file: Path
+    wanted: Wanted | None
+    exchangeable: bool
+    kind: Kind
+    limits: MotionLimits
+    within_limits: bool
+
+    def request(self, rule: MarginRule, space: FlightSpace) -> dict[str, Any]:
+        """For a planning process. Raises SkygcsError."""
+        starts, goals = _ends(self.file, self.wanted)
+        if goals is None:
+            plan = _read([self.file], self.limits, None).plan
+            return check_request(plan, rule, self.limits, space, within_limits=self.within_limits, keep=True)
+        return make_request(
+            starts, goals, rule, self.limits, space, exchangeable=self.exchangeable, kind=self.kind.value
+        )
 
 
-def _search(
-    question: _Question,
-    rule: MarginRule,
-    limits: MotionLimits,
-    space: FlightSpace,
-    json_output: bool,
-    output: Path | None,
-) -> int:
-    from skygcs.core.plan.plan_search import Task, make_plan
-
-    task = Task(question.starts, question.goals, question.exchangeable, question.kind.value)
-    found = make_plan(task, rule, limits, space)
-    if found.plan is None or found.certificate is None:
-        if json_output:
-            print_json({"certified": False, "attempts": [a.what for a in found.attempts], "reasons": found.reasons()})
-        else:
-            fail("refused:\n" + "\n".join(f"  {reason}" for reason in found.reasons()))
-        return Exit.FAILED
-    written = _write(output, found.plan, space, found.certificate, limits)
-    if json_output:
-        print_json(found.certificate.as_dict() | {"attempts": [a.what for a in found.attempts], "output": written})
-    else:
-        typer.echo(f"plan: {found.attempts[-1].what}")
-        for reason in found.reasons():
+def _answered(answer: Answer, output: Path | None, limits: MotionLimits, json_output: bool) -> int:
+    """Write the plan, and print what became of it."""
+    if answer["plan"] is None:
+        if not answer["attempts"]:
+            return print_answer(answer, json_output, "paths")
+        return print_refusal(answer, json_output)
+    written = _write(output, answer["plan"], limits)
+    if not json_output and answer["attempts"]:
+        typer.echo(f"plan: {answer['attempts'][-1]}")
+        for reason in answer["reasons"]:
             typer.echo(f"  tried before: {reason}")
-        _print_certificate(found.certificate, written)
-    return Exit.DONE
+    return print_answer(answer, json_output, "paths", written)
 
 
-def _answer(certificate: Certificate, json_output: bool, what: str, written: str = "") -> int:
-    if json_output:
-        print_json(certificate.as_dict() | {"format": what, "output": written})
-    else:
-        _print_certificate(certificate, written)
-    return Exit.DONE if certificate.certified else Exit.FAILED
+async def _origin_of_fleet(gcs: Client) -> Origin | None:
+    known = (await gcs.call("origin.get"))["origin"]
+    return None if known is None else Origin(**known)
 
 
-def _print_certificate(certificate: Certificate, written: str) -> None:
-    duration = "" if certificate.duration_s is None else f", {certificate.duration_s:.1f} s"
-    word = "certified" if certificate.certified else "REFUSED"
-    typer.echo(f"{word}: {certificate.vehicles} vehicles, {certificate.kind}{duration}")
-    for reason in certificate.reasons():
-        typer.echo(f"  {reason}")
-    if certificate.closest is not None:
-        if certificate.certified:
-            typer.echo(f"closest: {certificate.closest.text()}")
-        _print_terms(certificate.closest, certificate.downwash_ratio)
-    else:
-        typer.echo("one vehicle and nothing it could meet")
-    if written:
-        typer.echo(written)
+async def _made_by_daemon(
+    gcs: Client, question: _Question, space: FlightSpace, params: Mapping[str, Any], json_output: bool
+) -> Answer:
+    """The daemon takes measured positions as starts. Raises SkygcsError."""
+    _, goals = await asyncio.to_thread(_ends, question.file, question.wanted, one_is_enough=True)
+    common = {**params, "space": space_content(space), "limits": asdict(question.limits)}
+    if goals is None:
+        found = _read([question.file], question.limits, None)
+        content = plan_content(found.plan, FlightSpace())
+        more = {"within_limits": question.within_limits, "keep": True}
+        return await asked(gcs, "plan.certify", json_output, plan=content, **more, **common)
+    kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
+    return await asked(gcs, "plan.make", json_output, goals=goals, **kind, **common)
 
 
-def _print_terms(approach: Approach, ratio: float) -> None:
-    names = list(dict.fromkeys(term for terms in approach.terms.values() for term in terms))
-    rows = [
-        [name, *(f"{approach.terms[vehicle].get(name, 0.0):.3f}" for vehicle in approach.vehicles)] for name in names
-    ]
-    rows.append(["sum", *(f"{sum(approach.terms[vehicle].values()):.3f}" for vehicle in approach.vehicles)])
-    console().print(table([f"margin, m (height / {ratio:g})", *approach.vehicles], rows, right=approach.vehicles))
+async def _certified_by_daemon(
+    gcs: Client,
+    found: ReadPlan,
+    added: FlightSpace,
+    limits: MotionLimits,
+    params: Mapping[str, Any],
+    within_limits: bool,
+    json_output: bool,
+) -> int:
+    content = plan_content(found.plan, found.space)
+    common = {**params, "space": space_content(added), "limits": asdict(limits), "within_limits": within_limits}
+    answer = await asked(gcs, "plan.certify", json_output, plan=content, **common)
+    return print_answer(answer, json_output, found.format)
+
+
+# --- what is shown ----------------------------------------------------------------------------------------------------
 
 
 def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_output: bool) -> None:

@@ -12,7 +12,9 @@ or TOML:
     final = [10, 0, 5]
     final_heading_deg = 90
 
-Metres in the fleet's frame (x, y, up, as `goto --enu` takes them), headings clockwise from north (as `goto --yaw`).
+It is a plan with two formations: what is flown is certified first (docs/explanation/plans.md), as one phase of straight
+legs. Metres in the fleet's frame (x, y, up, as `goto --enu` takes them), headings clockwise from north (as `goto
+--yaw`).
 """
 
 from __future__ import annotations
@@ -27,7 +29,6 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -38,6 +39,9 @@ from skygcs.cli.connection import Exit, fail, run, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
 from skygcs.cli.render import LiveView, print_json, print_lines
+from skygcs.core.plan.certificate import Approach, Certificate
+from skygcs.core.plan.fleet_plan import Phase, PhasedPlan
+from skygcs.core.plan.margins import MarginRule
 from skygcs.errors import ConfigError, DaemonUnreachable, RefusedError, RpcError, SkygcsError, TargetError
 from skygcs.rpc.client import Client
 
@@ -48,9 +52,6 @@ if TYPE_CHECKING:
 
 DEFAULT_ARRIVE_M = 0.5
 """A vehicle that holds by GPS in light wind stays within it; the UTIAS ground station used 0.25 m."""
-
-DEFAULT_SEPARATION_M = 2.0
-"""About four F450 airframes (0.45 m) plus the errors of two GPS receivers."""
 
 DEFAULT_TIMEOUT_S = 120.0
 
@@ -81,23 +82,23 @@ def table(
         float, typer.Option("--timeout", metavar="S", help="Wait S seconds for all to arrive.", parser=finite)
     ] = DEFAULT_TIMEOUT_S,
     separation_m: Annotated[
-        float,
+        float | None,
         typer.Option(
-            "--separation", metavar="M", help="Smallest distance allowed between two vehicles.", parser=finite
+            "--separation", metavar="M", help="Margin of each pair, in place of its measured terms.", parser=finite
         ),
-    ] = DEFAULT_SEPARATION_M,
-    force: Annotated[bool, typer.Option("--force", help="Although paths come too close.")] = False,
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Although the paths are not certified.")] = False,
     json_output: Json = False,
 ) -> None:
     """Send vehicles to the initial or final positions of a file; exit 0 when all are there.
 
-    Positions closer together than --separation are refused; paths that come closer than that need --force. The paths
-    are taken as straight and flown at the same speed. skygcs does not keep vehicles apart on the way.
+    The flight is certified first: positions and straight paths keep every margin, whoever is early or late, also from
+    vehicles that take no part. Positions too close are refused, paths too close need --force.
     """
     for option, value, most in (("--arrive", arrive_m, 100), ("--timeout", timeout_s, 86400)):
         if not 0 < value <= most:
             raise typer.BadParameter(f"{option}: {value:g} is not between 0 and {most}")
-    within("--separation", separation_m, 0, 1000)
+    within("--separation", separation_m, 0.01, 1000)
 
     if action is TableAction.CHECK:
         run_offline(lambda: _check(_chosen(file, targets), separation_m, json_output))
@@ -105,7 +106,7 @@ def table(
     async def command(gcs: Client) -> int:
         which: Which = "initial" if action is TableAction.INITIAL else "final"
         flights = await _prepared(gcs, _chosen(file, targets), which, separation_m, force)
-        # their paths were checked against each other above; with --force against nobody
+        # they were certified against each other and all others above; with --force against nobody
         together = "all" if force else ",".join(flight.name for flight in flights)
         return await _fly(gcs, flights, together, arrive_m, timeout_s, json_output)
 
@@ -125,44 +126,68 @@ def _chosen(file: Path, targets: str) -> Table:
     return {name: rows[name] for name in names}
 
 
-def _check(rows: Table, separation_m: float, json_output: bool) -> int:
-    places = {which: {name: s.position_m for name, s in spots(rows, which).items()} for which in ("initial", "final")}
-    near = {which: too_near(points, separation_m) for which, points in places.items()}
-    crossing = crossings(places["initial"], places["final"], separation_m)
-    good = not (crossing or any(near.values()))
+def _check(rows: Table, separation_m: float | None, json_output: bool) -> int:
+    """Certify the positions and the way between them, without a daemon."""
+    from skygcs.core.plan.certify import certify
+
+    rule = MarginRule(fixed_m=separation_m)
+    places = {which: {name: s.position_m for name, s in spots(rows, which).items()} for which in WHICH}
+    found: dict[str, Certificate] = {
+        which: certify(PhasedPlan(points, (Phase(f"standing at the {which} positions", {}),)), rule)
+        for which, points in places.items()
+        if points
+    }
+    if places["initial"] and places["final"]:
+        goals = {name: place for name, place in places["final"].items() if name in places["initial"]}
+        found["paths"] = certify(PhasedPlan(places["initial"], (Phase("initial to final", goals),)), rule)
+    good = all(certificate.certified for certificate in found.values())
+    closest = found.get("paths", next(iter(found.values()))).closest
     if json_output:
-        found = {which: [_pair(n) for n in pairs] for which, pairs in (*near.items(), ("paths", crossing))}
-        print_json({"ok": good, "vehicles": list(rows), "too_near": found})
+        pairs = {what: [_pair(approach) for approach in c.too_close] for what, c in found.items()}
+        empty: dict[str, list[Any]] = {"initial": [], "final": [], "paths": []}
+        print_json({"ok": good, "vehicles": list(rows), "too_near": empty | pairs})
         return Exit.DONE if good else Exit.FAILED
-    print_lines(_near_lines(near, separation_m) + _crossing_lines(crossing, separation_m))
+    print_lines(line for certificate in found.values() for line in certificate.reasons())
     counts = ", ".join(f"{len(points)} {which} positions" for which, points in places.items())
-    typer.echo(f"{len(rows)} vehicles: {counts}" + (f"; all at least {separation_m:g} m apart" if good else ""))
+    typer.echo(f"{len(rows)} vehicles: {counts}" + ("; certified" if good else ""))
+    if good and closest is not None:
+        typer.echo(f"closest: {closest.text()}")
     return Exit.DONE if good else Exit.FAILED
 
 
-async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float, force: bool) -> list[TableFlight]:
-    """The flights to the positions of the table, after all checks. Raises RefusedError."""
+async def _prepared(
+    gcs: Client, rows: Table, which: Which, separation_m: float | None, force: bool
+) -> list[TableFlight]:
+    """The flights to the positions of the table, certified. Raises RefusedError."""
 
-    # every vehicle has a position, and the positions are far enough apart
+    # every vehicle has a position, and is known
     wanted = spots(rows, which)
     missing = [name for name in rows if name not in wanted]
     if missing:
         raise RefusedError(f"{', '.join(missing)}: the table has no {which} position")
-    near = too_near({name: spot.position_m for name, spot in wanted.items()}, separation_m)
-    if near:
-        raise RefusedError("\n".join(_near_lines({which: near}, separation_m)))
-    # the straight paths to them are far enough apart, also from vehicles that do not take part
-    states = await gcs.vehicles("all")
-    found = located(states, wanted)
-    starts = {name: position for name, position in found.values()}
-    goals = {found[key][0]: spot.position_m for key, spot in wanted.items()}
-    crossing = crossings({**starts, **others(states, starts)}, goals, separation_m)
-    lines = _crossing_lines(crossing, separation_m)
-    if lines and not force:
-        raise RefusedError("\n".join([*lines, "fly them one after the other, at other heights, or use --force"]))
-    for line in lines:
-        fail(line)
-    return [TableFlight(found[key][0], spot, math.dist(found[key][1], spot.position_m)) for key, spot in wanted.items()]
+    found = located(await gcs.vehicles("all"), wanted)
+    flights = [
+        TableFlight(found[key][0], spot, math.dist(found[key][1], spot.position_m)) for key, spot in wanted.items()
+    ]
+    # their straight ways keep the margins, whoever is early or late
+    margin: dict[str, Any] = {} if separation_m is None else {"margin_m": separation_m}
+    goals = {flight.name: list(flight.goal.position_m) for flight in flights}
+    answer = await gcs.plan("plan.make", goals=goals, kind="direct", **margin)
+    if answer["plan"] is not None:
+        return flights
+    if answer["attempts"] == ["goals"]:
+        raise RefusedError("\n".join([*answer["reasons"], "move the positions apart, or give a --separation"]))
+    if not force:
+        raise RefusedError("\n".join([*answer["reasons"], HINT]))
+    for reason in answer["reasons"]:
+        fail(reason)
+    return flights
+
+
+HINT = (
+    "fly them at other heights, one after the other, or in layers (skygcs-cli plan make FILE --fleet -o plan.json, "
+    "then plan run); --force insists"
+)
 
 
 async def _fly(
@@ -195,29 +220,19 @@ async def _fly(
     return Exit.FAILED if away else Exit.DONE
 
 
-def _near_lines(near: Mapping[str, Sequence[Near]], separation_m: float) -> list[str]:
-    return [
-        f"{which} positions of {n.one} and {n.other} are {n.distance_m:.2f} m apart (least: {separation_m:g} m)"
-        for which, pairs in near.items()
-        for n in pairs
-    ]
-
-
-def _crossing_lines(crossing: Sequence[Near], separation_m: float) -> list[str]:
-    return [
-        f"{n.one} and {n.other} come within {n.distance_m:.2f} m of each other after {n.at:.1f} m of flight "
-        f"(least: {separation_m:g} m)"
-        for n in crossing
-    ]
-
-
-def _pair(near: Near) -> dict[str, Any]:
-    return {"vehicles": [near.one, near.other], "distance_m": round(near.distance_m, 3), "after_m": round(near.at, 2)}
+def _pair(approach: Approach) -> dict[str, Any]:
+    return {
+        "vehicles": list(approach.vehicles),
+        "distance_m": round(approach.distance_m, 3),
+        "margin_m": round(approach.margin_m, 3),
+        "places_m": [[round(value, 2) for value in place] for place in approach.places_m],
+    }
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
 
 Which = Literal["initial", "final"]
+WHICH: tuple[Which, Which] = ("initial", "final")
 Point = tuple[float, float, float]
 
 AXES = ("x", "y", "z")
@@ -239,17 +254,6 @@ class Spot:
 
 Table = dict[str, dict[Which, Spot]]
 """By vehicle, with the names and in the order of the file; a vehicle may have only one of the two positions."""
-
-
-@dataclass(frozen=True, slots=True)
-class Near:
-    """Two vehicles that are, or come, closer than the separation."""
-
-    one: str
-    other: str
-    distance_m: float
-    at: float = 0.0
-    """For paths: the distance that each has flown by then, in metres."""
 
 
 def read_table(path: Path) -> Table:
@@ -279,63 +283,6 @@ def read_table(path: Path) -> Table:
 def spots(table: Table, which: Which) -> dict[str, Spot]:
     """The initial or the final positions."""
     return {name: places[which] for name, places in table.items() if which in places}
-
-
-def too_near(points: Mapping[str, Point], separation_m: float) -> list[Near]:
-    """Pairs of positions closer than the separation."""
-    pairs = combinations(points.items(), 2)
-    found = (Near(one, other, math.dist(p, q)) for (one, p), (other, q) in pairs)
-    return [near for near in found if near.distance_m < separation_m]
-
-
-def crossings(starts: Mapping[str, Point], goals: Mapping[str, Point], separation_m: float) -> list[Near]:
-    """Pairs that come closer than the separation during the flight, nearest first.
-
-    The model: all start at the same time, fly straight at the same speed, and stay where they arrive; a vehicle without
-    a goal stays where it is. Pairs that only move apart do not count, however close they start, nor do two that stay.
-    """
-    found = []
-    for one, other in combinations(starts, 2):
-        legs = [(starts[name], goals.get(name, starts[name])) for name in (one, other)]
-        if all(start == goal for start, goal in legs):
-            continue
-        distance, at = _closest(*legs)
-        comes_closer = distance < math.dist(starts[one], starts[other]) - 0.01
-        if comes_closer and distance < separation_m:
-            found.append(Near(one, other, distance, at))
-    return sorted(found, key=lambda near: near.distance_m)
-
-
-def _closest(one: tuple[Point, Point], other: tuple[Point, Point]) -> tuple[float, float]:
-    """Smallest distance of two vehicles on legs flown at 1 m/s, and the time of it.
-
-    Between two arrivals the relative motion is a straight line, so its smallest distance has a closed form.
-    """
-    lengths = sorted(math.dist(*leg) for leg in (one, other))
-    best = (math.dist(one[0], other[0]), 0.0)
-    begin = 0.0
-    for end in lengths:
-        if end > begin:
-            p, q = (_difference(_along(one, t), _along(other, t)) for t in (begin, end))
-            d = _difference(q, p)
-            square = sum(x * x for x in d)
-            part = 0.0 if square == 0.0 else min(max(-sum(a * b for a, b in zip(p, d, strict=True)) / square, 0.0), 1.0)
-            nearest = math.hypot(*(a + part * b for a, b in zip(p, d, strict=True)))
-            best = min(best, (nearest, begin + part * (end - begin)))
-        begin = end
-    return best
-
-
-def _along(leg: tuple[Point, Point], flown_m: float) -> Point:
-    start, goal = leg
-    length = math.dist(start, goal)
-    part = 1.0 if flown_m >= length else flown_m / length
-    x, y, z = (a + part * (b - a) for a, b in zip(start, goal, strict=True))
-    return x, y, z
-
-
-def _difference(p: Point, q: Point) -> Point:
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
 def _from_csv(text: str, problems: list[str]) -> Table:
@@ -516,16 +463,6 @@ def located(states: Iterable[Mapping[str, Any]], wanted: Mapping[str, Spot]) -> 
             f"{', '.join(frameless)}: no position in the fleet's frame, as it has no origin: skygcs-cli origin set"
         )
     return {name: (str(s["name"]), _point(s["position"]["enu_m"])) for name, s in chosen.items()}
-
-
-def others(states: Iterable[Mapping[str, Any]], flying: Iterable[str]) -> dict[str, Point]:
-    """Positions of the vehicles that do not take part, as far as they are known."""
-    skipped = set(flying)
-    return {
-        str(s["name"]): _point(s["position"]["enu_m"])
-        for s in states
-        if s["name"] not in skipped and (s.get("position") or {}).get("enu_m") is not None
-    }
 
 
 async def send(gcs: Client, flights: Sequence[TableFlight], together: str) -> None:

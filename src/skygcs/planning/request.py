@@ -2,7 +2,7 @@
 
     {"do": "make", "starts": …, "goals": …, "exchangeable": …, "kind": …}     search
     {"do": "paths", "paths": {vehicle: {"points", "times_s", "yaws_rad"}}, "within_limits": …}   written paths
-    {"do": "check", "plan": a plan of skygcs as JSON, "within_limits": …}     certify, in its own space and in "space"
+    {"do": "check", "plan": a plan of skygcs as JSON, "within_limits": …, "keep": …}     certify, in its own space, too
 
 All with "rule" (margins), "limits" and "space", and with "notes": keys that the answer has, too. The answer is one JSON
 object:
@@ -66,10 +66,13 @@ def check_request(
     space: FlightSpace,
     *,
     within_limits: bool = False,
+    keep: bool = False,
 ) -> JsonObject:
-    """Certify a plan, or the content of a file of one; ``within_limits``: its speeds and accelerations as well."""
+    """Certify a plan, or the content of a file of one; ``within_limits``: its speeds and accelerations as well;
+    ``keep``: the answer has the plan with its certificate."""
     return {
         "do": "check",
+        "keep": keep,
         "plan": dict(plan) if isinstance(plan, Mapping) else plan_content(plan, FlightSpace()),
         "within_limits": within_limits,
         **_common(rule, limits, space),

@@ -76,7 +76,8 @@ def answered(request: JsonObject, report: Report) -> JsonObject:
         progress=lambda done, total: report("certify", done, total),
     )
     found = certificate.as_dict()
-    content = plan_content(plan, space, found) if request["do"] == "paths" and certificate.certified else None
+    kept = request["do"] == "paths" or request["keep"]
+    content = plan_content(plan, space, found) if kept and certificate.certified else None
     return {"certificate": found, "plan": content, "attempts": [], "reasons": certificate.reasons()} | notes
 
 

@@ -47,6 +47,9 @@ CONNECT_AGAIN_S = 0.01
 INBOX = 1000
 """Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
 
+PROGRESS = "plan.progress"
+"""The notification that belongs to no subscription."""
+
 EVENT_KINDS = (
     "vehicle_discovered",
     "vehicle_lost",
@@ -243,6 +246,23 @@ class Client:
         answer = await self.call(f"trajectory.{order}", targets=_plain(targets), **params)
         outcomes: Outcomes = answer["outcomes"]
         return outcomes
+
+    async def plan(
+        self,
+        method: str,
+        *,
+        on_progress: Callable[[dict[str, Any]], None] | None = None,
+        **params: Any,
+    ) -> dict[str, Any]:
+        """plan.make or plan.certify, which may take a minute; ``on_progress`` gets job, what, done and total. A client
+        has one such request at a time. Cancelled here, it goes on in the daemon until `close` or plan.cancel."""
+        wire = self._connected()
+        wire.on_progress = on_progress
+        try:
+            answer: dict[str, Any] = await self.call(method, progress=on_progress is not None, **params)
+        finally:
+            wire.on_progress = None
+        return answer
 
     async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:
         """``force``: although it is armed."""
@@ -489,6 +509,8 @@ class _Wire(asyncio.Protocol):
 
     def __init__(self, address: str) -> None:
         self.inboxes: dict[int, Inbox] = {}
+        self.on_progress: Callable[[dict[str, Any]], None] | None = None
+        """For notifications plan.progress."""
         self._address = address
         self._calls: dict[int, _OnAnswer] = {}
         self._partial: list[bytes] = []
@@ -539,6 +561,10 @@ class _Wire(asyncio.Protocol):
     def _on_answer(self, answer: dict[str, Any]) -> None:
         if "method" in answer:
             params = answer["params"]
+            if answer["method"] == PROGRESS:
+                if self.on_progress is not None:
+                    self.on_progress(params)
+                return
             inbox = self.inboxes.get(params["subscription"])
             if inbox is not None:
                 inbox.put(params)

@@ -131,6 +131,7 @@ class PlanMakeParams(CertifyParams):
 
 class PlanCertifyParams(CertifyParams):
     plan: dict[str, Any] = Field(description="A plan of skygcs: the content of its JSON file.")
+    keep: bool = Field(False, description="The answer has the plan, with its certificate.")
 
 
 class PlanCancelParams(MethodParams):
@@ -201,7 +202,7 @@ async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
     taking_part = params.plan.get("vehicles") or params.plan.get("starts")  # it is checked by the process
     space = facts.space(taking_part if isinstance(taking_part, dict) else ())
     request = check_request(
-        params.plan, facts.rule(), _limits(params.limits), space, within_limits=params.within_limits
+        params.plan, facts.rule(), _limits(params.limits), space, within_limits=params.within_limits, keep=params.keep
     )
     return await _run(context, "certify", request, facts, params.progress)
 
@@ -274,7 +275,7 @@ class _Facts:
         if given is not None:
             self.require_each_once(given)
             return {self.name(key): _vector(point) for key, point in given.items()}
-        if self._services.fleet.world.origin is None:
+        if self._services.fleet.origin is None:
             raise RefusedError("the fleet has no frame yet, so positions mean nothing: origin.set")
         now = self._services.now()
         found = {name: fleet_margins.place(one_vehicle(self._services, name), now, fresh=True) for name in goals}

@@ -130,7 +130,8 @@ def test_places_too_near_are_refused_also_with_force(fleet: Commanded, tmp_path:
     path = tmp_path / "t.csv"
     path.write_text("vehicle,final_x,final_y,final_z\nalpha,10,0,5\nbravo,11,0,5\n")
     text = fleet.run("table", str(path), "final", "--force", code=FAILED)
-    assert "final positions of alpha and bravo are 1.00 m apart (least: 2 m)" in text and nothing_flew(fleet)
+    assert "alpha and bravo come within 1.000 m in phase standing at the goals" in text and nothing_flew(fleet)
+    assert "margin 3.300 m" in text and "--separation" in text
     fleet.run("table", str(path), "final", "--separation", "0.5")
 
 
@@ -138,7 +139,8 @@ def test_crossing_paths_need_force(fleet: Commanded, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("vehicle,final_x,final_y,final_z\nalpha,20,0,5\nbravo,10,0,5\n")
     text = fleet.run("table", str(path), "final", code=FAILED)
-    assert "alpha and bravo come within 0.00 m" in text and "--force" in text and nothing_flew(fleet)
+    assert "alpha and bravo come within 0.000 m in phase straight, at (10.00, 0.00, 5.00)" in text
+    assert "--force insists" in text and "plan make FILE --fleet" in text and nothing_flew(fleet)
     assert "come within" in fleet.run("table", str(path), "final", "--force")
 
 
@@ -165,13 +167,44 @@ def checked(path: Path, text: str, *args: str, code: int = DONE) -> str:
 
 def test_check_needs_no_daemon_and_finds_all(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    assert checked(path, TABLE) == "3 vehicles: 3 initial positions, 3 final positions; all at least 2 m apart\n"
+    first, closest = checked(path, TABLE).splitlines()
+    assert first == "3 vehicles: 3 initial positions, 3 final positions; certified"
+    assert closest.startswith(
+        "closest: alpha and bravo come within 10.000 m in phase initial to final, at (10.00, 0.00"
+    )
     swapped = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z\na,0,0,5,10,0,5\nb,10,0,5,0,0,5\n"
     text = checked(path, swapped + "c,10,1,5,,,\n", code=FAILED)
-    assert "initial positions of b and c are 1.00 m apart" in text and "a and b come within 0.00 m" in text
-    found = json.loads(checked(path, swapped, "--json", code=FAILED))
-    assert found["too_near"]["paths"] == [{"vehicles": ["a", "b"], "distance_m": 0.0, "after_m": 5.0}]
+    assert "b and c come within 1.000 m in phase standing at the initial positions" in text
+    assert "a and b come within 0.000 m in phase initial to final" in text
+    (pair,) = json.loads(checked(path, swapped, "--json", code=FAILED))["too_near"]["paths"]
+    assert (pair["vehicles"], pair["distance_m"], pair["margin_m"]) == (["a", "b"], 0.0, 3.3)
+    assert len(pair["places_m"]) == 2 and pair["places_m"][0][2] == 5.0
     assert "line 2: final x" in checked(path, "vehicle,final_x,final_y,final_z\na,x,1,2\n", code=FAILED)
+
+
+@pytest.mark.parametrize(
+    ("rows", "what"),
+    [
+        # at one speed they pass, but one of them may be late
+        (
+            "a,0,0,5,30,0,5\nb,10,-20,5,10,20,5\n",
+            "a and b come within 0.000 m in phase initial to final, at (10.00, 0.00",
+        ),
+        # above each other, within the downwash
+        ("a,0,0,5,0,9,5\nb,0,0,11,0,9,11\n", "a and b come within 3.000 m in phase standing at the initial positions"),
+    ],
+)
+def test_whoever_is_late_and_whoever_is_below_counts(tmp_path: Path, rows: str, what: str) -> None:
+    header = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z\n"
+    assert what in checked(tmp_path / "t.csv", header + rows, code=FAILED)
+
+
+def test_the_margin_can_be_given(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,10,9,5\nbravo,12.5,9,5\n")
+    assert "margin 3.300 m" in fleet.run("table", str(path), "final", code=FAILED) and nothing_flew(fleet)
+    fleet.run("table", str(path), "final", "--separation", "2")
+    assert not nothing_flew(fleet)
 
 
 def test_arrival_is_taken_back_when_a_vehicle_leaves() -> None:

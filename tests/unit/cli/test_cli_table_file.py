@@ -1,16 +1,15 @@
-"""Tables of positions: both formats, everything that can be wrong with them, and paths that cross."""
+"""Tables of positions: both formats, and everything that can be wrong with them."""
 
 from __future__ import annotations
 
 import contextlib
-import math
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.cli.table import Spot, crossings, read_table, spots, too_near
+from skygcs.cli.table import Spot, read_table, spots
 from skygcs.errors import ConfigError, SkygcsError
 
 CSV = """# two vehicles
@@ -131,65 +130,3 @@ def test_any_text_is_a_table_or_an_error(tmp_path_factory: pytest.TempPathFactor
         path.write_bytes(content.encode("utf-8", "surrogatepass"))
         with contextlib.suppress(SkygcsError):
             read_table(path)
-
-
-def test_places_too_near_are_found_in_three_dimensions() -> None:
-    points = {"a": (0.0, 0.0, 5.0), "b": (0.0, 1.9, 5.0), "c": (0.0, 0.0, 7.0)}
-    (near,) = too_near(points, 2.0)
-    assert (near.one, near.other, near.distance_m) == ("a", "b", 1.9)
-
-
-# --- paths -----------------------------------------------------------------------------------------------------------
-
-A, B = (0.0, 0.0, 5.0), (10.0, 0.0, 5.0)
-
-
-def test_head_on_is_a_crossing_in_the_middle() -> None:
-    (near,) = crossings({"a": A, "b": B}, {"a": B, "b": A}, 2.0)
-    assert (near.distance_m, near.at) == (pytest.approx(0.0), pytest.approx(5.0))
-
-
-def test_paths_that_cross_at_different_times_are_no_problem() -> None:
-    starts, goals = {"a": A, "b": (5.0, -9.0, 5.0)}, {"a": B, "b": (5.0, 9.0, 5.0)}
-    assert crossings(starts, goals, 2.0) == []  # a passes the point at 5 m, b at 9 m
-    assert crossings({**starts, "b": (5.0, -5.0, 5.0)}, goals, 2.0)
-
-
-def test_other_heights_are_no_crossing() -> None:
-    assert crossings({"a": A, "b": (10.0, 0.0, 8.0)}, {"a": B, "b": (0.0, 0.0, 8.0)}, 2.0) == []
-
-
-def test_a_vehicle_that_stays_counts_too() -> None:
-    (near,) = crossings({"a": A, "b": (5.0, 1.0, 5.0)}, {"a": B}, 2.0)
-    assert (near.distance_m, near.at) == (pytest.approx(1.0), pytest.approx(5.0))
-
-
-def test_one_that_arrived_early_is_met_where_it_stays() -> None:
-    (near,) = crossings({"a": A, "b": (12.0, 1.0, 5.0)}, {"a": (20.0, 0.0, 5.0), "b": (12.0, 0.5, 5.0)}, 2.0)
-    assert (near.distance_m, near.at) == (pytest.approx(0.5), pytest.approx(12.0))
-
-
-def test_moving_apart_is_no_problem_however_near_they_begin() -> None:
-    assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {"a": (-9.0, 0.0, 5.0), "b": B}, 2.0) == []
-    assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {}, 2.0) == []
-    assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {"a": A}, 2.0) == []
-
-
-points = st.tuples(*[st.floats(-20, 20)] * 3)
-
-
-@given(a=points, b=points, p=points, q=points)
-def test_the_nearest_is_as_near_as_by_trying(a, b, p, q) -> None:
-    found = crossings({"a": a, "b": p}, {"a": b, "b": q}, 1e3)
-    length = max(math.dist(a, b), math.dist(p, q))
-
-    def at(start, goal, flown):
-        whole = math.dist(start, goal)
-        part = 1.0 if flown >= whole else flown / whole
-        return [s + part * (g - s) for s, g in zip(start, goal, strict=True)]
-
-    tried = min(math.dist(at(a, b, length * i / 400), at(p, q, length * i / 400)) for i in range(401))
-    if tried < math.dist(a, p) - 0.3:
-        assert found and tried - 0.3 <= found[0].distance_m <= tried + 1e-9
-    for near in found:
-        assert near.distance_m <= tried + 1e-9

@@ -46,7 +46,7 @@ def test_direct_is_one_phase_of_straight_legs() -> None:
     # at one speed they would pass: a arrives behind b when that has left; but b may be late
     behind = {"a": (10.0, 0.0, 10.0), "b": (20.0, 0.0, 10.0)}
     refused = answer(make_request(starts, behind, RULE, LIMITS, SPACE, kind="direct"))
-    assert refused["plan"] is None and "a and b come within 0.000 m in phase direct" in refused["reasons"][0]
+    assert refused["plan"] is None and "a and b come within 0.000 m in phase straight" in refused["reasons"][0]
 
 
 def test_written_paths_become_trajectories() -> None:

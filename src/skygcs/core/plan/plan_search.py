@@ -32,7 +32,7 @@ AttemptProgress = Callable[[str, int, int], None]
 """Called with what is being certified, vehicles done and in all; it may raise to cancel."""
 
 
-DIRECT = "direct"
+DIRECT = "straight"
 """Name of its one phase."""
 
 
