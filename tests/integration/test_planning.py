@@ -106,7 +106,7 @@ async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path
             for by_m, seconds in ((30.0, 15.0), (-30.0, 15.0)):
                 x_m, y_m, up_m = gcs.place()
                 t = seconds
-                leg = {"duration_s": t, "x": [x_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "y": [y_m], "up": [up_m]}
+                leg = {"duration_s": t, "x": [x_m], "y": [y_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "up": [up_m]}
                 loaded = await gcs("trajectory.load", target="v1", pieces=[leg])
                 assert loaded["outcomes"]["v1"]["ok"], loaded
                 await gcs.done("trajectory.start", targets="v1", after_s=0.5)

@@ -36,7 +36,7 @@ async def asked(gcs: Client, method: str, json_output: bool, **params: Any) -> A
     if size > LARGEST_REQUEST:
         raise RefusedError(f"the plan has {size:,} bytes as a request to the daemon; the most is {LARGEST_REQUEST:,}")
     with _bar(json_output) as report:
-        return await gcs.plan(method, on_progress=report, **params)
+        return await gcs.planning(method, on_progress=report, **params)
 
 
 @contextlib.contextmanager

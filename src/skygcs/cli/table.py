@@ -172,7 +172,7 @@ async def _prepared(
     # their straight ways keep the margins, whoever is early or late
     margin: dict[str, Any] = {} if separation_m is None else {"margin_m": separation_m}
     goals = {flight.name: list(flight.goal.position_m) for flight in flights}
-    answer = await gcs.plan("plan.make", goals=goals, kind="direct", **margin)
+    answer = await gcs.planning("plan.make", goals=goals, kind="direct", **margin)
     if answer["plan"] is not None:
         return flights
     if answer["attempts"] == ["goals"]:

@@ -247,7 +247,7 @@ class Client:
         outcomes: Outcomes = answer["outcomes"]
         return outcomes
 
-    async def plan(
+    async def planning(
         self,
         method: str,
         *,
