@@ -257,7 +257,7 @@ class FlightOrders:
 
     async def _order(self, flight: PlanFlight, kind: OrderKind, name: str) -> None:
         """One order to one vehicle, to its outcome."""
-        actor, settings = flight.actors[name], flight.settings
+        actor = flight.actors[name]
         match kind:
             case OrderKind.ARM:
                 outcome = await self._arm(actor)
@@ -273,8 +273,6 @@ class FlightOrders:
             case _:
                 flight.engaged.discard(name)
                 outcome = await actor.land()
-        if kind is OrderKind.DISARM and not outcome.ok and not settings.force:
-            self._on_event(Event(KIND, name, actor.sysid, f"{name} could not be disarmed: {outcome.message}", {}))
         self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message))
 
     async def _arm(self, actor: VehicleActor) -> Outcome:

@@ -461,7 +461,8 @@ class PlanRunner:
         """Find the rounds of a landing from where they are measured."""
         execution, now = flight.execution, self._loop.time()
         sights = flight.look(now)
-        flying = [name for name in execution.names if not sights[name].on_ground]
+        others = {name for name, left in execution.left.items() if left.why in (Why.PILOT, Why.LOST)}
+        flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
         if not flying:
             self._orders.carry_out(flight, execution.landing([]))
             return

@@ -3,7 +3,8 @@
     state        what is done                                        what ends it
     ----------   -------------------------------------------------   --------------------------------------------------
     arming       vehicles on the ground arm; nobody moves            all armed → takeoff; one is not → aborted (disarm)
-    takeoff      they climb vertically, each to its layer            all there → engaging; one is not → stopped
+    takeoff      they climb vertically, each to its layer            all there → engaging; one is not → stopped, and who
+                                                                     still stands is disarmed
     engaging     each is taken under control and stands at its place all there → to_starts, returning or flying
     to_starts    way there, step by step                             the last barrier → flying
     returning    way back after a stop                               the barrier → the interrupted step
@@ -339,6 +340,11 @@ class Execution:
             self._done.add(name)
         if kind is OrderKind.HOLD and self.state is PlanState.ABORTING:
             return self._on_held(name, ok, text)
+        if kind is OrderKind.HOLD and not ok:
+            self._report(f"{name} was ordered to hold, but: {text}", name)
+        if kind is OrderKind.DISARM and not ok:
+            self._report(f"{name} could not be disarmed, it is ordered to hold: {text}", name)
+            return [Order(OrderKind.HOLD, (name,))]  # it has left the ground after all
         if kind is OrderKind.LAND and not ok and self.state is PlanState.LANDING:
             self._report(f"{name} does not land: {text}", name)
         return []
@@ -375,7 +381,8 @@ class Execution:
 
     def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
         if self.state is not PlanState.ARMING:  # it came too late
-            return [Order(OrderKind.DISARM, (name,))] if ok else []
+            over = self.state in (PlanState.ABORTED, PlanState.ABORTING, PlanState.STOPPED)
+            return [Order(OrderKind.DISARM, (name,))] if ok and over else []
         if not ok:
             self._enter(PlanState.ABORTED, f"nobody takes off: {name} does not arm: {text}", name)
             return self._disarm()
@@ -532,8 +539,9 @@ class Execution:
     def _stop(self, name: str | None, text: str, sights: Mapping[str, Sight] | None = None) -> list[Order]:
         """Stop the clock of all, and name the pairs in danger."""
         self.pairs = () if name is None or sights is None else self.pairs_near(name, sights)
+        standing = self._disarm() if self.state is PlanState.TAKEOFF else []
         self._enter(PlanState.STOPPED, text + _pairs_text(self.pairs), name, self.pairs)
-        return [Order(OrderKind.STOP_CLOCK)] if self._started else []
+        return [Order(OrderKind.STOP_CLOCK)] if self._started else standing
 
     def _leave(self, name: str, left: Left, sights: Mapping[str, Sight]) -> list[Order]:
         self.left[name] = left
@@ -561,12 +569,13 @@ class Execution:
     def _hold_now(self) -> list[Order]:
         self._asked = True
         self._done.clear()
-        staying = tuple(n for n in self.names if n not in self.left)
-        self._done.update(self.left)
+        staying = tuple(n for n in self.names if n not in self.left and n not in self._armed)
+        standing = self._disarm()
+        self._done.update(self.left, self._armed)
         if not staying:
             self._enter(PlanState.ABORTED, "nobody follows it any more")
-            return []
-        return [Order(OrderKind.HOLD, staying)]
+            return standing
+        return [*standing, Order(OrderKind.HOLD, staying)]
 
     def _on_held(self, name: str, ok: bool, text: str) -> list[Order]:
         if not ok:
@@ -593,7 +602,7 @@ class Execution:
     def _next_round(self) -> list[Order]:
         if not self._rounds:
             self._started = False
-            self._enter(PlanState.LANDED, "all are on the ground")
+            self._enter(PlanState.LANDED, "they are on the ground")
             return []
         self._report(f"{_named(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))
         return [Order(OrderKind.LAND, self._rounds[0])]
