@@ -56,6 +56,9 @@ STATE_KEYS = (
 FEED_RATES_HZ = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """The daemon's rate is the smallest of these that no page's rate exceeds."""
 
+PLAN_RATE_HZ = 2.0
+"""Of a plan that is flown; its changes come at once."""
+
 RATE_EVERY_S = 1.0
 """The rate changes so often at most, however often pages ask."""
 
@@ -82,6 +85,12 @@ class Pages(Protocol):
     def on_states(self) -> None: ...
     def on_event(self, event: dict[str, Any]) -> None: ...
     def on_daemon(self) -> None: ...
+    def notify(self, method: str, params: Any) -> None: ...
+    @property
+    def wanted(self) -> asyncio.Event:
+        """Set when a page has subscribed."""
+        ...
+
     def rate_hz(self) -> float | None:
         """The highest rate that a page wants; None: no page wants states."""
         ...
@@ -99,6 +108,8 @@ class DaemonConnection:
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
         self.reconnects = 0
+        self.stopping = False
+        """Set before `run` is cancelled."""
         self._token = token
         self._states = states
         self._clients: dict[str, Client] = {}
@@ -161,9 +172,8 @@ class DaemonConnection:
                 self._change(False, str(error), pages)
             finally:
                 self._clients = {}
-            task = asyncio.current_task()
-            if task is not None and task.cancelling():  # at the moment of the loss: the task group has swallowed it
-                raise asyncio.CancelledError
+            if self.stopping:  # cancelled at the moment of the loss: a task group prefers its tasks' errors
+                return
             self.reconnects += 1
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
@@ -182,6 +192,7 @@ class DaemonConnection:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._feed_states(feed, pages), name="states")
             group.create_task(self._feed_events(feed.events(), pages), name="events")
+            group.create_task(self._feed_plan(feed.plan(rate_hz=PLAN_RATE_HZ), pages), name="plan")
             for name, client in self._clients.items():
                 group.create_task(self._keep_alive(client), name=f"keep alive {name}")
 
@@ -191,7 +202,8 @@ class DaemonConnection:
             rate_hz = feed_rate_hz(pages.rate_hz())
             if rate_hz is None:
                 self._states.reset()
-                await asyncio.sleep(0.05)  # a page that comes waits so long for its first vehicle
+                pages.wanted.clear()
+                await pages.wanted.wait()
                 continue
             subscription = feed.telemetry("all", rate_hz=rate_hz, groups=STATE_KEYS)
             reading = self.loop.create_task(self._read_states(subscription, pages), name="telemetry")
@@ -221,6 +233,10 @@ class DaemonConnection:
                 self._states.remove(event["vehicle"])
                 pages.on_states()
             pages.on_event(event)
+
+    async def _feed_plan(self, plans: Subscription, pages: Pages) -> None:
+        async for plan in plans:
+            pages.notify("web.plan", plan)
 
     async def _keep_alive(self, client: Client) -> None:
         while True:

@@ -17,7 +17,7 @@ from pydantic_core import from_json, to_json
 
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.web.request_limits import PageLimits, deadline_problem
-from skygcs.web.roles import ENDS_FLIGHT, READ, access, may
+from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
 from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates, PageStates
 
@@ -79,6 +79,8 @@ class PageClients:
         self.orders: set[asyncio.Task[None]] = set()
         """Orders in progress: they go on to their outcome when their page leaves."""
         self.counters = {"closed_stuck": 0, "closed_flooding": 0, "events_dropped": 0, "late_orders": 0}
+        self.wanted = asyncio.Event()
+        """Set when a page has subscribed."""
         self._round: asyncio.TimerHandle | None = None
         self._operator_at = float("-inf")
 
@@ -91,7 +93,7 @@ class PageClients:
 
     def on_event(self, event: dict[str, Any]) -> None:
         body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + _encode(event)
-        for client in self.clients:
+        for client in tuple(self.clients):
             client.offer_event(body)
 
     def on_daemon(self) -> None:
@@ -102,11 +104,11 @@ class PageClients:
     def notify(self, method: str, params: Any) -> None:
         """Send something to all pages; of one method only the newest waits."""
         body = b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), _encode(params))
-        for client in self.clients:
+        for client in tuple(self.clients):
             client.offer_notice(method, body)
 
     def wake_all(self) -> None:
-        for client in self.clients:
+        for client in tuple(self.clients):
             client.wake()
 
     def daemon_status(self) -> dict[str, Any]:
@@ -176,6 +178,7 @@ class PageClient:
             self.page_states = PageStates(self.pages.states, rate_hz)
         else:
             self.page_states.again(rate_hz)
+        self.pages.wanted.set()
         self.wake()
         return self.page_states.seq
 
@@ -300,6 +303,8 @@ class PageClient:
         if method.startswith(("web.", "replay.")):
             return METHOD_NOT_FOUND, f"no method {name}"
         if access(method) == "refused":
+            if method not in NOT_PASSED_ON:
+                return METHOD_NOT_FOUND, f"no method {name}"
             return REFUSED, f"{name} is not for pages"
         if not may(self.role, method):
             return NOT_PERMITTED, f"{name}: this page may only look; skygcs web link prints an address that may more"

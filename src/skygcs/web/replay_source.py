@@ -150,6 +150,7 @@ class ReplaySource:
         self.text = f"a recording: {path.name}"
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
+        self.stopping = False
         self.fleet = ReplayFleet(dialect)
         self.position_s = 0.0
         self.playing = False

@@ -1,7 +1,7 @@
 """What each role may call: explicit lists of the daemon's methods. Pure.
 
-A method of the daemon that stands in none of the lists is refused to the role view; a test compares the lists with the
-daemon's table, so that each new method is sorted in here.
+A method that stands in none of the lists is refused. A test compares them with the table of the daemon, so that each
+new method is sorted in here.
 """
 
 from __future__ import annotations
@@ -14,47 +14,126 @@ Access = Literal["read", "order", "ends flight", "refused"]
 
 READ = frozenset(
     {
-        "daemon.info",
-        "vehicles.list",
-        "vehicles.get",
+        "commands.list",
         "components.list",
+        "control.status",
+        "corrections.status",
+        "daemon.info",
+        "events.recent",
+        "link.status",
+        "links.list",
         "messages.latest",
         "messages.list",
-        "commands.list",
-        "links.list",
-        "router.stats",
-        "events.recent",
-        "recorder.status",
+        "missions.status",
+        "monitor.status",
         "origin.get",
         "params.status",
-        "control.status",
-        "trajectory.status",
-        "monitor.status",
-        "missions.status",
-        "link.status",
-        "corrections.status",
-        "signing.status",
+        "plan.jobs",
+        "plan.status",
         "preflight.status",
-        "undo.list",
+        "recorder.status",
+        "router.stats",
         "rpc.discover",
+        "signing.status",
+        "trajectory.status",
+        "undo.list",
+        "vehicles.get",
+        "vehicles.list",
     }
 )
 """They ask the daemon and no vehicle: nothing is sent because of them."""
 
-ENDS_FLIGHT = frozenset({"vehicles.stop", "vehicles.hold", "vehicles.land", "vehicles.rtl", "vehicles.disarm"})
-"""Orders that have a connection of their own, so that nothing is in front of them."""
+ENDS_FLIGHT = frozenset(
+    {
+        "missions.pause",
+        "plan.abort",
+        "plan.land",
+        "plan.pause",
+        "trajectory.abort",
+        "trajectory.pause",
+        "vehicles.disarm",
+        "vehicles.hold",
+        "vehicles.land",
+        "vehicles.rtl",
+        "vehicles.stop",
+    }
+)
+"""Orders that end or stop a flight. They have a connection of their own, so that nothing is in front of them."""
 
-NOT_PASSED_ON = frozenset({"subscribe", "unsubscribe", "auth", "operator.relay", "corrections.send"})
+ORDERS = frozenset(
+    {
+        "control.gains",
+        "control.record",
+        "control.set",
+        "control.setpoint",
+        "fence.set",
+        "fence.status",
+        "fence.test",
+        "link.select",
+        "links.add",
+        "links.change",
+        "links.remove",
+        "messages.send",
+        "missions.clear",
+        "missions.download",
+        "missions.resume",
+        "missions.set_current",
+        "missions.start",
+        "missions.upload",
+        "origin.from_vehicle",
+        "origin.push",
+        "origin.set",
+        "params.cancel",
+        "params.get",
+        "params.list",
+        "params.set",
+        "plan.cancel",
+        "plan.certify",
+        "plan.check",
+        "plan.load",
+        "plan.make",
+        "plan.resume",
+        "plan.run",
+        "plan.speed",
+        "plan.unload",
+        "preflight.run",
+        "signing.off",
+        "signing.reset_clock",
+        "signing.setup",
+        "trajectory.load",
+        "trajectory.resume",
+        "trajectory.speed",
+        "trajectory.start",
+        "trajectory.unload",
+        "undo.drop",
+        "undo.run",
+        "vehicles.arm",
+        "vehicles.command",
+        "vehicles.forget",
+        "vehicles.goto",
+        "vehicles.interval",
+        "vehicles.mode",
+        "vehicles.reboot",
+        "vehicles.renumber",
+        "vehicles.request",
+        "vehicles.set_home",
+        "vehicles.stream",
+        "vehicles.takeoff",
+    }
+)
+"""What changes something, sends something to a vehicle or occupies the daemon for long."""
+
+NOT_PASSED_ON = frozenset({"auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"})
 """The web process subscribes once for all pages; corrections are a stream of bytes that no page has."""
 
 
 def access(method: str) -> Access:
-    """How a method of the daemon is treated."""
+    """How a method of the daemon is treated; one that is not listed is passed on for nobody."""
     if method in READ:
         return "read"
     if method in ENDS_FLIGHT:
         return "ends flight"
-    return "refused" if method in NOT_PASSED_ON else "order"
+    return "order" if method in ORDERS else "refused"
 
 
 def may(role: Role, method: str) -> bool:

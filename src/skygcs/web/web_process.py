@@ -186,6 +186,7 @@ class WebProcess:
                 feeding.result()
         finally:
             if feeding is not None:
+                self.source.stopping = True
                 feeding.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
                     await feeding

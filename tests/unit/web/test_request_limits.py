@@ -1,0 +1,53 @@
+"""The allowance of one page, and the deadline of an order."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from skygcs.web.request_limits import (
+    DEADLINE_MAX_S,
+    HOPELESS,
+    MAX_ENDING_WAITING,
+    MAX_WAITING,
+    REQUEST_BURST,
+    PageLimits,
+    deadline_problem,
+)
+
+
+def test_a_flood_is_refused_and_stop_is_not_behind_it() -> None:
+    limits = PageLimits(0.0)
+    granted = 0
+    for _ in range(10_000):
+        if limits.begin(0.0, ends_flight=False) is None:
+            granted += 1
+            limits.end(ends_flight=False)
+    assert granted == REQUEST_BURST
+    assert limits.exceeded and limits.refused >= HOPELESS
+    assert limits.begin(0.0, ends_flight=True) is None
+
+
+def test_only_so_many_may_wait_for_their_answer() -> None:
+    limits = PageLimits(0.0)
+    for _ in range(MAX_WAITING):
+        assert limits.begin(0.0, ends_flight=False) is None
+    assert limits.begin(0.0, ends_flight=False) is not None
+    for _ in range(MAX_ENDING_WAITING):
+        assert limits.begin(0.0, ends_flight=True) is None
+    assert limits.begin(0.0, ends_flight=True) is not None
+    limits.end(ends_flight=False)
+    assert limits.begin(0.0, ends_flight=False) is None
+
+
+@pytest.mark.parametrize("deadline", [100.0, 100, 103.5, 100.0 + DEADLINE_MAX_S])
+def test_an_order_in_time_is_carried_out(deadline: float) -> None:
+    assert deadline_problem(deadline, 100.0) is None
+
+
+@pytest.mark.parametrize(
+    "deadline", [None, True, "103", [], 99.99, -1e300, 0, 100.0 + DEADLINE_MAX_S + 0.01, 1e300, math.inf, math.nan]
+)
+def test_an_order_without_a_deadline_or_after_it_is_not(deadline: object) -> None:
+    assert deadline_problem(deadline, 100.0) is not None
