@@ -87,7 +87,7 @@ test("a refusal keeps the server's words and code", async () => {
   await assert.rejects(call, { code: -32002, message: "a replay: nothing can be ordered" });
 });
 
-test("an order has a deadline in the server's clock, a reading has none", async () => {
+test("an order has a deadline in the server's clock, a reading has none", () => {
   const { world, connection } = connected();
   world.pass(500);
   void connection.order("vehicles.arm", { targets: ["a"] }, 3);

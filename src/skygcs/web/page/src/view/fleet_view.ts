@@ -52,7 +52,9 @@ export class FleetView {
   private heightPx = 0;
   private scene: Scene = { bodies: [], moving: false };
   private requested = false;
-  private fittedOnce = false;
+  /** Vehicles that the view was fitted to; it is fitted anew with each further one until a person moves it. */
+  private fittedTo = 0;
+  private moved = false;
   private sideTopM = 0;
   private readonly overlays = new Map<string, Overlay>();
   private readonly sprites = new LabelSprites();
@@ -121,11 +123,13 @@ export class FleetView {
   /** Zoomed by a factor; the place under this point of the canvas stays there. */
   zoomAt(factor: number, xPx: number, yPx: number): void {
     this.camera = zoomedAt(this.camera, factor, xPx, yPx);
+    this.moved = true;
     this.changed();
   }
 
   pan(dxPx: number, dyPx: number): void {
     this.camera = panned(this.camera, dxPx, dyPx);
+    this.moved = true;
     this.setFollow(false);
   }
 
@@ -233,6 +237,7 @@ export class FleetView {
     this.heightPx = height;
     this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? SIDE_PX : 0), 1) };
     this.trailsDrawn = null;
+    this.fittedTo = 0;
     this.sprites.clear(this.ratio);
     this.redraw();
   }
@@ -304,10 +309,10 @@ export class FleetView {
     }
   }
 
-  /** Follows the selected vehicles; fits the fleet once when its first vehicles have come. */
+  /** Follows the selected vehicles; fits the fleet as its vehicles come. */
   private steer(): void {
-    if (!this.fittedOnce && this.scene.bodies.length > 0 && this.camera.widthPx > 0) {
-      this.fittedOnce = true;
+    if (!this.moved && this.scene.bodies.length > this.fittedTo) {
+      this.fittedTo = this.scene.bodies.length;
       this.fit("all");
     }
     if (!this.follow) return;

@@ -1,0 +1,20 @@
+"""Waiting for what a page of the browser tests knows: Playwright's wait_for_function needs eval, which CSP forbids."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from playwright.sync_api import Page
+
+LIMIT_S = 60.0
+"""A hang, not a measure: a busy machine takes long."""
+
+
+def until(page: Page, expression: str) -> Any:
+    """Wait until a JavaScript expression is true; what it then is. Fails with the expression."""
+    deadline = time.monotonic() + LIMIT_S
+    while not (value := page.evaluate(expression)):
+        assert time.monotonic() < deadline, f"never true: {expression}"
+        page.wait_for_timeout(50)
+    return value

@@ -1,0 +1,93 @@
+"""A phone: 390 px by touch. Table, one vehicle, orders and STOP; targets for a finger; two fingers on the view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from support.browser import until
+from support.web_station import WebStation
+
+Shot = Callable[[Page, str], Path]
+
+LEAST_PX = 44
+
+SMALL = """least => [...document.querySelectorAll('button, select, input, summary, tr.row')]
+    .filter(e => e.getClientRects().length && !e.closest('[hidden]'))
+    .map(e => [e, (e.closest('label.check') ?? e).getBoundingClientRect()])
+    .filter(([, box]) => box.height < least - 0.5 || box.width < least - 0.5)
+    .map(([e, box]) => `${e.className || e.tagName} ${e.textContent.slice(0, 20)} ${box.width}x${box.height}`)"""
+"""What can be touched and is too small for a finger."""
+
+
+@pytest.fixture
+def page(station: WebStation, open_page: Callable[..., Page]) -> Page:
+    opened = open_page(station, width=390, height=844, touch=True)
+    expect(opened.locator("tr.row[data-heard=true]")).to_have_count(3)
+    return opened
+
+
+def pane(page: Page, name: str) -> None:
+    page.locator(".bottom .tab", has_text=name).tap()
+
+
+def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) -> None:
+    for name in ("Table", "View", "Orders"):
+        pane(page, name)
+        page.wait_for_timeout(300)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert page.evaluate(SMALL, LEAST_PX) == [], name
+        box = page.get_by_role("button", name="Stop all vehicles").bounding_box()
+        assert box is not None and box["x"] + box["width"] <= 390 and box["height"] >= LEAST_PX
+        shot(page, f"phone-{name.lower()}")
+        page.emulate_media(color_scheme="light")
+        page.wait_for_timeout(200)
+        shot(page, f"phone-{name.lower()}-daylight")
+        page.emulate_media(color_scheme="dark")
+    assert page.errors == []  # type: ignore[attr-defined]
+
+
+def test_no_column_of_the_table_is_cut_off(page: Page) -> None:
+    assert page.evaluate("document.querySelector('.tablebox').scrollWidth") <= 390
+
+
+def test_select_by_touch_hold_an_order_by_touch_and_stop(page: Page, shot: Shot) -> None:
+    page.locator("tr.row[data-name=v1]").tap()
+    page.locator("tr.row[data-name=v2]").tap()
+    pane(page, "Orders")
+    expect(page.locator(".targets")).to_contain_text("2 vehicles")
+    button = page.locator(".order", has_text="Arm").first.bounding_box()
+    assert button is not None
+    client = page.context.new_cdp_session(page)
+    at = [{"x": button["x"] + button["width"] / 2, "y": button["y"] + button["height"] / 2}]
+    client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": at})
+    expect(page.locator(".holdhint")).to_be_visible()
+    shot(page, "phone-order-held")
+    page.wait_for_timeout(1_300)
+    client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    expect(page.locator(".toast").first).to_contain_text("Arm")
+    page.get_by_role("button", name="Stop all vehicles").tap()
+    expect(page.locator(".toast").first).to_contain_text("STOP all")
+    until(page, "skygcs.store.state.orders.filter(o => o.method === 'vehicles.stop').length === 1")
+
+
+def test_two_fingers_zoom_the_view(page: Page) -> None:
+    pane(page, "View")
+    page.wait_for_timeout(300)
+    before = page.evaluate("skygcs.view.camera.pxPerM")
+    client = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *xs: float) -> None:
+        points = [{"x": x, "y": 400.0, "id": i} for i, x in enumerate(xs)]
+        client.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", 170, 220)
+    for step in range(1, 8):
+        touch("touchMove", 170 - 10 * step, 220 + 10 * step)
+    touch("touchEnd")
+    after = page.evaluate("skygcs.view.camera.pxPerM")
+    assert after == pytest.approx(before * 190 / 50, rel=0.15)
+    assert page.evaluate("window.visualViewport.scale") == 1
