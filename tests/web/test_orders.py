@@ -1,4 +1,4 @@
-"""Orders in a real browser: held for a second, by name, with the daemon's words; STOP, keys, roles, lost connections."""
+"""Orders in a real browser: held for a second, by name, in the daemon's words; STOP, keys, roles, lost connections."""
 
 from __future__ import annotations
 
