@@ -49,6 +49,7 @@ COMMANDS = (
     ("gains", ("gains",)),
     ("plot", ("plot",)),
     ("tlog", ("tlog",)),
+    ("onboard_logs", ("log",)),
     ("status", ("call", "discover")),
 )
 """Modules, and commands that their ``add_to(app)`` adds, in the order of the help. A module is imported when one of its

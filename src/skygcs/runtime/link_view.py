@@ -134,6 +134,14 @@ class LinkView:
             for link in self._links.configs.values()
         )
 
+    def radio_to(self, vehicle: Vehicle) -> str | None:
+        """The name of a radio link that leads to this vehicle; None if no link that it is heard on is a radio."""
+        for channel_id in self._hub.channels_to(vehicle.sysid, vehicle.compid):
+            channel = self._hub.channels[channel_id]
+            if channel.air is not None or channel.config.role == "radio":
+                return channel.link.name
+        return None
+
     def why_silent(self, vehicle: Vehicle) -> str:
         """Why a vehicle that is heard may not answer: the end of a sentence, or ""."""
         slot = vehicle.slots.get(HEARTBEAT)

@@ -44,6 +44,7 @@ from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
 from skygcs.runtime.order_runner import OrderRunner, duplicate_refusal
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.param_transfers import VehicleParams
@@ -59,7 +60,7 @@ class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
 
     Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``missions``,
-    ``fence``, ``preflight``, ``streams`` (the rates of its messages).
+    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages).
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class VehicleActor:
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self._orders.report_progress, services.on_event
         )
+        self.logs = VehicleLogs(vehicle, services)
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
         self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
@@ -104,6 +106,7 @@ class VehicleActor:
             TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
+            **dict.fromkeys(self.logs.messages, self.logs.on_frame),
         }
         """Messages of which every frame is read, with their readers."""
 
@@ -238,6 +241,7 @@ class VehicleActor:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
+        self.logs.stop("cancelled", SHUTDOWN)
         self._orders.wind_down()
         await asyncio.gather(self.fence.wind_down(), self._orders.settled(), self.offboard.settled())
 
@@ -245,6 +249,7 @@ class VehicleActor:
         self._after_takeoff.cancel()
         self.offboard.close()
         self.missions.close()
+        self.logs.stop("cancelled", SHUTDOWN)
         self.params.close()
         self.commands.close()
 
@@ -426,6 +431,14 @@ class VehicleActor:
         """See `Missions.fetch`."""
         outcome, plan = await self.missions.fetch(kinds)
         return self._orders.finish("plan download", outcome), plan
+
+    async def list_logs(self) -> LogsOutcome:
+        """See `VehicleLogs.list`."""
+        return await self.logs.list()
+
+    async def get_logs(self, *, logs: Sequence[int] | str, force: bool = False) -> LogsOutcome:
+        """See `VehicleLogs.get`."""
+        return await self.logs.get(logs, force=force)
 
     async def set_fence(
         self, *, radius_m: float | None = None, height_m: float | None = None, action: str | None = None
@@ -622,3 +635,4 @@ class VehicleActor:
         self.commands.stop_all("lost", text)
         self.missions.stop("lost", text)
         self.params.stop_all("lost", text)
+        self.logs.stop("lost", text)

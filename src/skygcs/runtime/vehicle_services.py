@@ -45,6 +45,10 @@ class VehicleLinks(Protocol):
         """True if no link could carry a frame for all vehicles to one that is not in the fleet."""
         ...
 
+    def radio_to(self, vehicle: Vehicle) -> str | None:
+        """The name of a radio link that leads to this vehicle; None if no link that it is heard on is a radio."""
+        ...
+
     def is_replayed(self, key: int) -> bool:
         """True if this source exists only in a recording."""
         ...
@@ -71,6 +75,9 @@ class WideLinks:
 
     def may_broadcast(self) -> bool:
         return True
+
+    def radio_to(self, vehicle: Vehicle) -> str | None:
+        return None
 
     def is_replayed(self, key: int) -> bool:
         return False

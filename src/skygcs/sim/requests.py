@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME
-from skygcs.sim import mission_lists
+from skygcs.sim import mission_lists, onboard_logs
 from skygcs.sim import protocol as m
 from skygcs.sim.command_message import Calibration, Command, from_int, from_long
 from skygcs.sim.position_targets import is_position
@@ -57,6 +57,9 @@ def handle(v: VehicleState, name: str, fields: Fields, sender: Sender, now: floa
     if name in mission_lists.MESSAGES:
         v.lists.hear(v, name, fields, sender, now)
         return
+    if name in onboard_logs.MESSAGES:
+        v.logs.hear(name, fields, armed=v.armed)
+        return
     handler = _HANDLERS.get(name)
     if handler is not None:
         handler(v, fields, sender, now)
@@ -67,6 +70,7 @@ def handle(v: VehicleState, name: str, fields: Fields, sender: Sender, now: floa
 def step(v: VehicleState, now: float) -> None:
     """What goes on over many ticks: a parameter list, a calibration, a mission transfer."""
     v.lists.step(v, now)
+    v.logs.step(armed=v.armed)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
         _send_param(v, v.param_queue.pop(0))
     running = v.calibration

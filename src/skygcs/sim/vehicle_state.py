@@ -25,6 +25,7 @@ from skygcs.sim.kinematics import Home, Limits, LocalFrame, stopping_distance
 from skygcs.sim.legs import GoTo, Land, Plan
 from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun
+from skygcs.sim.onboard_logs import OnboardLogs
 from skygcs.sim.onboard_signing import BoardSigning
 from skygcs.sim.param_table import Param, Params
 from skygcs.sim.position_control import ControlGains, PositionControl
@@ -103,6 +104,8 @@ class VehicleState(ABC):
         self._clock = now
         self.home: Home | None = None
         self.local_zero: Home | None = None
+        px4 = self.autopilot == m.MAV_AUTOPILOT_PX4
+        self.logs = OnboardLogs(self.tx, sysid, px4=px4, unix_s=unix_us // 1_000_000)
         self._boot(now)
 
     # -- what differs between the firmwares
@@ -438,6 +441,7 @@ class VehicleState(ABC):
         self.fence_breach = m.FENCE_BREACH_NONE
         self.fence_breaches = 0
         self.lists.forget_transfers()
+        self.logs.reboot()
         self.run.leave()
         self.armed = False
         self.armed_at = now

@@ -40,7 +40,15 @@ class Finish:
     """Over: the machine's ``outcome`` is set."""
 
 
-Effect = Transmit | Send | Report | Finish
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Data that follows what came before: to be written at ``offset``."""
+
+    offset: int
+    data: bytes
+
+
+Effect = Transmit | Send | Report | Chunk | Finish
 
 
 class ProtocolMachine(ABC):
