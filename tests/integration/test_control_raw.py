@@ -57,7 +57,8 @@ async def test_attitude_and_thrust_are_sent_as_they_are_and_their_deadline_holds
         ended = gcs.now
         await asyncio.sleep(3.0)
         assert gcs.texts(ended) == ["the raw setpoints ended: it holds its position by position setpoints"]
-        assert {s.name for s in gcs.setpoints(ended + 0.6)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
+        # an ArduCopter is given a lean against its motion first
+        assert {s.name for s in gcs.setpoints(ended + 1.0)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
         assert gcs.control()["control_mode"] == "position" and gcs.control()["raw"] is None
         # a next one is flown again, at once
         again = gcs.now

@@ -10,7 +10,7 @@ import sys
 from collections import deque
 from pathlib import Path
 
-from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step, velocity_setpoint
+from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step, velocity_step
 from skygcs.core.control.gains import GRAVITY_MPS2
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
 
@@ -49,7 +49,7 @@ def flown_trace(duration_s: float = 40.0) -> str:
             row = row.with_output(output, after)
             wanted = output.thrust_enu
         elif way == "velocity":
-            wanted_velocity = velocity_setpoint(config, estimate, reference)
+            wanted_velocity, after = velocity_step(config, memory, estimate, reference, row.dt_s)
             assert wanted_velocity is not None
             row = row.with_velocity(wanted_velocity)
             asked = [0.1 * (w - v) for w, v in zip(wanted_velocity, velocity, strict=True)]

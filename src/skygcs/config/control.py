@@ -31,6 +31,12 @@ VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
 """The defaults of `core.vehicle.offboard_controller.OffboardConfig`; a test compares them."""
 
 
+ACC_XY_MAX_MPS2, ACC_Z_MAX_MPS2 = 2.0, 1.0
+"""Less than an ArduCopter brakes with (2.5 m/s² across, 1 m/s² up and down), which has to stop it after a fall. With
+2.5 across, and the link 0.5 s slower when it flies at 2.5 m/s, it goes 6.3 m beyond an 8 m step, with 2 half of that
+(docs/explanation/control-law.md)."""
+
+
 class GainSettings(Model):
     """Gains of one axis; see `core.control.gains.AxisGains`."""
 
@@ -93,6 +99,10 @@ class ControlSettings(Model):
     tilt_max_deg: Annotated[float, Field(gt=0, le=80)] | None = None
     vel_xy_max_mps: Annotated[float, Field(gt=0, le=100)] | None = None
     vel_z_max_mps: Annotated[float, Field(gt=0, le=100)] | None = None
+    acc_xy_max_mps2: Annotated[float, Field(ge=0.1, le=100)] | None = None
+    """How fast the velocity towards a far reference builds up, and what it brakes with before that: 2."""
+    acc_z_max_mps2: Annotated[float, Field(ge=0.1, le=100)] | None = None
+    """The same up and down: 1."""
     attitude_delay_s: Seconds | None = None
     velocity_delay_s: Seconds | None = None
     stale_s: Seconds | None = None
@@ -129,11 +139,9 @@ class ControlSettings(Model):
     def law(self, hover_thrust: float | None = None) -> ControlConfig:
         """The law's gains and limits; ``hover_thrust`` is what the autopilot reports. Raises ConfigError."""
         hover = self.hover_thrust or hover_thrust or UTIAS_HOVER_THRUST
-        limits = {
-            key: value
-            for key in ("thrust_min", "thrust_max", "vel_xy_max_mps", "vel_z_max_mps")
-            if (value := getattr(self, key)) is not None
-        }
+        keys = ("thrust_min", "thrust_max", "vel_xy_max_mps", "vel_z_max_mps", "acc_xy_max_mps2", "acc_z_max_mps2")
+        limits = {"acc_xy_max_mps2": ACC_XY_MAX_MPS2, "acc_z_max_mps2": ACC_Z_MAX_MPS2}
+        limits |= {key: value for key in keys if (value := getattr(self, key)) is not None}
         if self.tilt_max_deg is not None:
             limits["tilt_max_rad"] = math.radians(self.tilt_max_deg)
         return ControlConfig(

@@ -129,7 +129,10 @@ class GainsOfVehicle(Result):
     xy: dict[str, float]
     z: dict[str, float]
     hover_thrust: float
-    limits: dict[str, float] = Field(description="thrust_min, thrust_max, tilt_max_deg, vel_xy_max_mps, vel_z_max_mps.")
+    limits: dict[str, float] = Field(
+        description="thrust_min, thrust_max, tilt_max_deg, vel_xy_max_mps, vel_z_max_mps, acc_xy_max_mps2, "
+        "acc_z_max_mps2."
+    )
 
 
 class GainsAnswer(Result):

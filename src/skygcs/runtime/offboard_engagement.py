@@ -339,6 +339,8 @@ class OffboardEngagement:
                 "tilt_max_deg": round(math.degrees(law.tilt_max_rad), 2),
                 "vel_xy_max_mps": law.vel_xy_max_mps,
                 "vel_z_max_mps": law.vel_z_max_mps,
+                **({} if law.acc_xy_max_mps2 is None else {"acc_xy_max_mps2": law.acc_xy_max_mps2}),
+                **({} if law.acc_z_max_mps2 is None else {"acc_z_max_mps2": law.acc_z_max_mps2}),
             },
         }
 

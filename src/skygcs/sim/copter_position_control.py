@@ -66,7 +66,7 @@ class CopterPositionControl(PositionControl):
         self._sub_mode: SubMode | None = SubMode.POS
         self.restart()
 
-    def restart(self) -> None:
+    def restart(self, *, by_attitude: bool = False) -> None:
         if self._sub_mode is not None:
             self._forget()
 

@@ -29,7 +29,7 @@ def step(v: VehicleState, now: float, dt_s: float) -> None:
         motion.supply_v = v.battery.volts
     flown = _as_flown(v, setpoint, limits, dt_s) if lifts else None
     if not isinstance(flown, AccelerationSetpoint):
-        v.position_control.restart()
+        v.position_control.restart(by_attitude=isinstance(flown, AttitudeSetpoint))
     motion.step(dt_s, flown, limits)
     v.sensors.step()
     v.battery.step(dt_s * v.faults.battery_drain, flying=not motion.on_ground, climb_mps=motion.vel_u_mps)

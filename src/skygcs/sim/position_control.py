@@ -62,8 +62,9 @@ class PositionControl(ABC):
         self.gains = gains
 
     @abstractmethod
-    def restart(self) -> None:
-        """Something else has flown: forget the path, begin from the body's state at the next `step`."""
+    def restart(self, *, by_attitude: bool = False) -> None:
+        """Something else has flown (``by_attitude``: attitude setpoints): forget the path, begin from the body's state
+        at the next `step`."""
 
     @abstractmethod
     def step(self, body: Body, dt_s: float, target: PositionTarget, limits: Limits) -> AccelerationSetpoint:

@@ -47,9 +47,11 @@ class Px4PositionControl(PositionControl):
     def __init__(self, gains: ControlGains) -> None:
         super().__init__(gains)
         self._fresh = False
+        self._learnt_lean = True
         self.restart()
 
-    def restart(self) -> None:
+    def restart(self, *, by_attitude: bool = False) -> None:
+        self._learnt_lean = not by_attitude
         if self._fresh:
             return
         self._fresh = True
@@ -65,7 +67,9 @@ class Px4PositionControl(PositionControl):
         if self._fresh:
             self._fresh = False
             self._accel = body.accel_enu_mps2
-            self._integral = [*leaning_acceleration(body), 0.0]
+            # MulticopterPositionControl::Run resets it as long as it does not run, as under attitude setpoints; modes
+            # that are flown here without it have held the vehicle against the wind by it
+            self._integral = [*leaning_acceleration(body), 0.0] if self._learnt_lean else [0.0, 0.0, 0.0]
         if body.on_ground and (self._ramp is None or not _wants_up(target, body)):
             self._integral, self._ramp = [0.0, 0.0, 0.0], 0.0
             if not _wants_up(target, body):

@@ -40,7 +40,8 @@ def loaded(tmp_path: Path, text: str) -> FleetConfig:
 
 def test_what_nobody_says_has_the_defaults_of_the_law_the_guard_and_the_fence() -> None:
     settings = ControlSettings()
-    assert settings.law() == ControlConfig() and settings.guard() == GuardConfig()
+    assert settings.law() == ControlConfig(acc_xy_max_mps2=2.0, acc_z_max_mps2=1.0)
+    assert settings.guard() == GuardConfig()
     assert settings.fence_at(HERE) == Fence(HERE) and settings.problems() == []
     pilot = OffboardConfig(settings.law(), settings.guard())
     assert (pilot.attitude_hz, pilot.rate_min_hz) == (ATTITUDE_HZ, ATTITUDE_MIN_HZ)
@@ -58,6 +59,8 @@ def test_every_key_reaches_what_it_is_for() -> None:
         tilt_max_deg=20,
         vel_xy_max_mps=4,
         vel_z_max_mps=2,
+        acc_xy_max_mps2=1.5,
+        acc_z_max_mps2=0.7,
         attitude_delay_s=0.05,
         velocity_delay_s=0.3,
         stale_s=0.4,
@@ -72,6 +75,7 @@ def test_every_key_reaches_what_it_is_for() -> None:
     assert law.z.vel_p == 0.2 and law.z.vel_i == UTIAS_Z.vel_i
     assert law.tilt_max_rad == pytest.approx(0.349066, abs=1e-6)
     assert (law.vel_xy_max_mps, law.vel_z_max_mps) == (4, 2)
+    assert (law.acc_xy_max_mps2, law.acc_z_max_mps2) == (1.5, 0.7)
     assert settings.guard() == GuardConfig(0.05, 0.3, 0.4, 1.5, 30, 5)
     assert settings.fence_at(HERE) == Fence(HERE, (-10, 20), (-5, 5), (2, 9), 1)
     assert ControlSettings().law(0.38).hover_thrust == 0.38

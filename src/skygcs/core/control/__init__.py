@@ -1,6 +1,6 @@
 """Flight control: the cascade that turns position errors into attitude and thrust."""
 
-from skygcs.core.control.cascade import Estimate, Memory, Output, Reference, Saturation, step, velocity_setpoint
+from skygcs.core.control.cascade import Estimate, Memory, Output, Reference, Saturation, step, velocity_step
 from skygcs.core.control.gains import AxisGains, ControlConfig
 
 __all__ = [
@@ -12,5 +12,5 @@ __all__ = [
     "Reference",
     "Saturation",
     "step",
-    "velocity_setpoint",
+    "velocity_step",
 ]

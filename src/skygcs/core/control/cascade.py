@@ -1,6 +1,6 @@
 """One step of the position controller: position error -> velocity -> thrust vector -> attitude and thrust.
 
-    x_ref, x ──> P ──(+ v_ref, clip)──> v_sp, v ──> PI(D) ──(+ a_ref, hover, limits)──> thrust ──(yaw)──> attitude
+    x_ref, x ──> P ──(+ v_ref, limits)──> v_sp, v ──> PI(D) ──(+ a_ref, hover, limits)──> thrust ──(yaw)──> attitude
 
 Pure, and free of MAVLink: `step` takes what it remembers and returns what to remember. World frame ENU (x east,
 y north, z up). Yaw is 0 = east and counter-clockwise positive; compass yaw (NED) is pi/2 minus it. Attitudes are
@@ -26,6 +26,7 @@ from skygcs.core.control.pi import (
     within,
 )
 from skygcs.core.control.record import record
+from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -139,6 +140,8 @@ class Memory:
     """Velocity error of the last step; None before the first step, which has no slope."""
     slope_enu_mps2: Vector = ZERO
     """Filtered change of the velocity error."""
+    vel_setpoint_enu_mps: Vector | None = None
+    """Of the last step; None before the first: the next one grows from the vehicle's velocity."""
 
 
 @record
@@ -198,7 +201,9 @@ def step(
     dt = within(dt_s, config.dt_min_s, config.dt_max_s)
     integration_dt = dt if following else 0.0
 
-    wanted = _velocity(config, estimate, reference)
+    wanted = velocity_setpoint(
+        config, estimate.pos_enu_m, reference, memory.vel_setpoint_enu_mps or estimate.vel_enu_mps, dt
+    )
     vx, vy, vz = estimate.vel_enu_mps
     error = (wanted[0] - vx, wanted[1] - vy, wanted[2] - vz)
     slope = _slope(config, memory, error, dt)
@@ -214,14 +219,54 @@ def step(
     thrust = (level.thrust_x, level.thrust_y, up.thrust)
     saturation = _saturation(config, wanted, up, level, dt != dt_s)
     output = _output(thrust, reference.yaw_rad, config.thrust_max, wanted, saturation)
-    return output, Memory((level.integral_x, level.integral_y, up.integral), error, slope)
+    return output, Memory((level.integral_x, level.integral_y, up.integral), error, slope, wanted)
 
 
-def velocity_setpoint(config: ControlConfig, estimate: Estimate, reference: Reference) -> Vector | None:
-    """The outer loop alone, for an autopilot that closes the velocity loop itself; None as in `step`. ENU, m/s."""
-    if not (reference.usable and estimate.usable):
-        return None
-    return _velocity(config, estimate, reference)
+def velocity_step(
+    config: ControlConfig, memory: Memory, estimate: Estimate, reference: Reference, dt_s: float
+) -> tuple[Vector | None, Memory]:
+    """The outer loop alone, for an autopilot that closes the velocity loop itself; as `step`. ENU, m/s."""
+    if not (reference.usable and estimate.usable and 0.0 <= dt_s <= LARGEST_INPUT):
+        return None, memory
+    before = memory.vel_setpoint_enu_mps or estimate.vel_enu_mps
+    wanted = velocity_setpoint(config, estimate.pos_enu_m, reference, before, dt_s)
+    return wanted, Memory(memory.integral_enu, memory.vel_error_enu_mps, memory.slope_enu_mps2, wanted)
+
+
+def velocity_setpoint(
+    config: ControlConfig,
+    pos_enu_m: Vector,
+    reference: Reference,
+    before: Vector,
+    dt_s: float,
+    vel_ref_enu_mps: Vector | None = None,
+) -> Vector:
+    """The velocity towards the reference, ``dt_s`` after ``before`` was asked for (`velocity_limiter`).
+    ``vel_ref_enu_mps``: to take instead of the reference's own."""
+    x, y, z = pos_enu_m
+    x_ref, y_ref, z_ref = reference.pos_enu_m
+    vx, vy, vz = reference.vel_enu_mps if vel_ref_enu_mps is None else vel_ref_enu_mps
+    acc_xy, acc_z = config.acc_xy_max_mps2, config.acc_z_max_mps2
+    if not reference.velocity_only_xy:
+        p = config.xy.pos_p_per_s
+        px, py = p * (x_ref - x), p * (y_ref - y)
+        if acc_xy is not None and p * math.hypot(px, py) > acc_xy:
+            speed = math.hypot(px, py)
+            share = approach_speed(speed, p, acc_xy) / speed
+            px, py = px * share, py * share
+        vx, vy = vx + px, vy + py
+    if not reference.velocity_only_z:
+        p = config.z.pos_p_per_s
+        pz = p * (z_ref - z)
+        if acc_z is not None and p * abs(pz) > acc_z:
+            pz = math.copysign(approach_speed(abs(pz), p, acc_z), pz)
+        vz += pz
+    ax, ay, az = reference.acc_enu_mps2
+    if acc_xy is not None:
+        vx, vy = grown_xy(vx, vy, before[0] + ax * dt_s, before[1] + ay * dt_s, acc_xy * dt_s)
+    if acc_z is not None:
+        vz = grown(vz, before[2] + az * dt_s, acc_z * dt_s)
+    return clip(vx, config.vel_xy_max_mps), clip(vy, config.vel_xy_max_mps), clip(vz, config.vel_z_max_mps)
 
 
 def attitude_from_thrust(thrust_enu: Vector, yaw_rad: float) -> tuple[Quaternion, float, float]:
@@ -283,18 +328,6 @@ def _saturation(config: ControlConfig, wanted: Vector, up: Vertical, level: Hori
         abs(up.integral) >= config.thrust_max,
         dt_clamped,
     )
-
-
-def _velocity(config: ControlConfig, estimate: Estimate, reference: Reference) -> Vector:
-    x, y, z = estimate.pos_enu_m
-    x_ref, y_ref, z_ref = reference.pos_enu_m
-    vx, vy, vz = reference.vel_enu_mps
-    if not reference.velocity_only_xy:
-        vx += config.xy.pos_p_per_s * (x_ref - x)
-        vy += config.xy.pos_p_per_s * (y_ref - y)
-    if not reference.velocity_only_z:
-        vz += config.z.pos_p_per_s * (z_ref - z)
-    return clip(vx, config.vel_xy_max_mps), clip(vy, config.vel_xy_max_mps), clip(vz, config.vel_z_max_mps)
 
 
 def _slope(config: ControlConfig, memory: Memory, error: Vector, dt_s: float) -> Vector:

@@ -74,6 +74,10 @@ class ControlConfig(_Derived):
     vel_xy_max_mps: float = 10.0
     """Per axis, not of the norm, as in the law this follows."""
     vel_z_max_mps: float = 10.0
+    acc_xy_max_mps2: float | None = None
+    """How fast the velocity towards a far reference builds up and what it brakes with before that, of the norm; None:
+    at once, as in the law this follows. Vehicles fly with one (`velocity_limiter`)."""
+    acc_z_max_mps2: float | None = None
     derivative_cutoff_hz: float = 5.0
     period_s: float = 0.02
     """Of the loop, as configured; a measured step outside [0.5, 1.5] of it is clamped."""
@@ -119,4 +123,8 @@ def _limit_problems(config: ControlConfig) -> list[str]:
         value = getattr(config, name)
         if not low <= value <= high:
             problems.append(f"{name}: {value} is not in {low:g}..{high:g}")
+    for name in ("acc_xy_max_mps2", "acc_z_max_mps2"):
+        value = getattr(config, name)
+        if value is not None and not 0.1 <= value <= 100.0:
+            problems.append(f"{name}: {value} is not in 0.1..100")
     return problems

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
-from skygcs.core.control.cascade import Memory, Vector, step, velocity_setpoint
+from skygcs.core.control.cascade import Memory, Vector, step, velocity_step
 from skygcs.core.control.gains import AxisGains, ControlConfig
 from skygcs.core.control.prediction_step import (
     PredictionStep,
@@ -240,7 +240,8 @@ def rerun(entries: Iterable[TraceEntry]) -> Iterator[Mismatch]:
         elif row.round_trip_s is not None:
             again, predictor = _predicted_again(entry, predictor)
         else:
-            again = row.with_velocity(velocity_setpoint(entry.config, row.estimate, row.reference))
+            velocity, memory = velocity_step(entry.config, memory, row.estimate, row.reference, row.dt_s)
+            again = row.with_velocity(velocity)
         recorded, computed = cells(row)[FIRST_OUTPUT:], cells(again)[FIRST_OUTPUT:]
         if recorded != computed:
             for column, was, now in zip(COLUMNS[FIRST_OUTPUT:], recorded, computed, strict=True):
@@ -309,13 +310,14 @@ def _config(number: int, value: Any) -> ControlConfig:
 
 def _memory(number: int, value: Any) -> Memory:
     try:
-        error = value["vel_error_enu_mps"]
+        error, velocity = value["vel_error_enu_mps"], value.get("vel_setpoint_enu_mps")  # the latter is newer
         return Memory(
             _vector(value["integral_enu"]),
             None if error is None else _vector(error),
             _vector(value["slope_enu_mps2"]),
+            None if velocity is None else _vector(velocity),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise TraceError(number, f"memory: {error}") from None
 
 

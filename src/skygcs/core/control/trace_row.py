@@ -80,7 +80,7 @@ class TraceRow:
         )
 
     def with_velocity(self, vel_setpoint_enu_mps: Vector | None) -> TraceRow:
-        """The same tick with what `velocity_setpoint` returned."""
+        """The same tick with what `velocity_step` returned."""
         return replace(self, vel_setpoint_enu_mps=vel_setpoint_enu_mps)
 
     def with_prediction(self, setpoint: PredictedSetpoint | None) -> TraceRow:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from skygcs.core.control.cascade import LARGEST_INPUT, ZERO, Estimate, Reference, Vector
+from skygcs.core.control.cascade import LARGEST_INPUT, ZERO, Estimate, Reference, Vector, velocity_setpoint
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.pi import clip, within
 from skygcs.core.control.record import record
@@ -169,7 +169,9 @@ def predicted_setpoint(
     )
     lead_s = 0.5 * memory.round_trip_s
     held = reference.ahead(lead_s + 0.5 * timing.hold_s)
-    velocity = _velocity(law, position, reference.ahead(lead_s), held.vel_enu_mps)
+    # positions are compared at the moment at which the setpoint begins to act; the velocity is of its middle
+    before, since_s = _last_sent(memory, estimate, timing)
+    velocity = velocity_setpoint(law, position, reference.ahead(lead_s), before, since_s, held.vel_enu_mps)
     acceleration = _against(held.acc_enu_mps2, memory.disturbance_enu_mps2)
     sent = (*memory.sent, SentVelocity(timing.now, velocity, acceleration))[-MAX_COMMANDS:]
     (ax, ay, az), gain = acceleration, loop.feed_forward_xy
@@ -184,6 +186,13 @@ def predicted_setpoint(
         memory.round_trip_s,
         timing.now,
     )
+
+
+def _last_sent(memory: PredictorMemory, estimate: Estimate, timing: Timing) -> tuple[Vector, float]:
+    """The velocity asked for last, and how long ago; the vehicle's own before the first."""
+    if not memory.sent:
+        return estimate.vel_enu_mps, timing.hold_s
+    return memory.sent[-1].vel_enu_mps, max(0.0, timing.now - memory.sent[-1].at)
 
 
 def _against(acceleration: Vector, disturbance: Vector) -> Vector:
@@ -283,16 +292,3 @@ def _axis(
     end = u + lag_s * (a + d)
     left = math.exp(-step_s / lag_s)
     return x + end * step_s + (v - end) * lag_s * (1.0 - left), end + (v - end) * left, False
-
-
-def _velocity(law: ControlConfig, position: Vector, led: Reference, vel_enu_mps: Vector) -> Vector:
-    """Positions are compared at the moment at which the setpoint begins to act; ``vel_enu_mps`` is of its middle."""
-    x, y, z = position
-    x_ref, y_ref, z_ref = led.pos_enu_m
-    vx, vy, vz = vel_enu_mps
-    if not led.velocity_only_xy:
-        vx += law.xy.pos_p_per_s * (x_ref - x)
-        vy += law.xy.pos_p_per_s * (y_ref - y)
-    if not led.velocity_only_z:
-        vz += law.z.pos_p_per_s * (z_ref - z)
-    return clip(vx, law.vel_xy_max_mps), clip(vy, law.vel_xy_max_mps), clip(vz, law.vel_z_max_mps)

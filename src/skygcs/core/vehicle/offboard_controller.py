@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from skygcs.core.control.cascade import Estimate, Memory, Reference, Vector
+from skygcs.core.control.cascade import Estimate, Memory, Quaternion, Reference, Vector
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
@@ -32,10 +32,13 @@ from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.handover_attitude import HANDOVER_S, handover_attitude
 from skygcs.core.vehicle.offboard_entry import (
     PX4_RESPONSE_S,
     attitude_refusal,
     guided_mode,
+    keeps_lean,
+    loss_timeout_s,
     moves_setpoints_on,
 )
 from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
@@ -131,6 +134,8 @@ class OffboardController:
         self.guard_falls: Counter[str] = Counter()
         """How often the guard fell back to "velocity" or "position", ordered to "hold", or ended control ("release"),
         since the vehicle is known."""
+        self._handover: tuple[float, Quaternion, float] | None = None
+        """Until when this attitude and thrust go before the setpoints of the control mode."""
 
     # -- orders
 
@@ -172,6 +177,11 @@ class OffboardController:
         return self._source.streaming or self._raw.setpoint is not None
 
     @property
+    def handing_over(self) -> bool:
+        """Whether a fixed attitude is sent before the setpoints of the control mode (`handover_attitude`)."""
+        return self._handover is not None
+
+    @property
     def frame(self) -> EnuFrame | None:
         """The local frame; None before the first `engage`."""
         return self._estimate_view.frame
@@ -201,6 +211,7 @@ class OffboardController:
         self._predicting = False
         self.state, self.wanted, self.control_mode, self.reasons = ENGAGING, control_mode, None, ()
         self.was_entered, self.refusing, self._velocity_ended = False, None, False
+        self._handover = None
         self._guard.reset(control_mode)
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
@@ -423,9 +434,15 @@ class OffboardController:
         if not attitude or not following:
             self._steady_thrust.observe(self.config.law, last.estimate, last.at)
         if control_mode is not self.control_mode or (attitude and not following):
+            self._handover = None if attitude or not following else self._begin_handover()
             self.control_mode = control_mode
             self._setpoints.forget(self._steady_thrust.memory(self.config.law, last.at) if attitude else NOTHING)
         given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, following)
+        if self._handover is not None:
+            until, orientation, thrust = self._handover
+            if last.at < until and attitude_refusal(self.vehicle) is None:
+                return self._setpoints.handover(orientation, thrust, given)
+            self._handover = None
         if control_mode is POSITION:
             given = replace(given, lead_s=self._lead_s())
         prediction, round_trip_s = self._prediction, self._prediction.round_trip_s
@@ -434,6 +451,19 @@ class OffboardController:
             given = replace(given, loop=prediction.loop(), round_trip_s=round_trip_s, hold_s=hold_s)
         return self._setpoints.generate(control_mode, self.config.law, given)
 
+    def _begin_handover(self) -> tuple[float, Quaternion, float] | None:
+        """At the end of attitude setpoints, of an autopilot that takes the lean it finds for a lasting one."""
+        estimate = self._last.estimate
+        by_attitude = self.control_mode is ATTITUDE or self.control_mode is RAW
+        if not by_attitude or not keeps_lean(self.vehicle) or attitude_refusal(self.vehicle) is not None:
+            return None
+        if estimate is None or not estimate.usable:
+            return None
+        law, yaw_rad = self.config.law, self._source.reference.yaw_rad
+        integral, timeout_s = self._setpoints.memory.integral_enu, loss_timeout_s(self.vehicle)
+        attitude, thrust = handover_attitude(law, integral, estimate.vel_enu_mps, yaw_rad, timeout_s)
+        return self._last.at + HANDOVER_S, attitude, thrust
+
     def _lead_s(self) -> float:
         """How much later than now the vehicle flies by a position sent now, on average: the uplink and half of
         the time for which it is held with the autopilot's response, unless the autopilot itself moves it on."""
@@ -441,7 +471,7 @@ class OffboardController:
         return min((self.delay.uplink_s or 0.0) + held_s, LONGEST_LEAD_S)
 
     def _send_raw(self, raw: RawSetpoint, dt_s: float) -> Tick:
-        last = self._last
+        last, self._handover = self._last, None
         if self.control_mode is not RAW:
             self.control_mode = RAW
             self._setpoints.forget(NOTHING)

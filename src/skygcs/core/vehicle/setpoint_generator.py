@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skygcs.core.control.cascade import Memory, Output, Reference, step, velocity_setpoint
+from skygcs.core.control.cascade import Memory, Output, Quaternion, Reference, step, velocity_step
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
@@ -84,6 +84,15 @@ class SetpointGenerator:
             return self._velocity(law, given, row)
         return self._position(given, row)
 
+    def handover(self, attitude_ned_frd: Quaternion, thrust: float, given: TickInput) -> Tick:
+        """The message of a fixed attitude between two control modes (`handover_attitude`)."""
+        row = self._row(POSITION, given)
+        if row is not None:
+            row = replace(row, attitude_ned_frd=attitude_ned_frd, thrust=thrust)
+        boost = boosts_thrust(self._vehicle)
+        message = setpoint.attitude_target(attitude_ned_frd, thrust, _boot_ms(given.at), angle_boost=boost)
+        return Tick(message, row=row, before=self.memory, after=self.memory)
+
     def raw(self, wanted: RawSetpoint, tilt_cosine: float | None, given: TickInput) -> Tick:
         """The message of the user's own controller; ``tilt_cosine`` of the vehicle as it reports it."""
         row = self._row(ControlMode.RAW, given)
@@ -128,7 +137,10 @@ class SetpointGenerator:
         if given.loop is not None and given.following:
             return self._predicted(law, given, row)
         self.predictor = PredictorMemory()
-        velocity = None if given.estimate is None else velocity_setpoint(law, given.estimate, given.reference)
+        if given.estimate is None:
+            return IDLE
+        before = self.memory
+        velocity, self.memory = velocity_step(law, before, given.estimate, given.reference, given.dt_s)
         if velocity is None:
             return IDLE
         acceleration, (yaw, yaw_rate) = given.reference.acc_enu_mps2, _turn(given.reference)
@@ -138,7 +150,7 @@ class SetpointGenerator:
             yaw_rate_enu_radps=yaw_rate,
         )
         row = None if row is None else row.with_velocity(velocity)
-        return Tick(message, row=row, before=self.memory, after=self.memory)
+        return Tick(message, row=row, before=before, after=self.memory)
 
     def _predicted(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
         """The velocity and acceleration for the state and the reference at the moment at which they act."""

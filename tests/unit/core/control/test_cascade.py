@@ -16,7 +16,7 @@ from skygcs.core.control import (
     Reference,
     Saturation,
     step,
-    velocity_setpoint,
+    velocity_step,
 )
 
 CONFIG = ControlConfig()
@@ -176,7 +176,7 @@ def test_one_wrong_number_anywhere_gives_no_output_and_leaves_the_memory(place, 
     output, after = step(CONFIG, memory, estimate, reference, n[16], following=True)
     assert output is None
     assert after is memory
-    assert (velocity_setpoint(CONFIG, estimate, reference) is None) == (place != 16)
+    assert velocity_step(CONFIG, memory, estimate, reference, n[16]) == (None, memory)
 
 
 # --- references ------------------------------------------------------------------------------------------------------
@@ -193,7 +193,7 @@ def test_one_wrong_number_anywhere_gives_no_output_and_leaves_the_memory(place, 
 )
 def test_an_axis_asked_for_velocity_only_leaves_its_position_alone(xy, z, expected):
     reference = Reference((1.0, 2.0, 3.0), 0.0, (0.5, -0.5, 0.2), velocity_only_xy=xy, velocity_only_z=z)
-    assert velocity_setpoint(CONFIG, HERE, reference) == pytest.approx(expected)
+    assert velocity_step(CONFIG, Memory(), HERE, reference, PERIOD_S)[0] == pytest.approx(expected)
     output, memory = flown(reference)
     assert output.vel_setpoint_enu_mps == pytest.approx(expected)
     assert memory.vel_error_enu_mps == pytest.approx(expected)
@@ -201,8 +201,8 @@ def test_an_axis_asked_for_velocity_only_leaves_its_position_alone(xy, z, expect
 
 def test_the_asked_velocity_is_clipped_axis_by_axis():
     config = replace(CONFIG, vel_xy_max_mps=2.0, vel_z_max_mps=0.5)
-    assert velocity_setpoint(config, HERE, Reference((100.0, -100.0, -100.0))) == (2.0, -2.0, -0.5)
-    assert velocity_setpoint(config, HERE, Reference((1.0, -100.0, 100.0))) == pytest.approx((0.95, -2.0, 0.5))
+    for far, expected in (((100.0, -100.0, -100.0), (2.0, -2.0, -0.5)), ((1.0, -100.0, 100.0), (0.95, -2.0, 0.5))):
+        assert velocity_step(config, Memory(), HERE, Reference(far), PERIOD_S)[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("yaw_deg", [-180, -90, 0, 45, 200, 725])

@@ -17,7 +17,7 @@ from skygcs.core.control import (
     Reference,
     Saturation,
     step,
-    velocity_setpoint,
+    velocity_step,
 )
 from skygcs.core.control.trace import (
     COLUMNS,
@@ -76,7 +76,8 @@ def flight(steps: int = 60) -> list[str]:
             output, after = step(config, memory, estimate, reference, row.dt_s, following=row.following)
             row = row.with_output(output, after)
         elif control_mode == "velocity":
-            row = row.with_velocity(velocity_setpoint(config, estimate, reference))
+            velocity, after = velocity_step(config, memory, estimate, reference, row.dt_s)
+            row = row.with_velocity(velocity)
         text += writer.lines(row, config, memory, after)
         memory = after
         velocity = [0.9 * v + 0.02 * n for v in velocity]

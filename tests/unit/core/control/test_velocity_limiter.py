@@ -1,0 +1,141 @@
+"""What a far reference builds up: no faster than it can brake, growing no faster than the limit; else unchanged."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.control import ControlConfig, Estimate, Memory, Reference, step, velocity_step
+from skygcs.core.control.gains import GRAVITY_MPS2
+from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
+from skygcs.errors import ConfigError
+
+PLAIN = ControlConfig()
+LIMITED = ControlConfig(acc_xy_max_mps2=2.0, acc_z_max_mps2=1.0)
+PERIOD_S = LIMITED.period_s
+
+metres = st.floats(-100.0, 100.0)
+speeds, slow = st.floats(-15.0, 15.0), st.floats(-8.0, 8.0)
+
+
+@given(st.floats(0.0, 1000.0), st.floats(0.05, 5.0), st.floats(0.1, 30.0))
+def test_from_the_speed_towards_a_position_it_can_be_braked_before_it(distance_m: float, p: float, acc: float) -> None:
+    speed = approach_speed(p * distance_m, p, acc)
+    assert speed <= p * distance_m + 1e-9
+    assert speed * speed / (2.0 * acc) <= distance_m + 1e-9
+    if p * p * distance_m <= acc:
+        assert speed == p * distance_m, "near the position it is the loop's own"
+
+
+def test_it_passes_from_the_loop_to_the_braking_curve_without_a_jump_or_a_kink() -> None:
+    p, acc = 0.95, 2.0
+    edge = acc / p
+    for step_mps in (1e-6, 1e-4):
+        assert approach_speed(edge + step_mps, p, acc) == pytest.approx(edge + step_mps, abs=step_mps**2)
+
+
+def test_without_a_position_gain_nothing_is_limited() -> None:
+    assert approach_speed(3.0, 0.0, 2.0) == 3.0
+
+
+@given(speeds, speeds, st.floats(0.001, 1.0))
+def test_a_speed_grows_by_no_more_and_shrinks_at_once(wanted: float, before: float, most: float) -> None:
+    now = grown(wanted, before, most)
+    assert abs(now) <= abs(wanted) and now * wanted >= 0.0
+    assert abs(now) <= max(before * math.copysign(1.0, wanted), 0.0) + most + 1e-9
+    if abs(wanted) <= abs(before) and wanted * before > 0.0:
+        assert now == wanted
+    x, y = grown_xy(wanted, 0.0, before, 0.0, most)
+    assert (x, y) == (pytest.approx(now), 0.0)
+
+
+@given(speeds, speeds, speeds, speeds, st.floats(0.001, 1.0))
+def test_a_velocity_grows_along_its_own_direction(x: float, y: float, bx: float, by: float, most: float) -> None:
+    nx, ny = grown_xy(x, y, bx, by, most)
+    size, now = math.hypot(x, y), math.hypot(nx, ny)
+    assert now <= size + 1e-9
+    if size > 1e-3:
+        assert nx * y - ny * x == pytest.approx(0.0, abs=1e-6), "the direction is not changed"
+        along = max((bx * x + by * y) / size, 0.0)
+        assert now == pytest.approx(min(size, along + most))
+
+
+@given(st.tuples(metres, metres, metres), st.tuples(slow, slow, slow))
+def test_near_or_moving_references_are_followed_as_without(
+    ref: tuple[float, float, float], vel: tuple[float, float, float]
+) -> None:
+    """Within a / Kp² of it, from the setpoint of the step before."""
+    wanted = Reference(ref, 0.3, vel)
+    off = (0.9, -0.8, 0.4)
+    estimate = Estimate(tuple(r - o for r, o in zip(ref, off, strict=True)), vel)
+    plain, _ = step(PLAIN, Memory(), estimate, wanted, PERIOD_S, following=True)
+    before = replace(Memory(), vel_setpoint_enu_mps=plain.vel_setpoint_enu_mps)
+    limited, _ = step(LIMITED, before, estimate, wanted, PERIOD_S, following=True)
+    assert limited == plain
+
+
+def flown(config: ControlConfig, goal: tuple[float, float, float], seconds: float = 12.0) -> list[tuple]:
+    """A point mass at once; position, velocity and thrust's acceleration in each step."""
+    x, v, memory, seen = [0.0] * 3, [0.0] * 3, Memory(), []
+    for _ in range(round(seconds / PERIOD_S)):
+        output, memory = step(config, memory, Estimate(tuple(x), tuple(v)), Reference(goal), PERIOD_S, following=True)
+        acc = [GRAVITY_MPS2 * t / config.hover_thrust for t in output.thrust_enu]
+        acc[2] -= GRAVITY_MPS2
+        for i in range(3):
+            v[i] += acc[i] * PERIOD_S
+            x[i] += v[i] * PERIOD_S
+        seen.append((tuple(x), tuple(v), tuple(acc)))
+    return seen
+
+
+@pytest.mark.parametrize("far_m", [3.0, 8.0, 40.0])
+def test_a_step_speeds_up_by_the_limit_and_arrives(far_m: float) -> None:
+    """The integral winds up by Ki a/(G Kv) a second meanwhile, a quarter of a m/s² in a second."""
+    across, up = flown(LIMITED, (far_m, 0.0, 0.0), 40.0), flown(LIMITED, (0.0, 0.0, far_m), 60.0)
+    assert max(acc[0] for *_, acc in across) <= 2.0 * 1.5
+    assert max(acc[2] for *_, acc in up) <= 1.0 * 1.3
+    for seen, axis in ((across, 0), (up, 2)):
+        assert seen[-1][0][axis] == pytest.approx(far_m, abs=0.1)
+        assert max(x[axis] for x, *_ in seen) <= far_m + 0.4
+    assert max(acc[0] for *_, acc in flown(PLAIN, (far_m, 0.0, 0.0))) > 4.0, "without: a lean of 25 degrees and more"
+
+
+def test_velocity_control_builds_up_the_same_way() -> None:
+    memory, wanted, steps = Memory(), [], 40
+    estimate = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    for _ in range(steps):
+        velocity, memory = velocity_step(LIMITED, memory, estimate, Reference((8.0, 0.0, -4.0)), 0.1)
+        wanted.append(velocity)
+    assert wanted[4] == pytest.approx((1.0, 0.0, -0.5))
+    most = math.sqrt(2 * 2.0 * 8.0 - (2.0 / 0.95) ** 2)
+    assert wanted[-1] == pytest.approx((most, 0.0, -math.sqrt(2 * 1.0 * 4.0 - 1.0)))
+
+
+def test_a_velocity_alone_builds_up_too_and_a_reference_s_own_acceleration_is_not_limited() -> None:
+    here = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    alone = Reference(vel_enu_mps=(6.0, 0.0, 3.0), velocity_only_xy=True, velocity_only_z=True)
+    velocity, _ = velocity_step(LIMITED, Memory(), here, alone, 0.1)
+    assert velocity == pytest.approx((0.2, 0.0, 0.1))
+    moving = replace(alone, acc_enu_mps2=(5.0, 0.0, 4.0))
+    velocity, _ = velocity_step(LIMITED, Memory(), here, moving, 0.1)
+    assert velocity == pytest.approx((0.7, 0.0, 0.5))
+
+
+def test_it_stops_and_turns_back_at_once() -> None:
+    before = replace(Memory(), vel_setpoint_enu_mps=(5.0, 0.0, 2.0))
+    fast = Estimate((0.0, 0.0, 0.0), (5.0, 0.0, 2.0))
+    velocity, _ = velocity_step(LIMITED, before, fast, Reference((0.0, 0.0, 0.0)), PERIOD_S)
+    assert velocity == (0.0, 0.0, 0.0)
+    velocity, _ = velocity_step(LIMITED, before, fast, Reference((-8.0, 0.0, -8.0)), PERIOD_S)
+    assert velocity == pytest.approx((-2.0 * PERIOD_S, 0.0, -1.0 * PERIOD_S))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.09, 101.0, math.nan, -1.0])
+def test_limits_out_of_range_are_refused(value: float) -> None:
+    for key in ("acc_xy_max_mps2", "acc_z_max_mps2"):
+        with pytest.raises(ConfigError, match=key):
+            ControlConfig(**{key: value})
