@@ -16,7 +16,7 @@ from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import RefusedError
-from skygcs.planning.process import PlanningFailed, ProcessLimits, compute
+from skygcs.planning.process import PlanningFailed, ProcessLimits, call, compute
 from skygcs.planning.request import WrittenPath, make_request, paths_request
 
 pytestmark = pytest.mark.system
@@ -102,3 +102,25 @@ async def test_nothing_to_do_without_a_python(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     with pytest.raises(PlanningFailed, match="cannot be started: No such file"):
         await compute(b"{}")
+
+
+async def test_a_function_is_called_there_with_pickled_arguments() -> None:
+    from skygcs.core.plan.plan_json import plan_from_json
+
+    plan, _ = await call(plan_from_json, "it", json.loads(json.dumps(PLAN)))
+    assert plan == plan_from_json("it", PLAN)[0]
+    with pytest.raises(RefusedError, match="it: version: 2; only 1 is known"):
+        await call(plan_from_json, "it", PLAN | {"version": 2})
+    with pytest.raises(PlanningFailed, match="ZeroDivisionError"):
+        await call(divmod, 1, 0)
+    with pytest.raises(RefusedError, match="too many"):
+        await call(bytes, 1_000_000, limits=ProcessLimits(answer_bytes=100_000))
+
+
+PLAN: dict[str, Any] = {
+    "format": "skygcs-plan",
+    "version": 1,
+    "kind": "phased",
+    "starts": {"a": [0, 0, 5]},
+    "phases": [{"name": "go", "goals": {"a": [20, 0, 5]}}],
+}

@@ -4,19 +4,24 @@ the task that waits for it."""
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import json
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from skygcs.errors import RefusedError, SkygcsError
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 """Of what numpy computes with: one core is for planning, the others are not."""
+
+REQUEST, CALL = "request", "call"
+"""What the process reads: a request as JSON, or a pickled function with its arguments, from this program only."""
 
 PROGRESS = b'{"progress"'
 """How a line begins that is not the answer."""
@@ -25,6 +30,8 @@ REFUSED = b'{"refused"'
 """How an answer begins that is none but a reason."""
 
 STDERR_BYTES = 4096
+
+T = TypeVar("T")
 
 OnProgress = Callable[[dict[str, Any]], None]
 """Called with what, done and total."""
@@ -53,7 +60,29 @@ async def compute(
     Raises RefusedError where that is the answer and where it took too long or too much memory, PlanningFailed where the
     process broke. Cancelled: the process is killed and waited for.
     """
-    arguments = (str(limits.memory_mb), str(int(limits.time_s) + 1), str(limits.answer_bytes))
+    answer = await _process(REQUEST, request, on_progress, limits)
+    if answer.startswith(REFUSED):
+        raise RefusedError(json.loads(answer)["refused"])
+    return answer
+
+
+async def call(function: Callable[..., T], *arguments: Any, limits: ProcessLimits = ProcessLimits()) -> T:
+    """As `asyncio.to_thread`, in a planning process: a function of a module, arguments and result that can be pickled.
+
+    Raises RefusedError with the text of a SkygcsError of the function, else as `compute`.
+    """
+    # in threads: large ones take tens of milliseconds, and the event loop gets its turn in between
+    request = await asyncio.to_thread(pickle.dumps, (function, arguments), pickle.HIGHEST_PROTOCOL)
+    answer = await _process(CALL, request, None, limits)
+    refused, result = await asyncio.to_thread(pickle.loads, base64.b64decode(answer))
+    if refused is not None:
+        raise RefusedError(refused)
+    return cast("T", result)
+
+
+async def _process(kind: str, request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
+    """The line with which a process answers."""
+    arguments = (kind, str(limits.memory_mb), str(int(limits.time_s) + 1), str(limits.answer_bytes))
     try:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-P", "-m", "skygcs.planning.worker", *arguments),
@@ -78,8 +107,6 @@ async def compute(
                 process.kill()
         await process.wait()
         text = await errors
-    if answer.startswith(REFUSED):
-        raise RefusedError(json.loads(answer)["refused"])
     if answer:
         return answer
     raise _failure(process.returncode or 0, text, limits)

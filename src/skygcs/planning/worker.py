@@ -1,15 +1,19 @@
-"""The planning process: `python -P -m skygcs.planning.worker MEMORY_MB CPU_S ANSWER_BYTES`.
+"""The planning process: `python -P -m skygcs.planning.worker request|call MEMORY_MB CPU_S ANSWER_BYTES`.
 
 Reads one request (`request.py`) from standard input up to its end, writes lines of JSON: {"progress": …} now and then,
-and last the answer. It is started by `process.py`, which ends it when nobody waits for the answer any more; should that
-one be killed, the limit of CPU time ends this one.
+and last the answer. Or (call) a pickled function and its arguments: the answer is pickled, too, in base64.
+
+It is started by `process.py`, which ends it when nobody waits for the answer any more; should that one be killed, the
+limit of CPU time ends this one.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import os
+import pickle
 import resource
 import signal
 import sys
@@ -23,6 +27,7 @@ from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_of
 from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
+from skygcs.planning.process import CALL
 from skygcs.planning.request import JsonObject, path_of, rule_of
 
 NICENESS = 10
@@ -36,14 +41,17 @@ Report = Callable[[str, int, int], None]
 
 def main() -> None:
     """Answer the one request. Refusals are answers; anything else ends with a traceback on standard error."""
-    memory_mb, cpu_s, answer_bytes = (int(argument) for argument in sys.argv[1:4])
+    kind = sys.argv[1]
+    memory_mb, cpu_s, answer_bytes = (int(argument) for argument in sys.argv[2:5])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal: the one that waits decides
-    for kind, limit in ((resource.RLIMIT_AS, memory_mb << 20), (resource.RLIMIT_CPU, cpu_s)):
+    for what, limit in ((resource.RLIMIT_AS, memory_mb << 20), (resource.RLIMIT_CPU, cpu_s)):
         with contextlib.suppress(ValueError):  # a lower one is in force already
-            resource.setrlimit(kind, (limit, limit))
+            resource.setrlimit(what, (limit, limit))
     with contextlib.suppress(OSError):
         os.nice(NICENESS)
     try:
+        if kind == CALL:
+            return _called(sys.stdin.buffer.read(), answer_bytes)
         answer = answered(json.load(sys.stdin.buffer), _reporter())
         text = json.dumps(answer)
         if len(text) > answer_bytes:
@@ -54,6 +62,19 @@ def main() -> None:
         text = json.dumps({"refused": f"it needs more than {memory_mb:,} MiB of memory"})
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+def _called(request: bytes, answer_bytes: int) -> None:
+    """Call a function, and write (None, its result) or (why it refused, None)."""
+    try:
+        function, arguments = pickle.loads(request)
+        answer = pickle.dumps((None, function(*arguments)), pickle.HIGHEST_PROTOCOL)
+    except SkygcsError as error:
+        answer = pickle.dumps((str(error), None))
+    if 4 * len(answer) > 3 * answer_bytes:
+        answer = pickle.dumps((f"the answer has {len(answer):,} bytes, too many", None))
+    sys.stdout.buffer.write(base64.b64encode(answer) + b"\n")
+    sys.stdout.buffer.flush()
 
 
 def answered(request: JsonObject, report: Report) -> JsonObject:

@@ -20,12 +20,12 @@ from skygcs.core.plan.flight_findings import (
     battery_finding,
 )
 from skygcs.core.plan.flight_record import FlightRecord
-from skygcs.core.plan.margins import MarginRule, Uncertainty
+from skygcs.core.plan.margins import DEFAULT, MarginRule
 from skygcs.core.radio_link.capacity import FRAME_BYTES
-from skygcs.core.separation import DOWNWASH_RATIO
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime import fleet_margins
 from skygcs.runtime.plan_flight import measured_place
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -116,49 +116,19 @@ def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> 
 
 
 def margin_rule(
-    actors: Iterable[VehicleActor],
-    others: Iterable[VehicleActor],
-    record: Callable[[VehicleActor], FlightRecord],
-    margin_m: float | None,
+    actors: Iterable[VehicleActor], others: Iterable[VehicleActor], margin_m: float | None
 ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
     """The margins of the fleet, and for people what each term is and where it is from."""
-    by_vehicle: dict[str, Uncertainty] = {}
-    sources: dict[str, dict[str, list[Any]]] = {}
-    ratio = 0.0
-    default = Uncertainty()
-    taking_part = list(actors)
-    for actor in (*taking_part, *others):
-        settings, known = actor.config.separation, record(actor)
-        footprint = settings.footprint()
-        ratio = max(ratio, footprint.downwash_ratio)
-        tracking, named = known.tracking_error_m, settings.tracking_error_m
-        is_measured = tracking is not None and tracking > (named or 0.0)
-        by_vehicle[actor.name] = Uncertainty(
-            wingspan_m=footprint.wingspan_m,
-            position_error_m=footprint.position_error_m,
-            tracking_error_m=max((e for e in (tracking, named) if e is not None), default=default.tracking_error_m),
-            delay_s=default.delay_s if known.delay_s is None else known.delay_s,
-        )
-        if actor in taking_part:
-            sources[actor.name] = {
-                "wingspan_m": [footprint.wingspan_m, _source(settings.wingspan_m)],
-                "position_error_m": [footprint.position_error_m, _source(settings.position_error_m)],
-                "tracking_error_m": [
-                    round(by_vehicle[actor.name].tracking_error_m, 3),
-                    "measured p99" if is_measured else _source(named),
-                ],
-                "delay_s": [
-                    round(by_vehicle[actor.name].delay_s, 3),
-                    "default" if known.delay_s is None else "measured round trip p95",
-                ],
-            }
-    return MarginRule(
-        by_vehicle=by_vehicle, downwash_ratio=max(ratio, 1.0) or DOWNWASH_RATIO, fixed_m=margin_m
-    ), sources
-
-
-def _source(value: object) -> str:
-    return "default" if value is None else "fleet file"
+    taking_part = [actor.name for actor in actors]
+    rule = fleet_margins.margin_rule([*actors, *others], margin_m=margin_m)
+    sources = {
+        name: {
+            term: [round(getattr(rule.by_vehicle[name], term), 3), rule.by_vehicle[name].sources.get(term, DEFAULT)]
+            for term in ("wingspan_m", "position_error_m", "tracking_error_m", "delay_s")
+        }
+        for name in taking_part
+    }
+    return rule, sources
 
 
 def state_findings(

@@ -24,7 +24,6 @@ from skygcs.core.plan.execution import (
     Sight,
     Why,
 )
-from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.plan.flight_steps import FlightStep
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
@@ -192,15 +191,11 @@ class FlightOrders:
         self._certify_landing = certify_landing
         self._tasks = TaskSet(loop, on_event)
 
-    def tick(self, flight: PlanFlight, records: Callable[[VehicleActor], FlightRecord]) -> None:
+    def tick(self, flight: PlanFlight) -> None:
         """Look at the vehicles, and do what follows."""
         now = self._loop.time()
         sights = flight.look(now)
         state, trajectory_s = flight.clock(now)
-        if state is ClockState.RUNNING:
-            for name, sight in sights.items():
-                if sight.place_m is not None and sight.age_s < LONGEST_AGE_S and sight.left is None:
-                    records(flight.actors[name]).tracked(flight.execution.off_m(name, sight.place_m, trajectory_s))
         self.carry_out(flight, flight.execution.tick(now, state, trajectory_s, sights))
 
     def carry_out(self, flight: PlanFlight, orders: Sequence[Order]) -> None:

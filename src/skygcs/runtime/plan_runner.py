@@ -5,7 +5,7 @@
     run      the check, and if it passes (or somebody insists) the flight; it goes on without its client
     resume   where everybody is at its place the clock goes on; else with a way back and a new certificate
 
-Certificates take numpy and up to seconds, so they are made beside the event loop (`work`).
+Certificates take numpy and up to seconds, so they are made by a process of their own (`work`).
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError, TargetError
+from skygcs.errors import RefusedError, SkygcsError, TargetError
 from skygcs.events import Event
+from skygcs.planning.process import call
 from skygcs.runtime.plan_checks import (
     Measured,
     battery_findings,
@@ -180,7 +181,7 @@ class PlanRunner:
     ) -> None:
         self.kept: KeptPlan | None = None
         self.flight: PlanFlight | None = None
-        self.work: Heavy = asyncio.to_thread
+        self.work: Heavy = call
         """Runs what is heavy: a function and its arguments."""
         self.observers: set[Callable[[], None]] = set()
         self._fleet = fleet
@@ -348,7 +349,7 @@ class PlanRunner:
         self, actors: Sequence[VehicleActor], request: FlightRequest
     ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
         others = [actor for actor in self._fleet.everybody() if actor not in actors]
-        return margin_rule(actors, others, self._record, request.margin_m)
+        return margin_rule(actors, others, request.margin_m)
 
     def _record(self, actor: VehicleActor) -> FlightRecord:
         return self._records.setdefault(actor.vehicle.key, FlightRecord())
@@ -481,7 +482,12 @@ class PlanRunner:
         ]
         ground_m = min([*grounds, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
-        rounds, certificate = await self.work(_way_down, measured.places, ground_m, self._rule, space)
+        try:
+            rounds, certificate = await self.work(_way_down, measured.places, ground_m, self._rule, space)
+        except SkygcsError as error:  # no process, or it took too long
+            todo = "`plan land --force` lands all at once"
+            self._orders.carry_out(flight, execution.landing_refused([str(error), todo]))
+            return
         if certificate.certified:
             self._orders.carry_out(flight, execution.landing(rounds))
         else:
@@ -507,7 +513,7 @@ class PlanRunner:
             self._charged_at = now
             self._note_charges(now)
         if self.flight is not None and not self.flight.execution.over:
-            self._orders.tick(self.flight, self._record)
+            self._orders.tick(self.flight)
 
     def _note_charges(self, now: float) -> None:
         there = self._fleet.everybody()
@@ -516,8 +522,6 @@ class PlanRunner:
             percent = None if battery is None else battery["percent"]
             record = self._record(actor)
             record.charge(now, percent, in_air=actor.vehicle.armed and actor.vehicle.in_air(now) is True)
-            if actor.offboard.flying and (rtt_s := actor.offboard.controller.delay.rtt_p95_s) is not None:
-                record.delay_s = rtt_s
         if len(self._records) > len(there):
             keys = {actor.vehicle.key for actor in there}
             self._records = {key: record for key, record in self._records.items() if key in keys}
