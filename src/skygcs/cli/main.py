@@ -24,6 +24,7 @@ GLOBAL_OPTIONS = ("--socket", "--token-file")
 COMMANDS = (
     ("status", ("status", "components", "watch", "events", "info")),
     ("preflight", ("preflight",)),
+    ("calibrate", ("calibrate",)),
     (
         "orders",
         (

@@ -110,6 +110,12 @@ class GotoParams(TargetsParams):
         return self
 
 
+class CalibrateParams(TargetsParams):
+    sensor: Literal["gyro", "level", "compass", "accel"] = Field(
+        description="accel: six poses, of which an ArduPilot asks for each and waits for vehicles.calibrate_confirm."
+    )
+
+
 class RebootParams(TargetsParams):
     force: bool = Field(False, description="Reboot although it is armed.")
 
@@ -203,6 +209,22 @@ METHODS: tuple[Method[Context], ...] = (
         GotoParams,
         VehicleActor.goto,
         "Fly to a place, given in degrees and height above home or in metres about the fleet's origin.",
+    ),
+    order_method(
+        "vehicles.calibrate",
+        CalibrateParams,
+        VehicleActor.calibrate,
+        "Calibrate a sensor; only disarmed. The answer comes with the result, after seconds or minutes; until then\n"
+        'events of kind "calibration" and the state show how far it is. A client that goes cancels it.',
+    ),
+    order_method(
+        "vehicles.calibrate_confirm",
+        TargetsParams,
+        VehicleActor.confirm_pose,
+        "The vehicle lies as its calibration asked for (accel of an ArduPilot; a PX4 finds its pose by itself).",
+    ),
+    order_method(
+        "vehicles.calibrate_cancel", TargetsParams, VehicleActor.cancel_calibration, "End the calibration that runs."
     ),
     order_method("vehicles.reboot", RebootParams, VehicleActor.reboot, "Reboot the autopilot; armed only with force."),
     Method("vehicles.forget", ForgetParams, vehicles_forget, Outcomes, _TARGET),

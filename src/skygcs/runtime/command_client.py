@@ -170,6 +170,7 @@ class CommandClient:
         everywhere: bool = False,
         wanted: Check | None = None,
         with_repeats: Follower | None = None,
+        timers_s: tuple[float, ...] = RETRY_TIMERS_S,
     ) -> Outcome:
         """Send it and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost ack
         does not matter. Cancelling drops the command; transmissions cannot be undone.
@@ -178,6 +179,7 @@ class CommandClient:
         the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a command that moves the
         vehicle, which a newer order may replace (`supersede`); called when its turn has come. An emergency is sent at
         once. ``with_repeats``: a message sent right after each repeat, over the same links (`Step.with_repeats`).
+        ``timers_s``: the waits after each transmission.
         """
         # refuse what cannot be packed
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
@@ -209,8 +211,8 @@ class CommandClient:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
             if wanted is not None and not wanted():
                 return Outcome(False, "cancelled", SUPERSEDED)
-            timers_s = tuple(max(wait_s, self._min_retry_s) for wait_s in RETRY_TIMERS_S)
-            return await self._protocol(line, request, Priority.COMMAND, timers_s)
+            waits_s = tuple(max(wait_s, self._min_retry_s) for wait_s in timers_s)
+            return await self._protocol(line, request, Priority.COMMAND, waits_s)
         finally:
             line.lock.release()
 

@@ -26,6 +26,7 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
+from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
@@ -39,6 +40,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
+from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
+from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
@@ -60,7 +63,7 @@ class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
 
     Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``missions``,
-    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages).
+    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages), ``calibration``.
     """
 
     def __init__(
@@ -99,12 +102,14 @@ class VehicleActor:
         self.logs = VehicleLogs(vehicle, services)
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
         self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
+        self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = services.probes and "TIMESYNC" in services.dialect.by_name
         self._read: dict[int, Callable[[Frame, float], None]] = {
             COMMAND_ACK: self._on_ack,
             TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
+            **dict.fromkeys(CALIBRATION_MESSAGES, self.calibration.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
             **dict.fromkeys(self.logs.messages, self.logs.on_frame),
         }
@@ -138,6 +143,7 @@ class VehicleActor:
         state = dict(take_snapshot(self.vehicle, now, time.time()))
         if self.offboard.controller.state is not OffboardState.OFF:
             state["control"] = self.control_state(now)
+        state["calibration"] = self.calibration.status()
         self.streams.add_to(state)
         if self._probes and self.uplink.answered_at is not None:
             trip_s = self.uplink.trip_s
@@ -213,6 +219,7 @@ class VehicleActor:
         if events:
             self._publish(events, now)
         self.streams.tick(now)
+        self.calibration.tick(now)
         if self.offboard.controller.active:
             self.offboard.refresh_budget()
         if self._probes and self.vehicle.connected and not self.vehicle.replayed:
@@ -243,7 +250,9 @@ class VehicleActor:
         self.params.stop_list()
         self.logs.stop("cancelled", SHUTDOWN)
         self._orders.wind_down()
-        await asyncio.gather(self.fence.wind_down(), self._orders.settled(), self.offboard.settled())
+        await asyncio.gather(
+            self.fence.wind_down(), self.calibration.wind_down(), self._orders.settled(), self.offboard.settled()
+        )
 
     def close(self) -> None:
         self._after_takeoff.cancel()
@@ -251,6 +260,7 @@ class VehicleActor:
         self.missions.close()
         self.logs.stop("cancelled", SHUTDOWN)
         self.params.close()
+        self.calibration.close()
         self.commands.close()
 
     # -- orders
@@ -335,6 +345,17 @@ class VehicleActor:
         return self._orders.finish(
             "goto", self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         )
+
+    async def calibrate(self, sensor: str) -> Outcome:
+        """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
+        return await self._orders.track("calibrate", self.calibration.run(Sensor(sensor)))
+
+    async def confirm_pose(self) -> Outcome:
+        """It lies as its calibration asked for."""
+        return await self._orders.track("calibrate confirm", self.calibration.confirm())
+
+    async def cancel_calibration(self) -> Outcome:
+        return await self._orders.track("calibrate cancel", self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self._orders.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -616,7 +637,14 @@ class VehicleActor:
         """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
-                for reader in (self.commands, self.missions, self.fence, self.params, self.offboard):
+                for reader in (
+                    self.commands,
+                    self.missions,
+                    self.fence,
+                    self.params,
+                    self.offboard,
+                    self.calibration,
+                ):
                     reader.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
@@ -636,3 +664,4 @@ class VehicleActor:
         self.missions.stop("lost", text)
         self.params.stop_all("lost", text)
         self.logs.stop("lost", text)
+        self.calibration.stop(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import nan
 from typing import Any
@@ -66,10 +67,18 @@ def from_int(fields: dict[str, Any], sender: tuple[int, int]) -> Command:
     )
 
 
+Script = Iterator[float]
+"""What happens, and the seconds until it goes on."""
+
+
 @dataclass(slots=True)
 class Calibration:
-    """A running PREFLIGHT_CALIBRATION, who asked for it, and when it says next how far it is."""
+    """A calibration that runs: its command's sender, its script, and when that goes on."""
 
     sender: tuple[int, int]
-    began: float
-    next_report: float
+    script: Script
+    due: float
+    sensor: str
+    position: int = 0
+    """The pose an ArduCopter waits for, as ACCELCAL_VEHICLE_POS; 0: none."""
+    confirmed: bool = False

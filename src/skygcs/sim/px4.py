@@ -107,6 +107,8 @@ class Px4Vehicle(SimVehicle):
     def system_status(self) -> int:
         if self.failsafe:
             return m.MAV_STATE_CRITICAL
+        if self.calibration is not None:
+            return m.MAV_STATE_CALIBRATING
         return m.MAV_STATE_ACTIVE if self.armed else m.MAV_STATE_STANDBY
 
     @property

@@ -8,20 +8,15 @@ from math import isfinite
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME
-from skygcs.sim import mission_lists, onboard_logs
+from skygcs.sim import calibration, mission_lists, onboard_logs
 from skygcs.sim import protocol as m
-from skygcs.sim.command_message import Calibration, Command, from_int, from_long
+from skygcs.sim.command_message import Command, from_int, from_long
 from skygcs.sim.position_targets import is_position
 from skygcs.sim.stream_schedule import NEVER
 from skygcs.sim.vehicle_state import VehicleState
 
 Fields = dict[str, Any]
 Sender = tuple[int, int]
-
-CALIBRATION_S = 3.0
-"""A gyro calibration."""
-
-PROGRESS_EVERY_S = 0.5
 
 PARAMS_PER_TICK = 2
 """100 a second: the rate of a list over USB; a telemetry port is slower."""
@@ -73,16 +68,7 @@ def step(v: VehicleState, now: float) -> None:
     v.logs.step(armed=v.armed)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
         _send_param(v, v.param_queue.pop(0))
-    running = v.calibration
-    if running is None:
-        return
-    if now - running.began >= CALIBRATION_S:
-        v.calibration = None
-        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_ACCEPTED, running.sender)
-    elif now >= running.next_report:
-        running.next_report += PROGRESS_EVERY_S
-        done = round(100 * (now - running.began) / CALIBRATION_S)
-        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_IN_PROGRESS, running.sender, done)
+    calibration.step(v, now)
 
 
 # -- commands
@@ -140,18 +126,6 @@ def _request_fixed(name: str) -> Callable[[VehicleState, Command, float], int]:
     return handler
 
 
-def _calibrate(v: VehicleState, c: Command, now: float) -> int | None:
-    if v.armed:
-        return v.firmware.answers.simulated.calibrate_armed
-    if v.calibration is not None:  # asked again because the first answer was lost, or by somebody else
-        own = v.calibration.sender == c.sender
-        return m.MAV_RESULT_IN_PROGRESS if own else m.MAV_RESULT_TEMPORARILY_REJECTED
-    if not any((c.p1, c.p2, c.p3, c.p4, c.p5, c.p6, c.p7)):
-        return m.MAV_RESULT_ACCEPTED  # nothing to calibrate
-    v.calibration = Calibration(c.sender, now, now + PROGRESS_EVERY_S)
-    return m.MAV_RESULT_IN_PROGRESS
-
-
 def _reboot(v: VehicleState, c: Command, now: float) -> int | None:
     answers = v.firmware.answers.simulated
     if c.p1 == 0:
@@ -183,7 +157,10 @@ _COMMANDS: Mapping[int, Callable[[VehicleState, Command, float], int | None]] = 
     m.MAV_CMD_REQUEST_PROTOCOL_VERSION: _request_fixed("PROTOCOL_VERSION"),
     m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _request_fixed("AUTOPILOT_VERSION"),
     m.MAV_CMD_GET_HOME_POSITION: _request_fixed("HOME_POSITION"),
-    m.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
+    m.MAV_CMD_PREFLIGHT_CALIBRATION: calibration.start,
+    m.MAV_CMD_DO_START_MAG_CAL: calibration.compass_command,
+    m.MAV_CMD_DO_CANCEL_MAG_CAL: calibration.compass_command,
+    m.MAV_CMD_ACCELCAL_VEHICLE_POS: calibration.pose_command,
     m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     m.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     m.MAV_CMD_DO_PAUSE_CONTINUE: _pause,

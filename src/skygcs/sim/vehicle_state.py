@@ -454,6 +454,10 @@ class VehicleState(ABC):
         self.home_fixed = False
         self.local_zero = None
         self.calibration: Calibration | None = None
+        self.side_down = "down"
+        """Its pose on the ground, as PX4 names it."""
+        self.turned_by_hand = True
+        """Somebody turns it as its calibration asks."""
         self.param_queue: list[int] = []
         self.streams = Streams(
             (n for n in self.begin_telemetry() if n in self.dialect.by_name), self.default_rates_hz, self.rng, now

@@ -42,6 +42,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -
         "control": None,  # filled in by flight control
         "uplink": None,  # filled in by the uplink watch
         "separation": None,  # filled in by the monitor
+        "calibration": None,  # filled in by the calibration that runs
         **groups,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),

@@ -114,6 +114,9 @@ class VehicleState(TypedDict):
     separation: Part | None
     """Its most urgent conflict with another vehicle, as in monitor.status: level, with, distance_m, closest_m,
     closest_in_s, enters_in_s, margin_m; null: none. It has no age_s: it is of the last evaluation"""
+    calibration: Part | None
+    """The calibration that runs: sensor, percent, pose (level, left, right, nose_down, nose_up, upside_down), confirm
+    (it waits for vehicles.calibrate_confirm), pending (poses a PX4 still wants), text; null: none runs"""
     gps: Part | None
     """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None

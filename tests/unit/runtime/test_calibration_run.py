@@ -1,0 +1,198 @@
+"""Calibrations of simulated vehicles through their actors, over a link with delay, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from skygcs.core.vehicle.calibration import CANCEL_S, SILENCE_S, Sensor
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.sim.vehicle import SimVehicle
+from support.sim_field import SimField
+
+pytestmark = pytest.mark.looptime
+
+FIRMWARES = pytest.mark.parametrize("px4", [True, False], ids=["px4", "ardupilot"])
+
+
+class Field(SimField):
+    """One vehicle that stands ready."""
+
+    def __init__(self, px4: bool) -> None:
+        super().__init__(int(px4), int(not px4), {})
+        self.sent: list[tuple[int, tuple[float, ...]]] = []
+
+    @property
+    def actor(self) -> VehicleActor:
+        return next(iter(self.fleet.vehicles.values()))
+
+    @property
+    def simulated(self) -> SimVehicle:
+        return self.sim.vehicles[0]
+
+    def on_send(self, message: str, values: Any) -> None:
+        if message == "COMMAND_LONG":
+            self.sent.append((int(values["command"]), tuple(values.get(f"param{i}", 0.0) for i in range(1, 8))))
+
+    def progress(self) -> list[dict[str, Any]]:
+        return [event.data for event in self.events if event.kind == "calibration"]
+
+
+@FIRMWARES
+@pytest.mark.parametrize("sensor", [Sensor.GYRO, Sensor.LEVEL, Sensor.COMPASS])
+async def test_a_sensor_is_calibrated(px4: bool, sensor: Sensor) -> None:
+    async with Field(px4) as field:
+        outcome = await field.actor.calibrate(sensor)
+        assert outcome.ok, outcome
+        assert field.actor.calibration.status() is None
+        if px4 or sensor is Sensor.COMPASS:
+            percents = [data["percent"] for data in field.progress() if data["percent"] is not None]
+            assert percents == sorted(percents) and len(set(percents)) >= 4
+        assert field.simulated.calibration is None or not px4
+
+
+async def test_a_px4_finds_its_six_poses_by_itself() -> None:
+    async with Field(px4=True) as field:
+        assert (await field.actor.calibrate(Sensor.ACCEL)).ok
+        poses = list(dict.fromkeys(data["pose"] for data in field.progress() if data["pose"]))
+        assert sorted(poses) == ["left", "level", "nose_down", "nose_up", "right", "upside_down"]
+        assert not any(data["confirm"] for data in field.progress())
+        wanted = [len(data["pending"]) for data in field.progress() if data["pending"]]
+        assert wanted[0] == 6 and wanted == sorted(wanted, reverse=True)
+
+
+async def test_a_px4_that_nobody_turns_reports_its_own_reason() -> None:
+    async with Field(px4=True) as field:
+        field.simulated.turned_by_hand = False
+        outcome = await field.actor.calibrate(Sensor.ACCEL)
+        assert (outcome.result, outcome.message) == ("failed", "failed: timeout: no motion")
+
+
+async def test_an_arducopter_waits_for_each_pose_until_it_is_confirmed() -> None:
+    async with Field(px4=False) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        asked = []
+        while not run.done():
+            await asyncio.sleep(0.5)
+            status = field.actor.calibration.status()
+            if status is not None and status["confirm"]:
+                asked.append(status["pose"])
+                assert (await field.actor.confirm_pose()).ok
+        assert asked == ["level", "left", "right", "nose_down", "nose_up", "upside_down"]
+        assert (await run).ok
+        assert [p[0] for command, p in field.sent if command == 42429] == [1, 2, 3, 4, 5, 6]
+        # the end that it repeats is not taken for the next one's
+        again = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        await asyncio.sleep(5.0)
+        assert not again.done() and field.actor.calibration.status()["confirm"]
+        again.cancel()
+
+
+async def test_a_pose_that_was_not_taken_is_asked_for_again() -> None:
+    async with Field(px4=False) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        await asyncio.sleep(5.0)
+        field.simulated.calibration.position = 3  # it is at another step by now
+        assert not (await field.actor.confirm_pose()).ok
+        assert field.actor.calibration.status()["confirm"]
+        run.cancel()
+
+
+@FIRMWARES
+async def test_nothing_is_sent_to_an_armed_vehicle(px4: bool) -> None:
+    async with Field(px4) as field:
+        await asyncio.sleep(15.0)
+        assert (await field.actor.arm(force=True)).ok
+        field.sent.clear()
+        outcome = await field.actor.calibrate(Sensor.GYRO)
+        assert outcome.result == "refused" and "armed" in outcome.message
+        assert not field.sent
+
+
+@FIRMWARES
+async def test_one_calibration_at_a_time(px4: bool) -> None:
+    async with Field(px4) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(2.0)
+        assert (await field.actor.calibrate(Sensor.GYRO)).message == "refused: its compass is being calibrated"
+        assert (await run).ok
+
+
+@FIRMWARES
+async def test_confirm_and_cancel_without_a_calibration_are_refused(px4: bool) -> None:
+    async with Field(px4) as field:
+        for order in (field.actor.confirm_pose, field.actor.cancel_calibration):
+            assert (await order()).message == "refused: it is not being calibrated"
+
+
+@FIRMWARES
+async def test_a_compass_calibration_is_cancelled(px4: bool) -> None:
+    async with Field(px4) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(4.0)
+        assert (await field.actor.cancel_calibration()).ok
+        assert (await run).result == "cancelled"
+        assert field.simulated.calibration is None
+
+
+@FIRMWARES
+async def test_a_client_that_goes_cancels_its_calibration(px4: bool) -> None:
+    async with Field(px4) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(4.0)
+        run.cancel()
+        await asyncio.gather(run, return_exceptions=True)
+        await asyncio.sleep(2.0)
+        assert field.simulated.calibration is None
+        assert field.actor.calibration.status() is None
+
+
+@FIRMWARES
+async def test_the_end_of_the_daemon_cancels_it(px4: bool) -> None:
+    async with Field(px4) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(4.0)
+        await field.actor.wind_down()
+        assert (await run).result == "cancelled" and field.simulated.calibration is None
+
+
+async def test_a_px4_whose_last_text_is_lost_is_seen_to_have_ended() -> None:
+    async with Field(px4=True) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.GYRO))
+        await asyncio.sleep(1.7)
+        field.simulated.calibration.script = iter(())  # it says nothing more
+        outcome = await run
+        assert outcome.result == "timeout" and "its result was not heard" in outcome.message
+        assert outcome.elapsed_s < 15.0
+
+
+async def test_a_vehicle_that_says_nothing_more_is_not_waited_for_for_ever() -> None:
+    async with Field(px4=False) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(4.0)
+        field.simulated.calibration.script = iter([10_000.0])
+        began = field.loop.time()
+        assert (await run).message == f"timeout: no progress for {SILENCE_S:.0f} s"
+        assert field.loop.time() - began < SILENCE_S + 5.0
+
+
+async def test_a_px4_that_does_not_confirm_a_cancellation_is_given_up() -> None:
+    async with Field(px4=True) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        await asyncio.sleep(3.0)
+        field.simulated.tx.say = lambda severity, text: None  # type: ignore[method-assign]
+        assert (await field.actor.cancel_calibration()).ok
+        outcome = await run
+        assert outcome.result == "cancelled" and "did not confirm" in outcome.message
+        assert CANCEL_S < outcome.elapsed_s < 20.0
+
+
+@FIRMWARES
+async def test_a_lost_or_rebooted_vehicle_ends_it(px4: bool) -> None:
+    async with Field(px4) as field:
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(3.0)
+        field.simulated.reboot(field.loop.time())
+        assert (await asyncio.wait_for(run, 60.0)).result == "lost"
