@@ -297,6 +297,7 @@ class FakeVehicle:
             "control": None,
             "uplink": None,
             "separation": None,
+            "calibration": None,
             **dict.fromkeys(
                 (
                     "ekf_origin",

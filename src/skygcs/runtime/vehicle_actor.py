@@ -63,7 +63,8 @@ class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
 
     Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``missions``,
-    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages), ``calibration``.
+    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages),
+    ``calibration``.
     """
 
     def __init__(
