@@ -374,6 +374,18 @@ class FakeMonitor:
         return self.answer
 
 
+class FakePlans:
+    """No plan is flown."""
+
+    def pause(self) -> str:
+        return "nothing is flown"
+
+    abort = pause
+
+    def land(self, *, force: bool = False) -> str:
+        return "nothing is flown"
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
@@ -381,6 +393,7 @@ class FakeFleet:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
         self.undo = FakeUndo()
         self.monitor = FakeMonitor()
+        self.plans = FakePlans()
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []

@@ -129,8 +129,11 @@ class PlanMakeParams(CertifyParams):
         return self
 
 
-class PlanCertifyParams(CertifyParams):
+class GivenPlan(MethodParams):
     plan: dict[str, Any] = Field(description="A plan of skygcs: the content of its JSON file.")
+
+
+class PlanCertifyParams(CertifyParams, GivenPlan):  # the last base comes first by position
     keep: bool = Field(False, description="The answer has the plan, with its certificate.")
 
 

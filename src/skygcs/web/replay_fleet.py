@@ -14,6 +14,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import STATUSTEXT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.snapshot import take_snapshot
@@ -23,8 +24,6 @@ from skygcs.events import Event
 
 MAX_VEHICLES = 255
 """As many as there are system ids; a log with more is an attack."""
-
-STATUSTEXT = 253
 
 MAX_KEPT_OF_SOURCE = 256
 """Different messages of one vehicle in a checkpoint; an autopilot sends some 60."""
