@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+DEMO   := $(VENV)/.installed-demo
+TEST   := $(VENV)/.installed-test
 
-.PHONY: demo test test-system test-lab test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
-demo: $(STAMP)
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
+demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
 
@@ -18,11 +20,11 @@ dist: $(STAMP)
 	$(BIN)/python build_page.py
 	$(BIN)/python -m build
 
-test: $(STAMP)
+test: $(TEST)
 	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration
 
 # Real processes, sockets and ptys in real time: most of it is waiting
-test-system: $(STAMP)
+test-system: $(TEST)
 	$(BIN)/pytest -n auto --dist worksteal tests/system
 
 # MAVSDK (3 over gRPC, and 4), DroneKit, MAVProxy and pymavlink themselves, each in an environment of its own
@@ -30,13 +32,17 @@ test-clients: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m clients.environments
 	$(BIN)/pytest tests/clients -n 8 --dist worksteal
 
+# The built wheel and sdist, installed in empty folders of their own: what a user of the package index gets
+test-package: $(STAMP)
+	PYTHONPATH=tests $(BIN)/pytest tests/package -s
+
 # The page in a real browser: the system's Chromium. Pictures: build/web-screens
 test-web: $(STAMP)
 	$(BIN)/python build_page.py --check
 	$(BIN)/pytest tests/web
 
 # Programs of a lab (a real Prometheus), of which it names those that are missing; LAB_SCRAPE_S=120
-test-lab: $(STAMP)
+test-lab: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m lab
 
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
@@ -78,10 +84,21 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# Anew when the package list, the build or the C changes: a stale fast path would be tested instead.
-$(STAMP): pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_fast_path*.[ch])
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+# Anew when the package list, the build or the C changes: a stale fast path would be tested instead. Each installs only
+# what its targets need; what is there for more serves the others, too.
+BUILT_FROM := pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_fast_path*.[ch])
+INSTALL = test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); $(BIN)/python -m pip install --quiet --disable-pip-version-check -e
+
+$(STAMP): $(BUILT_FROM)
+	$(INSTALL) '.[dev]'
+	touch $@ $(TEST) $(DEMO)
+
+$(TEST): $(BUILT_FROM)
+	$(INSTALL) '.[test]'
+	touch $@ $(DEMO)
+
+$(DEMO): $(BUILT_FROM)
+	$(INSTALL) '.[web]'
 	touch $@
 
 clean:

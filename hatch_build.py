@@ -8,6 +8,7 @@ without it fail, and warnings of the compiler errors.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 SOURCE = Path("src/skygcs/links/_fast_path.c")
 COMPILE_TIMEOUT_S = 120
@@ -33,6 +35,31 @@ HARDENING = [
     "-Wl,-z,relro,-z,now,-z,noexecstack",
 ]
 """Costs nothing that a benchmark shows. What is not known to a stranger's compiler is left out, all of it."""
+
+
+LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s]+)(?=\))")
+"""The destination of a link or picture within the repository."""
+
+
+class ReadmeHook(MetadataHookInterface):
+    """README.md with links that lead to the repository, and the project's URLs."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        repository = self.config["repository"]
+        text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
+        text = LINK.sub(lambda link: f"{repository}/{_view(link[1])}/main/{link[1]}", text)
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
+        metadata["urls"] = {
+            "Source": repository,
+            "Documentation": f"{repository}/tree/main/docs",
+            "Issues": f"{repository}/issues",
+            "Changelog": f"{repository}/blob/main/CHANGELOG.md",
+        }
+
+
+def _view(path: str) -> str:
+    """A picture is shown as it is, a page as a page."""
+    return "raw" if path.endswith((".svg", ".png", ".gif", ".jpg")) else "blob"
 
 
 class FastPathHook(BuildHookInterface):

@@ -37,11 +37,14 @@ def hook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The hook of a copy of the project, with no variables set."""
     for name in ("CC", "CFLAGS", "LDFLAGS", "SKYGCS_PURE", "SKYGCS_REQUIRE_FASTPATH"):
         monkeypatch.delenv(name, raising=False)
-    name = "hatchling.builders.hooks.plugin.interface"
-    for at in range(1, name.count(".") + 2):
-        part = types.ModuleType(".".join(name.split(".")[:at]))
-        monkeypatch.setitem(sys.modules, part.__name__, part)
-    sys.modules[name].BuildHookInterface = Interface  # type: ignore[attr-defined]
+    for name, interface in (
+        ("hatchling.builders.hooks.plugin.interface", "BuildHookInterface"),
+        ("hatchling.metadata.plugin.interface", "MetadataHookInterface"),
+    ):
+        for at in range(1, name.count(".") + 2):
+            part = types.ModuleType(".".join(name.split(".")[:at]))
+            monkeypatch.setitem(sys.modules, part.__name__, part)
+        setattr(sys.modules[name], interface, Interface)
     spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -165,3 +165,32 @@ def _check(text: str, file: Path) -> None:
         except ConfigError as error:
             reason = "its links cannot be in one fleet file (the line numbers are those of that fleet file):"
             raise ConfigError(str(file), [reason, *error.problems]) from None
+
+
+# --- examples ---------------------------------------------------------------------------------------------------------
+
+
+def write_example(scenario: str | None, folder: Path, *, force: bool) -> int:
+    """Write an example as fleet.toml into ``folder`` and print what to do next; None: list the scenarios. Raises
+    ConfigError."""
+    from skygcs.config.examples import example_text, scenarios
+
+    if scenario is None:
+        width = max(map(len, scenarios()))
+        print("skygcs init SCENARIO [DIR] writes a fleet file for:\n")
+        for name, purpose in scenarios().items():
+            print(f"  {name:{width}}  {purpose}")
+        return 0
+    path = folder / "fleet.toml"
+    text = example_text(scenario, path.name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with path.open("w" if force else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise ConfigError(str(path), ["exists already; --force overwrites it"]) from None
+    except OSError as error:
+        raise ConfigError(str(path), [error.strerror or str(error)]) from None
+    print(f"{path} is written. Change it to what you have, then:\n")
+    print(f"  skygcs check {path}\n  skygcs run {path}\n  skygcs-cli status        # in another terminal")
+    return 0

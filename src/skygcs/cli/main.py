@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import importlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
@@ -18,6 +18,8 @@ from typer.models import CommandInfo
 
 from skygcs import __version__
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
+
+HELP_OPTIONS = ["-h", "--help"]
 
 GLOBAL_OPTIONS = ("--socket", "--token-file")
 
@@ -79,12 +81,27 @@ def _command(name: str) -> Any:
     importlib.import_module(f"skygcs.cli.{_MODULE_OF[name]}").add_to(made)
     made.registered_commands = [c for c in made.registered_commands if command_name(c) == name]
     made.registered_groups = [g for g in made.registered_groups if g.name == name]
-    return get_group(made).commands[name]
+    return without_bool(get_group(made).commands[name])
+
+
+def without_bool(command: Any) -> Any:
+    """The same command, whose help shows no type for options that are given or not (newer typer shows <bool>)."""
+    context = command.context_class(command, help_option_names=HELP_OPTIONS)
+    _hide_types([*command.params, command.get_help_option(context)])
+    for inner in getattr(command, "commands", {}).values():
+        without_bool(inner)
+    return command
 
 
 def command_name(command: CommandInfo) -> str | None:
     """The name that typer gives to a command."""
     return command.name or (get_command_name(command.callback.__name__) if command.callback else None)
+
+
+def _hide_types(options: Iterable[Any]) -> None:
+    for option in options:
+        if getattr(option, "is_flag", False) and option.metavar is None:
+            option.metavar = ""
 
 
 class _RootGroup(TyperGroup):
@@ -96,6 +113,11 @@ class _RootGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self.commands)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        options = super().get_params(ctx)
+        _hide_types(options)
+        return list(options)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, hoisted(json_last(args)))
@@ -140,7 +162,7 @@ app = typer.Typer(
     cls=_RootGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": HELP_OPTIONS},
     help="Show and command the vehicles of a running skygcs daemon.",
     epilog="Exit codes: 0 done, 1 refused or failed (any vehicle), 2 usage, 3 daemon not reachable.",
 )

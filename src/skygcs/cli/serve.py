@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The commands about fleet files and what belongs to a daemon: run, check, import-router, metrics."""
+    """The commands about fleet files and what belongs to a daemon: init, run, check, …"""
     run = commands.add_parser("run", help="run the daemon with a fleet file")
     run.add_argument("file", type=Path, metavar="FLEET.toml")
     run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
@@ -64,6 +64,12 @@ def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParse
     run.add_argument("-v", "--verbose", action="store_true", help="log routes, commands and status texts too")
     run.add_argument("-q", "--quiet", action="store_true", help="log warnings and errors only")
     run.set_defaults(run=_run)
+
+    init = commands.add_parser("init", help="write a commented fleet file to begin with")
+    init.add_argument("scenario", nargs="?", metavar="SCENARIO", help="without one: list them")
+    init.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help="default: this folder")
+    init.add_argument("--force", action="store_true", help="overwrite a fleet.toml that is there")
+    init.set_defaults(run=_init)
 
     check = commands.add_parser("check", help="check a fleet file and print everything that is wrong with it")
     check.add_argument("file", type=Path, metavar="FLEET.toml")
@@ -78,6 +84,10 @@ def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParse
     metrics = commands.add_parser("metrics", help="print the Grafana dashboard or the alert rules for Prometheus")
     metrics.add_argument("what", choices=("dashboard", "rules"))
     metrics.set_defaults(run=_metrics)
+
+    completion = commands.add_parser("completion", help='print a shell\'s completion: eval "$(skygcs completion bash)"')
+    completion.add_argument("shell", nargs="?", choices=("bash", "zsh", "fish"))
+    completion.set_defaults(run=_completion)
 
 
 def _add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -188,6 +198,19 @@ def _run(args: argparse.Namespace) -> int:
         return EXIT_OK
 
     return run_loop(serve())
+
+
+def _init(args: argparse.Namespace) -> int:
+    from skygcs.cli.fleet_files import write_example
+
+    return write_example(args.scenario, args.folder, force=args.force)
+
+
+def _completion(args: argparse.Namespace) -> int:
+    from skygcs.cli.completion import script, this_shell
+
+    print(script(_parser(), args.shell or this_shell()), end="")
+    return EXIT_OK
 
 
 def _check(args: argparse.Namespace) -> int:

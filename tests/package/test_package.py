@@ -1,0 +1,121 @@
+"""What a user of the package index gets: wheel and sdist, built, checked, installed in folders without a checkout."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.process import ROOT, wait_until
+
+MOST_WHEEL_BYTES = 2_000_000
+"""Without the web page's files."""
+
+pytestmark = pytest.mark.timeout(900)
+
+
+def run(*words: str | Path, cwd: Path, **environment: str) -> str:
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("SKYGCS", "PYTHON", "VIRTUAL_ENV"))}
+    done = subprocess.run([*map(str, words)], cwd=cwd, env=kept | environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{words}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The sdist, the pure wheel, and the one with the fast path; wheels are made from the sdist."""
+    out = tmp_path_factory.mktemp("dist")
+    build = (sys.executable, "-m", "build", "--outdir")
+    run(*build, out, "--sdist", ROOT, cwd=ROOT)
+    (sdist,) = out.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(out / "source", filter="data")
+    (source,) = (out / "source").iterdir()
+    run(*build, out, "--wheel", source, cwd=out, SKYGCS_PURE="1")
+    run(*build, out, "--wheel", source, cwd=out, SKYGCS_REQUIRE_FASTPATH="1")
+    (pure,) = out.glob("*-none-any.whl")
+    (native,) = (p for p in out.glob("*.whl") if p != pure)
+    return {"sdist": sdist, "pure": pure, "native": native}
+
+
+def environment(folder: Path, *wanted: str | Path, **more: str) -> Path:
+    """The programs of a new environment with these packages in it."""
+    venv.create(folder / "venv", with_pip=True)
+    programs = folder / "venv" / "bin"
+    run(programs / "pip", "install", "--quiet", "--disable-pip-version-check", *wanted, cwd=folder, **more)
+    return programs
+
+
+def flies(programs: Path, folder: Path) -> None:
+    """As the README says: init, run, and the vehicles are seen."""
+    run(programs / "skygcs", "init", "sim", cwd=folder)
+    fleet = (folder / "fleet.toml").read_text()
+    (folder / "fleet.toml").write_text(fleet.replace("port = 14550", "port = 24550"))
+    socket = {"SKYGCS_SOCKET": str(folder / "s")}
+    words = [programs / "skygcs", "run", "fleet.toml", "--socket", folder / "s", "-q"]
+    with (folder / "log").open("wb") as log:
+        daemon = subprocess.Popen([*map(str, words)], cwd=folder, stdout=log, stderr=log)
+
+    def seen() -> Any:
+        status = subprocess.run(
+            [programs / "skygcs-cli", "status", "--json"], env=os.environ | socket, capture_output=True
+        )
+        return status.returncode == 0 and len(json.loads(status.stdout)) == 3
+
+    try:
+        wait_until(seen, "three vehicles are seen")
+    finally:
+        daemon.send_signal(signal.SIGTERM)
+        daemon.wait(30)
+
+
+def test_the_index_takes_them(packages: dict[str, Path], tmp_path: Path) -> None:
+    out = run(sys.executable, "-m", "twine", "check", "--strict", *packages.values(), cwd=tmp_path)
+    assert out.count("PASSED") == 3, out
+
+
+def test_the_wheel_is_small_and_has_what_a_user_needs(packages: dict[str, Path]) -> None:
+    with zipfile.ZipFile(packages["native"]) as wheel:
+        sizes = {entry.filename: entry.compress_size for entry in wheel.infolist()}
+        metadata = wheel.read(next(n for n in sizes if n.endswith("/METADATA"))).decode()
+    page = sum(size for name, size in sizes.items() if "/web/static/" in name)
+    print(f"\nwheel: {sum(sizes.values()) / 1e6:.2f} MB, of it {page / 1e6:.2f} MB of the web page")
+    assert sum(sizes.values()) - page <= MOST_WHEEL_BYTES
+    assert {"skygcs/configs/sim.toml", "skygcs/metrics/alerts.yml", "skygcs/metrics/dashboard.json"} <= sizes.keys()
+    assert any(re.fullmatch(r"skygcs/links/_fast_path\..*\.so", name) for name in sizes)
+    # links of the README lead out of the package
+    inside = re.findall(r"\]\((?![a-z]+:|#)([^)]*)\)", metadata)
+    assert inside == []
+    assert metadata.count("Project-URL:") >= 3 and "](https://" in metadata
+
+
+def test_the_sdist_has_no_test_data(packages: dict[str, Path]) -> None:
+    with tarfile.open(packages["sdist"]) as archive:
+        names = [name.partition("/")[2] for name in archive.getnames()]
+    assert not [n for n in names if n.startswith("tests") or n.endswith((".tlog", ".so"))]
+    assert {"configs/sim.toml", "hatch_build.py", "src/skygcs/links/_fast_path.c", "LICENSE"} <= set(names)
+
+
+def test_the_pure_wheel_runs_without_compiler_and_checkout(packages: dict[str, Path], tmp_path: Path) -> None:
+    programs = environment(tmp_path, packages["pure"], CC="/bin/false")
+    assert list(tmp_path.rglob("_fast_path*.so")) == []
+    flies(programs, tmp_path)
+    for name in ("wheel", "setuptools"):
+        assert shutil.which(name, path=str(programs)) is None
+
+
+def test_the_sdist_brings_the_fast_path_with_a_compiler(packages: dict[str, Path], tmp_path: Path) -> None:
+    programs = environment(tmp_path, packages["sdist"], SKYGCS_REQUIRE_FASTPATH="1")
+    assert len(list(tmp_path.rglob("_fast_path*.so"))) == 1
+    flies(programs, tmp_path)
