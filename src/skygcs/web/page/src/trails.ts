@@ -16,6 +16,9 @@ const WIDTH = 4;
 export class Trail {
   private readonly points = new Float64Array(TRAIL_POINTS * WIDTH);
   private begin = 0;
+  /** Points added since it began, and how many of them the view has drawn. */
+  added = 0;
+  drawn = 0;
   /** The last point that the view has drawn. */
   drawnEnd: readonly [number, number] | null = null;
   length = 0;
@@ -35,12 +38,13 @@ export class Trail {
     }
     this.points.set([x, y, z, joined], this.index(this.length));
     this.length += 1;
+    this.added += 1;
     return true;
   }
 
-  /** Calls `point` for each, oldest first. */
-  each(point: (x: number, y: number, z: number, joined: boolean) => void): void {
-    for (let i = 0; i < this.length; i++) {
+  /** Calls `point` for each, oldest first; or only for the newest ``count``. */
+  each(point: (x: number, y: number, z: number, joined: boolean) => void, count = this.length): void {
+    for (let i = Math.max(this.length - count, 0); i < this.length; i++) {
       const k = this.index(i);
       point(this.at(k), this.at(k + 1), this.at(k + 2), i > 0 && this.at(k + 3) === 1);
     }

@@ -127,6 +127,7 @@ export function drawTrails(
       byColour.set(colour, paths);
     }
     tracePoints(camera, trail, paths);
+    trail.drawn = trail.added;
   }
   pen.lineWidth = 1.5;
   pen.lineJoin = "round";
@@ -136,6 +137,38 @@ export function drawTrails(
     pen.stroke(old);
     pen.globalAlpha = 0.75;
     pen.stroke(recent);
+  }
+  pen.globalAlpha = 1;
+}
+
+/** Adds what has come since to the layer that `drawTrails` has drawn. */
+export function extendTrails(
+  pen: Pen,
+  camera: Camera,
+  trails: Trails,
+  colours: ReadonlyMap<string, string>,
+  lost: string,
+): void {
+  const byColour = new Map<string, Path2D>();
+  for (const [name, trail] of trails.byName) {
+    if (trail.drawn === trail.added) continue;
+    const colour = colours.get(name) ?? lost;
+    const path = byColour.get(colour) ?? new Path2D();
+    byColour.set(colour, path);
+    if (trail.drawnEnd !== null) path.moveTo(toScreenX(camera, trail.drawnEnd[0]), toScreenY(camera, trail.drawnEnd[1]));
+    trail.each((x, y, _z, joined) => {
+      if (joined) path.lineTo(toScreenX(camera, x), toScreenY(camera, y));
+      else path.moveTo(toScreenX(camera, x), toScreenY(camera, y));
+      trail.drawnEnd = [x, y];
+    }, trail.added - trail.drawn);
+    trail.drawn = trail.added;
+  }
+  pen.lineWidth = 1.5;
+  pen.lineJoin = "round";
+  pen.globalAlpha = 0.75;
+  for (const [colour, path] of byColour) {
+    pen.strokeStyle = colour;
+    pen.stroke(path);
   }
   pen.globalAlpha = 1;
 }
@@ -155,7 +188,7 @@ function tracePoints(camera: Camera, trail: Trail, paths: { old: Path2D; recent:
       path.moveTo(px, py);
     } else {
       if (turned) path.moveTo(lastX, lastY);
-      else if (index < trail.length && Math.abs(px - lastX) + Math.abs(py - lastY) < 2) return;
+      else if (index < trail.length && Math.abs(px - lastX) + Math.abs(py - lastY) < 3) return;
       path.lineTo(px, py);
     }
     lastX = px;

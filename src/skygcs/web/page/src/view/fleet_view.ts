@@ -17,7 +17,11 @@ const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
 const MOST_RATIO = 2;
 const HIT_PX = 18;
 const LABELS_EVERY_MS = 150;
+/** While the view moves, trails are drawn anew so often, or when that took long, in a tenth of the time. */
 const TRAILS_EVERY_MS = 200;
+const TRAILS_SHARE = 10;
+/** What has fallen out of the trails' bounds goes away with the next full drawing. */
+const TRAILS_ANEW_MS = 10_000;
 /** A frame that takes longer to draw is followed by a pause of as long, so that the page stays quick to answer. */
 const SLOW_DRAW_MS = 10;
 
@@ -61,7 +65,7 @@ export class FleetView {
   private placements = new Map<string, Placement>();
   private placedMs = 0;
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
-  private trailsDrawn: { camera: Camera; version: number; ms: number } | null = null;
+  private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
   private image: { url: string; bitmap: HTMLImageElement; pins: readonly [MapPin, MapPin] } | null = null;
   private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
@@ -356,21 +360,23 @@ export class FleetView {
     pen.restore();
   }
 
-  /** Trails are a layer of their own, drawn anew some times a second; while the view moves it is moved along. */
+  /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
   private drawTrails(pen: draw.Pen, camera: Camera, palette: Palette, colourOf: (body: Body) => string, nowMs: number): void {
+    const layer = this.trailLayer.getContext("2d");
+    if (layer === null) return;
     const drawn = this.trailsDrawn;
     const { trails } = this.store;
-    const current = drawn !== null && sameCamera(drawn.camera, camera) && drawn.version === trails.version;
-    if (!current && (drawn === null || nowMs - drawn.ms > TRAILS_EVERY_MS)) {
-      const layer = this.trailLayer.getContext("2d");
-      if (layer === null) return;
-      layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
+    const same = drawn !== null && sameCamera(drawn.camera, camera);
+    const pauseMs = same ? TRAILS_ANEW_MS : Math.max(TRAILS_EVERY_MS, (drawn?.tookMs ?? 0) * TRAILS_SHARE);
+    layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    if (drawn === null || nowMs - drawn.ms > pauseMs) {
       layer.clearRect(0, 0, camera.widthPx, this.heightPx);
-      const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
       draw.drawTrails(layer, camera, trails, colours, palette.lost);
-      this.trailsDrawn = { camera, version: trails.version, ms: nowMs };
-    } else if (!current) {
-      setTimeout(() => this.redraw(), TRAILS_EVERY_MS);
+      this.trailsDrawn = { camera, ms: nowMs, tookMs: performance.now() - nowMs };
+    } else {
+      draw.extendTrails(layer, drawn.camera, trails, colours, palette.lost);
+      if (!same) setTimeout(() => this.redraw(), pauseMs);
     }
     const from = (this.trailsDrawn ?? { camera }).camera;
     const scale = camera.pxPerM / from.pxPerM;
@@ -381,6 +387,7 @@ export class FleetView {
 
   private drawLabels(pen: draw.Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
     const now_s = serverNowS(this.store.state, nowMs);
+    this.sprites.beginFrame();
     const sprites = shown.map((body) =>
       this.sprites.get(body.name, body.name, labelLine(body, now_s), !body.heard, palette, nowMs),
     );

@@ -5,9 +5,12 @@ import type { Palette } from "./palette.ts";
 const WIDTH_PX = 132;
 const HEIGHT_PX = 32;
 const LINE_PX = 14;
+const PAD_PX = 3;
 const MAX_SPRITES = 400;
 /** The numbers of a label change at most so often: nobody reads faster, and text is what costs. */
 const REWRITE_MS = 250;
+/** And at most so many in one frame: two hundred at once would be a pause that is seen. */
+const REWRITES_A_FRAME = 20;
 
 interface Sprite {
   canvas: HTMLCanvasElement;
@@ -19,6 +22,11 @@ interface Sprite {
 export class LabelSprites {
   private readonly sprites = new Map<string, Sprite>();
   private ratio = 1;
+  private rewritesLeft = 0;
+
+  beginFrame(): void {
+    this.rewritesLeft = REWRITES_A_FRAME;
+  }
 
   /** Colours, fonts or the screen changed. */
   clear(ratio: number): void {
@@ -30,7 +38,11 @@ export class LabelSprites {
   get(id: string, first: string, second: string, dim: boolean, palette: Palette, nowMs: number): Sprite {
     const key = `${first}|${second}|${dim ? 1 : 0}`;
     let sprite = this.sprites.get(id);
-    if (sprite !== undefined && (sprite.key === key || nowMs - sprite.writtenMs < REWRITE_MS)) return sprite;
+    if (sprite !== undefined) {
+      const rests = sprite.key === key || nowMs - sprite.writtenMs < REWRITE_MS || this.rewritesLeft <= 0;
+      if (rests) return sprite;
+    }
+    this.rewritesLeft -= 1;
     if (sprite === undefined) {
       if (this.sprites.size >= MAX_SPRITES) this.sprites.clear();
       const canvas = document.createElement("canvas");
@@ -50,22 +62,25 @@ export class LabelSprites {
     if (pen === null) return;
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     pen.clearRect(0, 0, WIDTH_PX, HEIGHT_PX);
-    pen.lineJoin = "round";
-    pen.lineWidth = 3;
-    pen.strokeStyle = palette.ground;
+    const strong = `600 12px ${palette.font}`;
+    const plain = `11px ${palette.font}`;
     pen.textBaseline = "top";
-    pen.font = `600 12px ${palette.font}`;
-    const name = shortened(pen, first, WIDTH_PX - 6);
-    pen.strokeText(name, 2, 2);
+    pen.font = plain;
+    const under = pen.measureText(second).width;
+    pen.font = strong;
+    const name = shortened(pen, first, WIDTH_PX - 2 * PAD_PX);
+    const over = pen.measureText(name).width;
+    sprite.widthPx = Math.min(Math.max(over, under) + 2 * PAD_PX, WIDTH_PX);
+    // a ground of its own: lines of the view run beneath it, not through it
+    pen.fillStyle = palette.ground;
+    pen.globalAlpha = 0.72;
+    pen.fillRect(0, 1, sprite.widthPx, (second === "" ? LINE_PX : 2 * LINE_PX) + 2);
+    pen.globalAlpha = 1;
     pen.fillStyle = dim ? palette.lost : palette.text;
-    pen.fillText(name, 2, 2);
-    let width = pen.measureText(name).width;
-    pen.font = `11px ${palette.font}`;
-    pen.strokeText(second, 2, 2 + LINE_PX, WIDTH_PX - 4);
+    pen.fillText(name, PAD_PX, 3);
+    pen.font = plain;
     pen.fillStyle = dim ? palette.lost : palette.muted;
-    pen.fillText(second, 2, 2 + LINE_PX, WIDTH_PX - 4);
-    width = Math.max(width, pen.measureText(second).width);
-    sprite.widthPx = Math.min(width + 5, WIDTH_PX);
+    pen.fillText(second, PAD_PX, 3 + LINE_PX, WIDTH_PX - 2 * PAD_PX);
   }
 }
 
