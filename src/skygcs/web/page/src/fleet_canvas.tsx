@@ -1,11 +1,12 @@
 // The canvas as a part of the page: pointer, wheel, fingers and keys, and the buttons on it.
 
-import { useEffect, useReducer, useRef } from "preact/hooks";
+import { useEffect, useReducer, useRef, useState } from "preact/hooks";
+import { hideFences, showFences } from "./fences.ts";
+import { useStore } from "./hooks.ts";
 import type { PanelProps } from "./panels/registry.ts";
-import type { FleetView } from "./view/fleet_view.ts";
 import { beginInput } from "./view/input.ts";
 
-export function FleetCanvas({ store, view }: PanelProps) {
+export function FleetCanvas({ store, connection, view }: PanelProps) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const readout = useRef<HTMLOutputElement>(null);
   const band = useRef<HTMLDivElement>(null);
@@ -29,7 +30,7 @@ export function FleetCanvas({ store, view }: PanelProps) {
       <canvas ref={canvas} tabIndex={0} role="img"
         aria-label="Fleet view: arrows move it, plus and minus zoom, F shows all, C follows the selected vehicles. The table has the same vehicles as text." />
       <div ref={band} class="band" hidden />
-      <ViewButtons view={view} hasMap={store.state.hello?.map != null} />
+      <ViewButtons store={store} connection={connection} view={view} />
       <output ref={readout} class="readout" aria-hidden="true" />
       {view.tool !== null && (
         <div class="toolhint" role="status">
@@ -48,7 +49,8 @@ function showBand(element: HTMLDivElement | null, box: { left: number; top: numb
   for (const key of ["left", "top", "width", "height"] as const) element.style[key] = `${box[key]}px`;
 }
 
-function ViewButtons({ view, hasMap }: { view: FleetView; hasMap: boolean }) {
+function ViewButtons({ store, connection, view }: PanelProps) {
+  const hasMap = useStore(store, (state) => state.hello?.map != null);
   const { options } = view;
   const toggles = [["labels", "Labels"], ["trails", "Trails"], ["side", "Heights"], ...(hasMap ? [["map", "Map"]] : [])] as const;
   return (
@@ -66,7 +68,30 @@ function ViewButtons({ view, hasMap }: { view: FleetView; hasMap: boolean }) {
             <button key={key} type="button" aria-pressed={options[name]} onClick={() => view.setOptions({ [name]: !options[name] })}>{title}</button>
           );
         })}
+        <FenceButton store={store} connection={connection} view={view} />
       </div>
     </div>
+  );
+}
+
+/** Asks the vehicles for their fences: nothing goes over the radio before a person wants it. */
+function FenceButton({ store, connection, view }: PanelProps) {
+  const [said, setSaid] = useState<string | null>(null);
+  const mayAsk = useStore(store, (state) => state.hello?.role === "command" && !state.hello.replay && state.daemon?.connected === true);
+  if (!mayAsk) return null;
+  const toggle = async (): Promise<void> => {
+    if (said !== null) {
+      hideFences(view);
+      setSaid(null);
+      return;
+    }
+    setSaid("asking …");
+    setSaid(await showFences(store, connection, view));
+  };
+  return (
+    <>
+      <button type="button" aria-pressed={said !== null} title="Ask the vehicles for their fences about home" onClick={() => void toggle()}>Fences</button>
+      {said !== null && <span class="said" role="status">{said}</span>}
+    </>
   );
 }

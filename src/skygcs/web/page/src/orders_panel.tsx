@@ -2,7 +2,7 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { namesText, fixed } from "./format.ts";
-import { beginGoto, type GotoDraft } from "./goto_draft.ts";
+import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
 import { OrderHistory } from "./order_list.tsx";
@@ -10,7 +10,7 @@ import { sendOrder, type OrderRequest } from "./orders.ts";
 import type { PanelProps } from "./panels/registry.ts";
 import { modesFor } from "./modes.ts";
 import { isTextField } from "./stop_key.ts";
-import { isHeard, serverNowS, type State } from "./store.ts";
+import { isHeard, serverNowS, type OrderState, type State } from "./store.ts";
 
 const DEFAULT_HEIGHT_M = 10;
 const MOST_HEIGHT_M = 500;
@@ -24,7 +24,7 @@ export function OrdersPanel(props: PanelProps) {
   const targets = names === "" ? [] : names.split("\n");
   if (replay) return <p class="note">A recording: nothing can be ordered.</p>;
   if (role === "view") return <p class="note">This address may only look. <code>skygcs web link</code> prints one that may order.</p>;
-  const send = (request: Omit<OrderRequest, "targets">): void => void sendOrder(store, connection, { ...request, targets });
+  const send = (request: Omit<OrderRequest, "targets">): Promise<OrderState> => sendOrder(store, connection, { ...request, targets });
   const enabled = open && targets.length > 0;
   return (
     <div class="orders">
@@ -74,7 +74,7 @@ function Targets({ store, targets }: PanelProps & { targets: readonly string[] }
 interface ButtonsProps extends PanelProps {
   targets: readonly string[];
   enabled: boolean;
-  send: (request: Omit<OrderRequest, "targets">) => void;
+  send: (request: Omit<OrderRequest, "targets">) => Promise<OrderState>;
 }
 
 function OrderButtons(props: ButtonsProps) {
@@ -83,20 +83,20 @@ function OrderButtons(props: ButtonsProps) {
   const [heightText, setHeightText] = useState(String(DEFAULT_HEIGHT_M));
   const height = Number(heightText);
   const heightOk = heightText.trim() !== "" && height > 0 && height <= MOST_HEIGHT_M;
-  useHoldKey(enabled, () => send({ label: "Hold", method: "vehicles.hold", params: {} }));
+  useHoldKey(enabled, () => void send({ label: "Hold", method: "vehicles.hold", params: {} }));
   return (
     <>
       <section class="buttons" aria-label="Orders">
         <button type="button" class="order primary" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
-          onClick={(event) => event.isTrusted && send({ label: "Hold", method: "vehicles.hold", params: {} })}>
+          onClick={(event) => event.isTrusted && void send({ label: "Hold", method: "vehicles.hold", params: {} })}>
           <span>Hold</span><Key letter="H" />
         </button>
-        <HoldButton class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => send({ label: "Arm", method: "vehicles.arm", params: {} })}>
+        <HoldButton class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => void send({ label: "Arm", method: "vehicles.arm", params: {} })}>
           <span>Arm</span><Key letter="A" />
         </HoldButton>
         <div class="pair">
           <HoldButton class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
-            act={() => send({ label: `Take off to ${height} m`, method: "vehicles.takeoff", params: { height_m: height } })}>
+            act={() => void send({ label: `Take off to ${height} m`, method: "vehicles.takeoff", params: { height_m: height } })}>
             <span>Take off</span><Key letter="T" />
           </HoldButton>
           <label class="field">
@@ -105,13 +105,13 @@ function OrderButtons(props: ButtonsProps) {
             <span>m</span>
           </label>
         </div>
-        <HoldButton class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => send({ label: "Return", method: "vehicles.rtl", params: {} })}>
+        <HoldButton class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => void send({ label: "Return", method: "vehicles.rtl", params: {} })}>
           <span>Return</span><Key letter="R" />
         </HoldButton>
-        <HoldButton class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => send({ label: "Land", method: "vehicles.land", params: {} })}>
+        <HoldButton class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => void send({ label: "Land", method: "vehicles.land", params: {} })}>
           <span>Land</span><Key letter="L" />
         </HoldButton>
-        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
+        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
           <span>Disarm</span><Key letter="D" />
         </HoldButton>
       </section>
@@ -182,7 +182,11 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
       <HoldButton class="order wide" disabled={!enabled || place === null} what={`Send ${namesText(targets)} to x ${fields.x}, y ${fields.y}${up}`}
         act={() => {
           if (place === null) return;
-          send({ label: `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`, method: "vehicles.goto", params: { ...place, height_m: height } });
+          const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
+          const label = `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`;
+          void send({ label, method: "vehicles.goto", params: { ...place, height_m: height } }).then((state) => {
+            if (state === "done") store.dispatch({ type: "goals", goals });
+          });
           draft?.end();
           setDraft(null);
         }}>
@@ -210,7 +214,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
         </select>
       </label>
       <HoldButton class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${namesText(targets)}`}
-        act={() => send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
+        act={() => void send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
         <span>Set</span>
       </HoldButton>
     </section>
@@ -224,11 +228,11 @@ function Emergency({ targets, enabled, send }: ButtonsProps) {
     <details class="emergency">
       <summary>Emergency</summary>
       <HoldButton class="order wide" danger disabled={!enabled} what={`Land ${who} now, over every link`}
-        act={() => send({ label: "Emergency landing", method: "vehicles.stop", params: { action: "land" }, withinS: 10 })}>
+        act={() => void send({ label: "Emergency landing", method: "vehicles.stop", params: { action: "land" }, withinS: 10 })}>
         <span>Land now, over every link</span>
       </HoldButton>
       <HoldButton class="order wide" danger disabled={!enabled} what={`Stop the motors of ${who}: what flies falls`}
-        act={() => send({ label: "Motors off", method: "vehicles.stop", params: { action: "kill", confirm: `kill-${targets.length}` }, withinS: 10 })}>
+        act={() => void send({ label: "Motors off", method: "vehicles.stop", params: { action: "kill", confirm: `kill-${targets.length}` }, withinS: 10 })}>
         <span>Stop motors: what flies falls</span>
       </HoldButton>
     </details>

@@ -1,13 +1,15 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, StateBatch, VehicleState } from "./types.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, StateBatch, Vec3, VehicleState } from "./types.ts";
 import { Trails } from "./trails.ts";
 
 /** A vehicle of which nothing came for so long is shown as not heard, whatever was last said of it. */
 export const SILENT_S = 5;
 export const MAX_EVENTS = 500;
 export const MAX_ORDERS = 40;
+/** A vehicle that is so near to where it was sent is there. */
+const REACHED_M = 1.5;
 
 /** A vehicle's newest state and the server's time that its ages refer to. */
 export interface Vehicle extends VehicleState {
@@ -53,6 +55,8 @@ export interface State {
   events: readonly NumberedEvent[];
   eventsSeen: number;
   orders: readonly OrderRun[];
+  /** Where this page sent vehicles, until they are there or get another order. */
+  goals: ReadonlyMap<string, Vec3>;
   /** Rises when everything is shown anew: after a connection, a gap, a jump in a recording. */
   generation: number;
 }
@@ -70,6 +74,7 @@ export const EMPTY: State = {
   events: [],
   eventsSeen: 0,
   orders: [],
+  goals: new Map(),
   generation: 0,
 };
 
@@ -82,6 +87,7 @@ export type Action =
   | { type: "select"; names: readonly string[]; how: "only" | "add" | "toggle" }
   | { type: "event"; event: FleetEvent }
   | { type: "recentEvents"; events: readonly FleetEvent[] }
+  | { type: "goals"; goals: ReadonlyMap<string, Vec3> }
   | { type: "orderBegun"; order: OrderRun }
   | {
       type: "orderEnded";
@@ -116,8 +122,14 @@ export function reduce(state: State, action: Action): State {
       return addEvents(state, [action.event]);
     case "recentEvents":
       return addEvents({ ...state, events: [] }, action.events);
+    case "goals":
+      return { ...state, goals: new Map([...state.goals, ...action.goals]) };
     case "orderBegun":
-      return { ...state, orders: [action.order, ...state.orders].slice(0, MAX_ORDERS) };
+      return {
+        ...state,
+        orders: [action.order, ...state.orders].slice(0, MAX_ORDERS),
+        goals: without(state.goals, (name) => action.order.targets.includes(name)),
+      };
     case "orderEnded":
       return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
     case "orderDismissed":
@@ -140,10 +152,22 @@ function applyBatch(state: State, batch: StateBatch, atMs: number): State {
     vehicles,
     names,
     selection,
+    goals: without(state.goals, (name, goal) => isOver(vehicles.get(name), goal)),
     shown: state.shown !== null && vehicles.has(state.shown) ? state.shown : lastOf(selection),
     clock: { now_s: batch.now_s, atMs },
     generation: batch.full ? state.generation + 1 : state.generation,
   };
+}
+
+/** The goal is reached, or the vehicle is gone. */
+function isOver(vehicle: Vehicle | undefined, goal: Vec3): boolean {
+  const place = vehicle?.position?.enu_m;
+  return vehicle === undefined || (place != null && Math.hypot(place[0] - goal[0], place[1] - goal[1]) < REACHED_M);
+}
+
+function without(goals: ReadonlyMap<string, Vec3>, gone: (name: string, goal: Vec3) => boolean): ReadonlyMap<string, Vec3> {
+  const kept = [...goals].filter(([name, goal]) => !gone(name, goal));
+  return kept.length === goals.size ? goals : new Map(kept);
 }
 
 function namesBySysid(vehicles: ReadonlyMap<string, Vehicle>): readonly string[] {

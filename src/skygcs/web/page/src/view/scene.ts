@@ -69,7 +69,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       selected: state.selection.has(name),
       colour: index % VEHICLE_COLOURS,
       conflict: heard ? vehicle.separation : null,
-      goal: goalOf(vehicle),
+      goal: goalOf(vehicle) ?? state.goals.get(name) ?? null,
     });
   });
   return { bodies, moving };
