@@ -77,7 +77,7 @@ def stands(fleet: MixedField) -> dict[str, Vector]:
 def crossing(fleet: MixedField) -> TimedPlan:
     """From a line to the east to a line to the north: the ways of each two neighbours cross, at different times."""
     starts = stands(fleet)
-    goals = [(1.5 * SPACING_M, 8.0 * i + 3.0, UP_M) for i in range(len(starts))]
+    goals = [(1.5 * SPACING_M, 10.0 * i + 3.0, UP_M) for i in range(len(starts))]
     ways = straight_trajectories(list(starts.values()), goals, LIMITS)
     return TimedPlan(dict(zip(starts, ways, strict=True)))
 
@@ -99,14 +99,14 @@ def swap(fleet: MixedField) -> Plan:
     return found[0]
 
 
-@pytest.mark.parametrize("make", [crossing, swap])
-def test_a_mixed_fleet_flies_a_plan(fleet: MixedField, row: dict[str, Any], make: Any) -> None:
+@pytest.mark.parametrize(("make", "speed"), [(crossing, 1.0), (swap, 0.5)])
+def test_a_mixed_fleet_flies_a_plan(fleet: MixedField, row: dict[str, Any], make: Any, speed: float) -> None:
     plan = make(fleet)
     certificate = certify(plan, rule_of(fleet), FlightSpace())
     assert certificate.certified and certificate.closest is not None, certificate.reasons()
     fleet.daemon.call("plan.load", plan=content(plan), name=make.__name__)
     began = time.monotonic()
-    answer = fleet.daemon.call("plan.run", mode="position", set_return_heights=True, force=True)
+    answer = fleet.daemon.call("plan.run", mode="position", speed=speed, set_return_heights=True, force=True)
     report = answer["report"]
     assert answer["started"], [f for f in report["findings"] if f["severity"] == "refused"]
     row["return_heights_m"] = {name: now[0] for name, now in report["return_heights"].items()}
