@@ -115,7 +115,9 @@ class PlanFlight:
         if self.execution.state is PlanState.TAKEOFF and name in self.takeoffs:
             takeoff = self.takeoffs[name].look(now)
         on_ground = not is_flying(vehicle, now)
-        return Sight(place, age_s, speed, vehicle.armed, on_ground, takeoff, self._left(name, actor, now))
+        reported, _, _ = measured_place(vehicle, self.frame, now, carried=False)
+        left = self._left(name, actor, now)
+        return Sight(place, age_s, speed, vehicle.armed, on_ground, takeoff, left, reported, age_s + delay_s)
 
     def _left(self, name: str, actor: VehicleActor, now: float) -> Left | None:
         """Why it does not follow; None: it does, or is not to yet."""
@@ -328,9 +330,10 @@ def takeoff_height_m(step: FlightStep, name: str) -> float:
 
 
 def measured_place(
-    vehicle: Vehicle, frame: EnuFrame, now: float, delay_s: float = 0.0
+    vehicle: Vehicle, frame: EnuFrame, now: float, delay_s: float = 0.0, *, carried: bool = True
 ) -> tuple[Vector | None, float, float]:
-    """Where a vehicle is by now in this frame, the age of that, and its speed."""
+    """Where a vehicle is by now in this frame, the age of that, and its speed. Not ``carried``: where it was
+    at its last report."""
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None or vehicle.replayed:
         return None, math.inf, 0.0
@@ -339,7 +342,7 @@ def measured_place(
         return None, math.inf, 0.0
     east, north, up = position["vel_enu_mps"]
     age_s = max(0.0, now - at)
-    ahead_s = min(age_s + delay_s, LONGEST_AGE_S)
+    ahead_s = min(age_s + delay_s, LONGEST_AGE_S) if carried else 0.0
     vx, vy, vz = world_from_enu((east, north, up), frame.origin)
     x, y, z = frame.from_geodetic(lat_deg, lon_deg, alt_m)
     return (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s), age_s, math.hypot(east, north, up)

@@ -37,6 +37,7 @@ from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.daemon import Daemon
+from skygcs.errors import RefusedError
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.methods import METHODS
 from skygcs.sim.kinematics import LocalFrame
@@ -171,36 +172,46 @@ class Air:
         return str(self.daemon.fleet.plans.status()["state"])
 
     async def fly(self, plan: Plan, seen: Watched, *, until: Callable[[], bool], lost: Callable[[], str | None]) -> Any:
-        """Run it and look until then. ``lost``: the vehicle that is cut off."""
+        """Run it and look until then; resume it where it was stopped. ``lost``: the vehicle that is cut off."""
         self.daemon.fleet.plans.work = inline
         await self.call("plan.load", plan=content(plan), name="bench")
-        answer = await self.call("plan.run", mode="position", set_return_heights=True, force=True)
-        links = [f["text"] for f in answer["report"]["findings"] if (f["check"], f["severity"]) == ("link", "refused")]
-        if links:  # force is for the clocks only, which virtual time sets apart
-            raise RuntimeError(links[:3])
-        if not answer["started"]:
-            raise RuntimeError(
-                [f for f in answer["report"]["findings"] if f["severity"] == "refused" and f["check"] != "preflight"][
-                    :5
-                ]
-            )
+        report = await self._begin()
         began, stopped_s = self.daemon.now(), 0.0
         while not until():
             if self.daemon.now() - began > LONGEST_S:
-                raise RuntimeError(f"the plan is {self.state}: {self.daemon.fleet.plans.status()['reason']}")
+                raise RuntimeError(f"the plan is {self.state}: {seen.stops}")
             if not seen.states or seen.states[-1] != self.state:
                 seen.states.append(self.state)
             gone = lost()
             self._look(seen, self.daemon.now() - began, gone)
             stopped_s = stopped_s + LOOK_S if self.state == "stopped" and gone is None else 0.0
             if stopped_s > RESUME_S:
-                seen.stops.append(self.daemon.fleet.plans.status()["reason"][:120])
-                resumed = await self.call("plan.resume")
                 stopped_s = 0.0
-                if not resumed["ok"]:
-                    seen.stops.append(resumed["message"][:120])
+                seen.stops.append(self.daemon.fleet.plans.status()["reason"][:120])
+                await self._go_on(seen)
             await asyncio.sleep(LOOK_S)
+        return report
+
+    async def _begin(self) -> Any:
+        answer = await self.call("plan.run", mode="position", set_return_heights=True, force=True)
+        # force is for the clocks only, which virtual time sets apart
+        findings = answer["report"]["findings"]
+        bad = [f["text"] for f in findings if f["severity"] == "refused" and f["check"] != "preflight"]
+        if bad:
+            raise RuntimeError(bad[:5])
         return answer["report"]
+
+    async def _go_on(self, seen: Watched) -> None:
+        """Resume; where it had not flown yet, abort it and run it from where they are."""
+        try:
+            answer = await self.call("plan.resume")
+            if not answer["ok"]:
+                seen.stops.append(answer["message"][:120])
+        except RefusedError as error:
+            seen.stops.append(str(error)[:120])
+            await self.call("plan.abort")
+            await asyncio.sleep(2 * RESUME_S)
+            await self._begin()
 
     def _look(self, seen: Watched, at_s: float, lost: str | None) -> None:
         places, flying = self.places(), self.flying()

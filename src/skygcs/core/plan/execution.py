@@ -34,6 +34,8 @@ within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle d
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -68,6 +70,9 @@ NEAR = 3.0
 stop of the others takes."""
 
 MAX_PAIRS = 5
+
+PROGRESS = 32
+"""Ticks that are remembered: at five a second longer than `SILENT_S`."""
 
 
 class PlanState(StrEnum):
@@ -145,6 +150,10 @@ class Sight(NamedTuple):
     """climbs, reached, or what disturbed it; None: no take-off of this plan."""
     left: Left | None = None
     """Set where it should follow and does not."""
+    reported_m: Vector | None = None
+    """The newest place as it was reported, and ``before_s``, how long ago it was there: what is compared with the
+    way. A place that is carried on through a gap of the link flies past every corner."""
+    before_s: float = 0.0
 
 
 class Pair(NamedTuple):
@@ -223,6 +232,8 @@ class Execution:
         self._asked = False
         """Whether the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()
+        self._progress: deque[tuple[float, float]] = deque(maxlen=PROGRESS)
+        """Time and trajectory time of the last ticks of this step."""
 
     # -- what is shown
 
@@ -240,6 +251,21 @@ class Execution:
     def off_m(self, name: str, place_m: Vector, trajectory_s: float) -> float:
         """How far a vehicle is from where it may be in this step, in the metric of the margins."""
         return self.step.off_m(name, place_m, trajectory_s, self.tubes.downwash_ratio)
+
+    def seen_off_m(self, name: str, sight: Sight, now: float, trajectory_s: float) -> float:
+        """The same as it was when the vehicle reported its place."""
+        if sight.reported_m is None:
+            return math.inf if sight.place_m is None else self.off_m(name, sight.place_m, trajectory_s)
+        return self.off_m(name, sight.reported_m, self._trajectory_s_at(now - sight.before_s, now, trajectory_s))
+
+    def _trajectory_s_at(self, then: float, now: float, trajectory_s: float) -> float:
+        """The trajectory time at an earlier time, between the ticks around it; the oldest one known if it is older."""
+        later, later_s = now, trajectory_s
+        for at, s in reversed(self._progress):
+            if at <= then:
+                return s if later <= at else s + (later_s - s) * (then - at) / (later - at)
+            later, later_s = at, s
+        return later_s
 
     def _apart_m(self, a: Vector, b: Vector) -> float:
         return separation_m(a[0] - b[0], a[1] - b[1], a[2] - b[2], self.tubes.downwash_ratio)
@@ -358,6 +384,7 @@ class Execution:
         self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
     ) -> list[Order]:
         """``clock``: the state of the step's clock; None: none runs."""
+        self._progress.append((now, trajectory_s))
         for name in list(self._armed):
             if not sights[name].on_ground or not sights[name].armed:
                 self._armed.discard(name)
@@ -445,6 +472,7 @@ class Execution:
 
     def _begin_step(self) -> list[Order]:
         self._watch.clear()
+        self._progress.clear()
         self._started = True
         self.waits_for = ()
         step = self.step
@@ -497,7 +525,7 @@ class Execution:
                 return name, f"{name} left: {sight.left.text}", sights
             if sight.place_m is None or sight.age_s > SILENT_S:
                 return name, f"{name} is silent: no position for {sight.age_s:.1f} s", sights
-            off_m, tube_m = self.off_m(name, sight.place_m, trajectory_s), self.tube_m(name)
+            off_m, tube_m = self.seen_off_m(name, sight, now, trajectory_s), self.tube_m(name)
             if off_m <= tube_m:
                 self._watch.late.pop(name, None)
                 continue
