@@ -34,6 +34,9 @@ MESSAGES = frozenset({COMMAND_LONG, MAG_CAL_PROGRESS, MAG_CAL_REPORT})
 COMPASS_INTERVAL_US = 500_000.0
 """An ArduCopter streams the progress of a compass only where a station has asked for it, by SR_EXTRA3 or by itself."""
 
+BUSY_TRIES, BUSY_S = 3, 1.0
+"""A PX4's last text comes while its worker is still busy, and the next calibration is refused for up to a second."""
+
 KIND = "calibration"
 
 
@@ -80,8 +83,7 @@ class CalibrationRun:
         try:
             if sensor is Sensor.COMPASS and self._vehicle.family == "ardupilot":
                 await self._request_progress()
-            timers_s = BLOCKING_TIMERS_S if calibration.answer_is_result else RETRY_TIMERS_S
-            answer = await self._commands.run(calibration.start(), timers_s=timers_s)
+            answer = await self._start(calibration)
             calibration.on_answer(answer, self._loop.time())
             self._changed()
             if calibration.outcome is None:
@@ -167,6 +169,16 @@ class CalibrationRun:
         self._tasks.close()
 
     # -- internal
+
+    async def _start(self, calibration: Calibration) -> Outcome:
+        timers_s = BLOCKING_TIMERS_S if calibration.answer_is_result else RETRY_TIMERS_S
+        answer = await self._commands.run(calibration.start(), timers_s=timers_s)
+        for _ in range(BUSY_TRIES):
+            if answer.result != "temporarily_rejected" or calibration.outcome is not None:
+                break
+            await asyncio.sleep(BUSY_S)
+            answer = await self._commands.run(calibration.start(), timers_s=timers_s)
+        return answer
 
     async def _request_progress(self) -> None:
         for msgid in (MAG_CAL_PROGRESS, MAG_CAL_REPORT):

@@ -31,6 +31,9 @@ POSITION_EVERY_S = 1.0
 
 GYRO_S, LEVEL_S, SIDE_S, COMPASS_S = 2.0, 1.5, 2.0, 10.0
 
+BUSY_S = 0.3
+"""PX4's worker is busy for a moment after its last text: the next calibration is refused until then."""
+
 COMPASSES = 2
 
 
@@ -119,6 +122,7 @@ def _px4_measure(v: VehicleState, sensor: str, seconds: float) -> Script:
         yield seconds / 5
         _cal(v, f"progress <{percent}>")
     _cal(v, f"calibration done: {sensor}")
+    yield BUSY_S
 
 
 def _px4_sides(v: VehicleState, sensor: str) -> Script:
@@ -166,7 +170,9 @@ def _px4_sides(v: VehicleState, sensor: str) -> Script:
 
 
 def _copter_answer(v: VehicleState, c: Command, seconds: float) -> Script:
-    """Its main loop measures, and answers at the end."""
+    """Its main loop measures, and answers at the end. Meanwhile it sends what it does while it starts
+    (AP_Vehicle::scheduler_delay_callback)."""
+    v.tx.say(m.MAV_SEVERITY_INFO, "Initialising ArduPilot")
     yield seconds
     v.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
 

@@ -44,8 +44,9 @@ RATE_PERIOD_S = 1.0
 LANDED_FRESH_S = 10.0
 """Oldest EXTENDED_SYS_STATE that is used; autopilots stream it at 0.5 to 1 Hz."""
 
-BOOT_TEXTS = ("ardupilot ready", "initialising ardupilot")
-"""Text that ArduPilot sends once, at the end of its start. (Its version banner also answers each GCS.)"""
+BOOT_TEXT = "ardupilot ready"
+"""Text that ArduPilot sends once, at the end of its start (AP_Vehicle::setup). Its version banner also answers each
+GCS, and "Initialising ArduPilot" also comes while it calibrates its gyros (AP_Vehicle::scheduler_delay_callback)."""
 
 BOOT_TEXT_MIN_UP_S = 30.0
 """A boot text within this time after the first frame or a reboot belongs to the start already known."""
@@ -460,7 +461,7 @@ class Vehicle:
         events = [self._event("statustext", text.text, data)]
         if self.firmware is None:
             self.firmware = firmware_from_banner(text.text)
-        if text.text.lower().startswith(BOOT_TEXTS) and self._long_up(text.at):
+        if text.text.lower().startswith(BOOT_TEXT) and self._long_up(text.at):
             self.boot.forget()
             events.append(self._rebooted(text.at, f"rebooted: {text.text}", since=text.at))
         return events
