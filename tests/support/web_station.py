@@ -69,6 +69,8 @@ class WebStation:
         self.folder = folder
         self.socket_path = folder / "gcs.sock"
         self.port = 0
+        self.vehicles_port = 0
+        """Where vehicles that come over UDP send to, if there is such a link."""
         self.daemon_process: subprocess.Popen[bytes] | None = None
         self.web_process: subprocess.Popen[bytes] | None = None
         self._vehicles = vehicles

@@ -240,10 +240,11 @@ class PageClient:
             if self._due is None:
                 self._due = self._loop.call_at(due, self._on_due)
             return None
+        store = self.pages.states
         full, changed, gone = states.batch(now)
         return (
-            b'{"jsonrpc":"2.0","method":"web.state","params":{"seq":%d,"full":%b,"now_s":%.4f,"heard_s":%.4f,"vehicles":['
-            % (states.seq, b"true" if full else b"false", now, self.pages.states.heard_at)
+            b'{"jsonrpc":"2.0","method":"web.state","params":{"seq":%d,"full":%b,"now_s":%.4f,"heard_s":%.4f,"began_s":%.4f,"vehicles":['
+            % (states.seq, b"true" if full else b"false", now, store.heard_at, store.began_at)
             + b",".join(changed)
             + b'],"gone":%b}}' % _encode(list(gone))
         )

@@ -35,6 +35,8 @@ class LatestStates:
         self.number = 0
         self.heard_at = 0.0
         """When the newest state came."""
+        self.began_at = 0.0
+        """When the first state of the newest round came."""
         self._entries: dict[str, _Entry] = {}
         self._removed: dict[str, int] = {}
         self._round_began: float | None = None
@@ -47,7 +49,7 @@ class LatestStates:
         self.number += 1
         self.heard_at = now
         if self._round_began is None:
-            self._round_began = now
+            self._round_began = self.began_at = now
         self._entries.pop(name, None)
         self._removed.pop(name, None)
         self._entries[name] = _Entry(self.number, body, now)
