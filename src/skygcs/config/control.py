@@ -16,7 +16,8 @@ from skygcs.core.control.analysis import LEAST_DELAY_S, why_not_delay
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
-from skygcs.core.control.velocity_predictor import MAX_RATE_HZ
+from skygcs.core.control.predictor_margin import why_not_predicted
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, MAX_RATE_HZ, PX4_LOOP
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.raw_setpoint import RawLimits
 from skygcs.core.vehicle.trajectory_flight import TrajectoryLimits
@@ -205,13 +206,24 @@ class ControlSettings(Model):
         return [((next((key for key in keys if getattr(self, key) is not None), "xy"),), why)]
 
     def _predictor_problems(self) -> list[tuple[tuple[str, ...], str]]:
+        """Rates and gains with which prediction is never flown. Gains are refused if neither autopilot's loop bears
+        them over the least delay that links have; each vehicle's own delay is looked at in flight."""
         velocity_hz = self.velocity_hz or VELOCITY_HZ
-        if not self.velocity_predictor or velocity_hz <= MAX_RATE_HZ:
+        if not self.velocity_predictor:
             return []
-        text = (
-            f"{velocity_hz:g} with velocity_predictor is above {MAX_RATE_HZ:g}: each setpoint under way is a step of it"
-        )
-        return [(("velocity_hz",), text)]
+        if velocity_hz > MAX_RATE_HZ:
+            why = f"is above {MAX_RATE_HZ:g}: each setpoint under way is a step of it"
+            return [(("velocity_hz",), f"{velocity_hz:g} with velocity_predictor {why}")]
+        try:
+            law = self.law()
+        except ConfigError:
+            return []  # `problems` says why
+        delay_s = LEAST_DELAY_S + 0.5 / velocity_hz
+        reasons = [why_not_predicted(law, loop, delay_s, 0.0) for loop in (PX4_LOOP, ARDUCOPTER_LOOP)]
+        if None in reasons:
+            return []
+        key = next((key for key in ("xy", "z") if getattr(self, key) is not None), "velocity_predictor")
+        return [((key,), f"{reasons[0]}; lower pos_p_per_s, or set velocity_predictor to false")]
 
 
 def _problems(table: tuple[str, ...], make: Callable[[], object]) -> list[tuple[tuple[str, ...], str]]:

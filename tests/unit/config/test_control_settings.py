@@ -182,6 +182,10 @@ IMPOSSIBLE = [
     ("attitude_delay_s = 0.11", r"attitude_delay_s \(line 4\): z: .* allow at most 0\.101 s of delay, or divide"),
     ("xy = { pos_p_per_s = 0 }", r"xy \(line 4\): xy: these gains are unstable without any delay"),
     ("hover_thrust = 0.15", r"hover_thrust \(line 4\): z: these gains are unstable from 0\.07\d s"),
+    (
+        "velocity_predictor = true\nxy = { pos_p_per_s = 5, vel_p = 0.05 }",
+        r"xy \(line 5\): .*prediction over 0\.100 s the delay may be wrong by 0\.029 s",
+    ),
     ("stale_s = 3", r"stale_s \(line 4\): 3\.0 is above position_stale_s \(2\.0\).*"),
     ("return_after_s = 0.5", r"return_after_s \(line 4\): 0\.5 is not in 1\.\.3600"),
     ("vel_z_max_mps = 0.001", r"vel_z_max_mps \(line 4\): .*"),
@@ -213,6 +217,7 @@ def test_what_is_impossible_is_named_by_check_with_its_key_and_line(
         "attitude_delay_s = 0.4\nxy = { pos_p_per_s = 0.55, vel_p = 0.046, vel_i = 0.0067 }\n"
         "z = { pos_p_per_s = 0.25, vel_p = 0.075, vel_i = 0.00125 }",
         "z = { vel_p = 1.5, vel_d = 0.01 }",  # whose margin nobody knows
+        "velocity_predictor = true\nxy = { pos_p_per_s = 1.5 }",
     ],
 )
 def test_gains_that_bear_the_delay_pass(tmp_path: Path, text: str) -> None:

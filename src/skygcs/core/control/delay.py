@@ -214,6 +214,11 @@ class DelayMeter:
         self.uplink_s = 0.5 * median(islice(reversed(self._trips), ROUND_TRIPS))
 
     @property
+    def overdue(self) -> bool:
+        """Whether pings that are not answered decide, and not the round trips measured (as of the last tick)."""
+        return self.rtt_p95_s is not None and self.bound_s > self.rtt_p95_s
+
+    @property
     def recent_rtt_s(self) -> float | None:
         """Median of the newest RECENT_TRIPS round trips: two late pongs do not move it, a link that changed does. None
         without a round trip."""

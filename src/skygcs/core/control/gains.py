@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from skygcs.core.control.ranges import out_of_range
 from skygcs.errors import ConfigError
 
 GRAVITY_MPS2 = 9.81
@@ -114,17 +115,12 @@ def _limit_problems(config: ControlConfig) -> list[str]:
         )
     if not 0.0 < config.tilt_max_rad <= LARGEST_TILT_RAD:
         problems.append(f"tilt_max_rad: {config.tilt_max_rad} is not in 0..{LARGEST_TILT_RAD:.4f} (80 degrees)")
-    for name, low, high in (
+    return problems + out_of_range(
+        config,
         ("vel_xy_max_mps", 0.01, 100.0),
         ("vel_z_max_mps", 0.01, 100.0),
+        ("acc_xy_max_mps2", 0.1, 100.0),
+        ("acc_z_max_mps2", 0.1, 100.0),
         ("derivative_cutoff_hz", 0.01, 1000.0),
         ("period_s", 0.001, 1.0),
-    ):
-        value = getattr(config, name)
-        if not low <= value <= high:
-            problems.append(f"{name}: {value} is not in {low:g}..{high:g}")
-    for name in ("acc_xy_max_mps2", "acc_z_max_mps2"):
-        value = getattr(config, name)
-        if value is not None and not 0.1 <= value <= 100.0:
-            problems.append(f"{name}: {value} is not in 0.1..100")
-    return problems
+    )

@@ -38,6 +38,7 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 
 from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
+from skygcs.core.control.ranges import out_of_range
 from skygcs.core.control.record import record
 from skygcs.errors import ConfigError
 
@@ -94,18 +95,15 @@ class GuardConfig:
     """Control returns to a higher mode after it was possible for this time without a break. None: only on order."""
 
     def __post_init__(self) -> None:
-        problems = [
-            f"{name}: {value} is not in {low:g}..{high:g}"
-            for name, value, low, high in (
-                ("attitude_delay_s", self.attitude_delay_s, 0.001, 1.0),
-                ("velocity_delay_s", self.velocity_delay_s, 0.001, 5.0),
-                ("stale_s", self.stale_s, 0.01, 5.0),
-                ("position_stale_s", self.position_stale_s, 0.01, 60.0),
-                ("battery_min_percent", self.battery_min_percent, 0.0, 100.0),
-                ("return_after_s", self.return_after_s, 1.0, 3600.0),
-            )
-            if value is not None and not low <= value <= high
-        ]
+        problems = out_of_range(
+            self,
+            ("attitude_delay_s", 0.001, 1.0),
+            ("velocity_delay_s", 0.001, 5.0),
+            ("stale_s", 0.01, 5.0),
+            ("position_stale_s", 0.01, 60.0),
+            ("battery_min_percent", 0.0, 100.0),
+            ("return_after_s", 1.0, 3600.0),
+        )
         if self.attitude_delay_s > self.velocity_delay_s:
             problems.append(
                 f"attitude_delay_s: {self.attitude_delay_s} is above velocity_delay_s ({self.velocity_delay_s}), "
@@ -169,6 +167,8 @@ class Facts:
     predicted: bool = False
     """Velocity control predicts the state over the delay, and its delay margin holds: instead of ``velocity_delay_s``.
     """
+    pings_overdue: bool = False
+    """Pings without an answer say that the round trip is longer than those measured; ``delay_p95_s`` counts with it."""
 
 
 @record
@@ -414,7 +414,7 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
     delay_s = facts.delay_p95_s
     if control_mode is ControlMode.VELOCITY:
         if delay_s is not None and not delay_s <= config.velocity_delay_s and not facts.predicted:
-            yield Refusal("velocity_delay", _delay_text(delay_s, config.velocity_delay_s, control_mode))
+            yield Refusal("velocity_delay", _delay_text(facts, config.velocity_delay_s, control_mode))
         if not facts.rate_hz >= STREAM_MIN_HZ:
             yield Refusal(
                 "velocity_rate",
@@ -425,7 +425,7 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
     if facts.rtt_p95_s is None or delay_s is None:
         yield Refusal("unmeasured", "the round trip is not measured yet, so the delay for attitude is unknown")
     elif not (facts.rtt_p95_s >= 0 and delay_s <= config.attitude_delay_s):
-        yield Refusal("attitude_delay", _delay_text(delay_s, config.attitude_delay_s, control_mode))
+        yield Refusal("attitude_delay", _delay_text(facts, config.attitude_delay_s, control_mode))
     if not facts.rate_hz >= facts.rate_min_hz:
         yield Refusal("attitude_rate", _rate_text(facts.rate_hz, facts.rate_min_hz))
     if facts.attitude_refused is not None:
@@ -443,9 +443,12 @@ def _age_text(age_s: float, limit_s: float, what: str) -> str:
     return f"state is {age_s:.2f} s old (limit for {what} {limit_s:g} s)"
 
 
-def _delay_text(delay_s: float, limit_s: float, control_mode: ControlMode) -> str:
+def _delay_text(facts: Facts, limit_s: float, control_mode: ControlMode) -> str:
     limit = f"limit for {control_mode} {limit_s:g} s"
-    return f"state age plus setpoint transport is {delay_s:.3f} s in 95 of 100 ticks ({limit})"
+    if facts.pings_overdue:
+        least = f"at least {facts.delay_p95_s:.3f} s, by pings that are not answered"
+        return f"state age plus setpoint transport is {least} ({limit})"
+    return f"state age plus setpoint transport is {facts.delay_p95_s:.3f} s in 95 of 100 ticks ({limit})"
 
 
 def _rate_text(rate_hz: float, least_hz: float) -> str:

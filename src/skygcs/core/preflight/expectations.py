@@ -8,7 +8,7 @@ from typing import Literal
 
 from skygcs.core.preflight.rules import Rule
 
-ControlMode = Literal["attitude", "velocity", "position"]
+ControlMode = Literal["raw", "attitude", "velocity", "position"]
 """The control mode with which skygcs will fly the vehicle."""
 
 FIXES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed")
@@ -58,3 +58,8 @@ class Expectations:
     """None: it will not be flown by setpoints."""
     setpoint_hz: float = 5.0
     """The rate of the slowest control mode in use: control falls back from attitude to position."""
+
+    @property
+    def by_attitude(self) -> bool:
+        """Whether it will get attitudes and thrusts; raw flight may send them, too."""
+        return self.control in ("attitude", "raw")

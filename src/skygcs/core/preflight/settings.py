@@ -221,7 +221,7 @@ def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
             f"set {name} to at least {least_s:.2f}, or raise position_hz and velocity_hz",
             Fix(name, max(least_s, LONGEST_LEAN_S), value),
         )
-    if wanted.control == "attitude" and value > LONGEST_LEAN_S:
+    if wanted.by_attitude and value > LONGEST_LEAN_S:
         return failed(
             f"{name} is {value_text(value)} s: if the setpoints stop, it keeps its last tilt for that time "
             f"(at most {LONGEST_LEAN_S:g} s)",
@@ -251,7 +251,7 @@ def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
 
 def thrust(facts: Facts, wanted: Expectations) -> Finding:
     """Whether the autopilot interprets the thrust of attitude setpoints as thrust."""
-    if wanted.control != "attitude":
+    if not wanted.by_attitude:
         return skipped("it will not be flown by attitude setpoints")
     name = "MAV_TYPE" if facts.family == "px4" else "GUID_OPTIONS"
     value = facts.value(name)

@@ -120,7 +120,7 @@ CHECKS: tuple[Check, ...] = (
         settings.thrust,
         px4=(("MAV_TYPE",),),
         ardupilot=(("GUID_OPTIONS",),),
-        if_wanted=lambda wanted: wanted.control == "attitude",
+        if_wanted=lambda wanted: wanted.by_attitude,
     ),
 )
 """In the order of a person's attention; parameters that the fleet file names come behind them, as `parameter`s."""

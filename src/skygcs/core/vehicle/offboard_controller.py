@@ -56,6 +56,10 @@ LARGEST_DT_S = 1.0
 """The longest pause between two steps that the law is given; it clamps to 1.5 periods itself."""
 
 
+OLD_S = 0.2
+"""Of a state that is older, the age beyond counts for the reference as well: it is compared with where the reference
+was then. Else a reference that moves on while no state comes pulls with ever more speed: 2 m/s for 0.5 s by 1 m/s."""
+
 LONGEST_LEAD_S = 1.0
 """Of a moving reference ahead of the present: a circle of 5 m at 2 m/s, led by position, velocity and acceleration, is
 missed by v·ω²·t³/6 = 5 cm after 1 s and by 43 cm after 2 s."""
@@ -437,19 +441,25 @@ class OffboardController:
             self._handover = None if attitude or not following else self._begin_handover()
             self.control_mode = control_mode
             self._setpoints.forget(self._steady_thrust.memory(self.config.law, last.at) if attitude else NOTHING)
-        given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, following)
+        given = self._given(control_mode, dt_s, following=following)
         if self._handover is not None:
             until, orientation, thrust = self._handover
             if last.at < until and attitude_refusal(self.vehicle) is None:
                 return self._setpoints.handover(orientation, thrust, given)
             self._handover = None
-        if control_mode is POSITION:
-            given = replace(given, lead_s=self._lead_s())
-        prediction, round_trip_s = self._prediction, self._prediction.round_trip_s
-        if control_mode is VELOCITY and round_trip_s is not None:
-            hold_s = 1.0 / self.config.velocity_hz
-            given = replace(given, loop=prediction.loop(), round_trip_s=round_trip_s, hold_s=hold_s)
         return self._setpoints.generate(control_mode, self.config.law, given)
+
+    def _given(self, control_mode: ControlMode, dt_s: float, *, following: bool) -> TickInput:
+        last, reference = self._last, self._source.reference
+        at, estimate, age_s = last.at, last.estimate, last.state_age_s
+        if control_mode is POSITION:
+            return TickInput(at, dt_s, estimate, age_s, reference, following, lead_s=self._lead_s())
+        if control_mode is VELOCITY and (round_trip_s := self._prediction.round_trip_s) is not None:
+            hold_s, loop = 1.0 / self.config.velocity_hz, self._prediction.loop()
+            return TickInput(at, dt_s, estimate, age_s, reference, following, loop, round_trip_s, hold_s)
+        if age_s is not None and age_s > OLD_S:
+            reference = reference.ahead(OLD_S - age_s)
+        return TickInput(at, dt_s, estimate, age_s, reference, following)
 
     def _begin_handover(self) -> tuple[float, Quaternion, float] | None:
         """At the end of attitude setpoints, of an autopilot that takes the lean it finds for a lasting one."""
@@ -509,6 +519,7 @@ class OffboardController:
             position_breach=breach,
             reference_breach=reference_breach,
             predicted=self._prediction.allowed,
+            pings_overdue=estimate_view.delay.overdue,
         )
 
     def _on_prediction(self) -> list[Event]:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from skygcs.core.control.cascade import Quaternion, Vector, ned_frd_from_enu_flu
+from skygcs.core.control.ranges import out_of_range
 from skygcs.core.geo import Origin, enu_from_world
 from skygcs.core.vehicle.frames import yaw_enu_rad
 from skygcs.errors import ConfigError, RefusedError
@@ -51,17 +52,14 @@ class RawLimits:
     """Length of an acceleration setpoint: a tilt of 27 degrees."""
 
     def __post_init__(self) -> None:
-        problems = [
-            f"{name}: {getattr(self, name)} is not in {low:g}..{high:g}"
-            for name, low, high in (
-                ("tilt_max_deg", 1.0, 80.0),
-                ("rate_max_deg_s", 1.0, 1000.0),
-                ("thrust_min", 0.0, 1.0),
-                ("thrust_max", 0.0, 1.0),
-                ("acc_max_mps2", 0.1, 30.0),
-            )
-            if not low <= getattr(self, name) <= high
-        ]
+        problems = out_of_range(
+            self,
+            ("tilt_max_deg", 1.0, 80.0),
+            ("rate_max_deg_s", 1.0, 1000.0),
+            ("thrust_min", 0.0, 1.0),
+            ("thrust_max", 0.0, 1.0),
+            ("acc_max_mps2", 0.1, 30.0),
+        )
         if not self.thrust_min < self.thrust_max:
             problems.append(f"thrust_min, thrust_max: {self.thrust_min}, {self.thrust_max} do not rise")
         if problems:

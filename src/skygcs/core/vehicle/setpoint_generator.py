@@ -20,12 +20,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skygcs.core.control.cascade import Memory, Output, Quaternion, Reference, step, velocity_step
+from skygcs.core.control.cascade import Memory, Output, Quaternion, Reference, Vector, step, velocity_step
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
 from skygcs.core.control.trace import PredictionStep, TraceRow
-from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, predicted_setpoint
+from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, predicted_setpoint
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
@@ -143,7 +143,7 @@ class SetpointGenerator:
         velocity, self.memory = velocity_step(law, before, given.estimate, given.reference, given.dt_s)
         if velocity is None:
             return IDLE
-        acceleration, (yaw, yaw_rate) = given.reference.acc_enu_mps2, _turn(given.reference)
+        acceleration, (yaw, yaw_rate) = self._feed_forward(given.reference.acc_enu_mps2), _turn(given.reference)
         message = setpoint.velocity_target(
             *(velocity, yaw, _boot_ms(given.at)),
             acc_enu_mps2=acceleration if any(acceleration) else None,
@@ -178,7 +178,7 @@ class SetpointGenerator:
         place = self._estimate_view.place_of(reference)
         yaw, yaw_rate = _turn(reference)
         velocity = reference.vel_enu_mps if reference.moves else None
-        acceleration = reference.acc_enu_mps2 if reference.moves else None
+        acceleration = self._feed_forward(reference.acc_enu_mps2) if reference.moves else None
         local = self._estimator_origin.local_enu_m(place) if family == "ardupilot" and reference.moves else None
         if local is not None:
             message = setpoint.position_target_local(
@@ -195,6 +195,13 @@ class SetpointGenerator:
                 yaw_rate_enu_radps=yaw_rate,
             )
         return Tick(message, row=row, before=self.memory, after=self.memory)
+
+    def _feed_forward(self, acc_enu_mps2: Vector) -> Vector:
+        """The acceleration to send for this one: PX4's derivative gain takes a part of the measured one off again."""
+        if self._vehicle.family != "px4":
+            return acc_enu_mps2
+        (east, north, up), gain = acc_enu_mps2, PX4_LOOP.feed_forward_xy
+        return gain * east, gain * north, up
 
     def _row(self, control_mode: ControlMode, given: TickInput) -> TraceRow | None:
         """What this tick was given, for the trace; None if nobody records."""

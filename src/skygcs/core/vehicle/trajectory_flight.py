@@ -13,9 +13,11 @@ from typing import Any
 
 from skygcs.core.control.cascade import Reference, Vector
 from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.ranges import out_of_range
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks
 from skygcs.core.trajectory.bounding_box import Box, bounding_box
+from skygcs.core.trajectory.motion_limits import SLACK
 from skygcs.core.trajectory.piecewise import joints, require_continuous
 from skygcs.core.trajectory.trajectory_clock import (
     AT_REST_MPS,
@@ -28,9 +30,6 @@ BASE_M = 1000.0
 """Length over which the directions of one frame are measured in another."""
 
 OVER = frozenset({ClockState.ABORTED, ClockState.FINISHED})
-
-SLACK = 1e-6
-"""Relative, by which a limit may be exceeded: a profile made for the limit itself touches it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +50,16 @@ class TrajectoryLimits:
     """What a pause, an abort or a change of speed adds to the acceleration at most."""
 
     def __post_init__(self) -> None:
-        problems = [
-            f"{name}: {getattr(self, name)} is not in {low:g}..{high:g}"
-            for name, low, high in (
-                ("start_within_m", 0.1, 100.0),
-                ("speed_mps", 0.01, 100.0),
-                ("acceleration_mps2", 0.01, 30.0),
-                ("climb_mps", 0.01, 100.0),
-                ("descent_mps", 0.01, 100.0),
-                ("velocity_jump_mps", 0.0, 100.0),
-                ("brake_mps2", 0.05, 30.0),
-            )
-            if not low <= getattr(self, name) <= high
-        ]
+        problems = out_of_range(
+            self,
+            ("start_within_m", 0.1, 100.0),
+            ("speed_mps", 0.01, 100.0),
+            ("acceleration_mps2", 0.01, 30.0),
+            ("climb_mps", 0.01, 100.0),
+            ("descent_mps", 0.01, 100.0),
+            ("velocity_jump_mps", 0.0, 100.0),
+            ("brake_mps2", 0.05, 30.0),
+        )
         if problems:
             raise ConfigError("control.trajectory", problems)
 

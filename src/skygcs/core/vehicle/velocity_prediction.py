@@ -62,7 +62,7 @@ class VelocityPrediction:
         usual_s, p95_s, delay_p95_s = delay.recent_rtt_s, delay.rtt_p95_s, self._view.delay_p95_s
         if usual_s is None or p95_s is None or delay_p95_s is None:
             return "the round trip is not measured yet"
-        age_p95_s = delay_p95_s - delay.share * p95_s
+        age_p95_s = delay_p95_s - delay.share * max(p95_s, delay.bound_s)
         if not age_p95_s <= STATE_AGE_MAX_S:
             return f"the position is {age_p95_s:.2f} s old in 95 of 100 ticks (prediction: {STATE_AGE_MAX_S:g} s)"
         # on average the state is half of its largest age old, and a setpoint is held for half of its period

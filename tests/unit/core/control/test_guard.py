@@ -149,6 +149,12 @@ UNFIT = [
         "attitude_delay",
         "is 0.101 s in 95 of 100 ticks (limit for attitude 0.1 s)",
     ),
+    (
+        {"delay_p95_s": 0.36, "pings_overdue": True},
+        ControlMode.VELOCITY,
+        "attitude_delay",
+        "is at least 0.360 s, by pings that are not answered (limit for attitude 0.1 s)",
+    ),
     ({"delay_p95_s": 0.501}, ControlMode.POSITION, "velocity_delay", "limit for velocity 0.5 s"),
     ({"delay_p95_s": math.inf}, ControlMode.POSITION, "velocity_delay", "inf s"),
     ({"delay_p95_s": NAN}, ControlMode.POSITION, "velocity_delay", "nan s"),

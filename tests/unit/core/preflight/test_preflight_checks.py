@@ -128,6 +128,9 @@ def test_attitude_without_the_option_is_refused_as_control_refuses_it() -> None:
     assert finding.verdict is Verdict.FAIL and "since 4.1" in finding.todo
     (fix,) = settings.thrust(facts({"GUID_OPTIONS": 3}), ATTITUDE).fixes
     assert fix.value == 11
+    raw = Expectations(control="raw")
+    assert settings.thrust(facts({"GUID_OPTIONS": 3}), raw).fixes == (fix,)
+    assert settings.setpoint_timeout(facts({"GUID_TIMEOUT": 3.0}), raw).verdict is Verdict.FAIL
 
 
 def test_a_setpoint_timeout_must_outlast_lost_setpoints_but_not_by_attitude() -> None:

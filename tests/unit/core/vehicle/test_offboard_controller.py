@@ -20,7 +20,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
+from skygcs.core.vehicle.offboard_controller import OLD_S, OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -661,3 +661,20 @@ def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
     after = flight.tick().message
     assert before is not None and after is not None
     assert after[1]["thrust"] == pytest.approx(before[1]["thrust"], abs=1e-6)
+
+
+@pytest.mark.parametrize("control_mode", [ControlMode.VELOCITY, ControlMode.ATTITUDE])
+def test_an_old_state_is_compared_with_where_the_reference_was_then(control_mode: ControlMode) -> None:
+    """The reference moves on by 2 m/s while no state comes: it must not pull ever more."""
+    flight = Flight().fly(control_mode)
+    pilot = flight.pilot
+    pilot.tracing = True
+    assert pilot.follow(Setpoint(place(0.0, 0.0, 10.0), (2.0, 0.0, 0.0)), flight.now, flight.now + 2.0) is None
+    seen = []
+    for _ in range(24):
+        tick = flight.tick(fresh=False)
+        assert tick.row is not None and tick.row.reference is not None and tick.row.state_age_s is not None
+        seen.append((tick.row.state_age_s, tick.row.reference.pos_enu_m[0]))
+    assert seen[-1][0] > 0.4
+    for age_s, east_m in seen:
+        assert east_m == pytest.approx(2.0 * min(age_s, OLD_S), abs=0.05)
