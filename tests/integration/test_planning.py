@@ -121,3 +121,20 @@ async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path
         assert terms[timing] < before["terms"]["v1"][timing]
         assert set(after["sources"]["v2"].values()) == {DEFAULT}, "it was not flown"
         assert record.delay_s is not None and 0.05 <= record.delay_s <= 0.12, "one way of the link and some"
+
+
+async def test_none_crosses_on_the_ground(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2) as gcs:
+        ask = planning(gcs)
+        at = {name: list(gcs.place(name)) for name in ("v1", "v2")}
+        swap = {"v1": at["v2"], "v2": at["v1"]}
+        assert (await ask("plan.make", goals=swap))["plan"]["space"]["floor_m"] is None
+        await gcs.done("vehicles.land", targets="all")
+        await gcs.until(lambda: all(gcs.actor(n).vehicle.in_air(gcs.now) is False for n in at), 60.0)
+        found = await ask("plan.make", goals=swap)
+        (climb, cross, _) = found["plan"]["phases"]
+        assert abs(found["plan"]["space"]["floor_m"]) < 0.5
+        assert all(place[2] > 5.0 for phase in (climb, cross) for place in phase["goals"].values())
+        assert set(climb["goals"]) == {"v1", "v2"}
+        given = await ask("plan.make", goals=swap, space={"floor_m": -3.0})
+        assert given["plan"]["space"]["floor_m"] == -3.0

@@ -93,7 +93,12 @@ class ControlledVehicle(FakeVehicle):
     def vehicle(self) -> Any:
         """As much of it as planning asks for."""
         place = None if self.no_frame else self.position_m
-        return SimpleNamespace(replayed=False, enu_m=lambda: place, telemetry_at=lambda _: time.monotonic())
+        return SimpleNamespace(
+            replayed=False,
+            enu_m=lambda: place,
+            telemetry_at=lambda _: time.monotonic(),
+            in_air=lambda now: True,
+        )
 
     async def goto(self, **place: Any) -> FakeOutcome:
         outcome = await self._order("goto", **place)

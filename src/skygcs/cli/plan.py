@@ -216,7 +216,7 @@ def _ends(file: Path, wanted: Wanted | None, *, one_is_enough: bool = False) -> 
     """Starts and goals; no goals where the file holds paths. ``one_is_enough``: a single place is a goal."""
     from math import radians
 
-    if file.suffix.lower() == ".toml" or b"initial_x" in _bytes(file)[:4096]:
+    if file.suffix.lower() == ".toml" or any(column in _bytes(file)[:4096] for column in (b"initial_x", b"final_x")):
         from skygcs.cli.table import read_table, spots
 
         places = read_table(file)

@@ -176,7 +176,8 @@ class PlanCancelled(Result):
 async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
 
-    Starts are the vehicles' measured positions, margins what the fleet file says and what was measured in flight.
+    Starts are the vehicles' measured positions, margins what the fleet file says and what was measured in flight. If
+    some stand on the ground, that is the floor unless space has one: none crosses on it.
     """
     facts = _Facts(context.services, params)
     limits = _limits(params.limits)
@@ -248,6 +249,8 @@ class _Facts:
         self._params = params
         self._standing: dict[str, Vector] = {}
         self._unknown: list[str] = []
+        self._ground_m: float | None = None
+        """The lowest place of vehicles that begin on the ground: none crosses there, nor below."""
 
     def name(self, key: str) -> str:
         """Raises TargetError."""
@@ -284,7 +287,14 @@ class _Facts:
         found = {name: fleet_margins.place(one_vehicle(self._services, name), now, fresh=True) for name in goals}
         if nowhere := [name for name, place in found.items() if place is None]:
             raise RefusedError(f"{', '.join(nowhere)}: its position is not known; give starts")
-        return {name: place for name, place in found.items() if place is not None}
+        starts = {name: place for name, place in found.items() if place is not None}
+        grounded = [
+            place[2]
+            for name, place in starts.items()
+            if one_vehicle(self._services, name).vehicle.in_air(now) is not True
+        ]
+        self._ground_m = min((place[2] for place in starts.values()), default=None) if grounded else None
+        return starts
 
     def rule(self) -> MarginRule:
         """Margins of the plan's vehicles and of those that stand. Raises RefusedError."""
@@ -314,7 +324,8 @@ class _Facts:
                 raise InvalidParams(("space.boxes", "the least corner of a box is above the greatest"))
             boxes.append((_vector(least), _vector(greatest)))
         fence = tuple((x, y) for x, y in given.fence)
-        return FlightSpace(fence, given.floor_m, given.ceiling_m, tuple(boxes), standing)
+        floor_m = self._ground_m if given.floor_m is None else given.floor_m
+        return FlightSpace(fence, floor_m, given.ceiling_m, tuple(boxes), standing)
 
     def notes(self) -> JsonObject:
         """What the answer says of the vehicles that take no part."""
