@@ -92,7 +92,11 @@ class Recording:
             self._file: BinaryIO = open_regular(path)
         except OSError as error:
             raise SkygcsError(f"{path}: {error.strerror or error}") from None
-        self.kind: LogKind = LogFile(path, FileWindow(self._file), dialect).kind
+        try:
+            self.kind: LogKind = LogFile(path, FileWindow(self._file), dialect).kind
+        except SkygcsError:
+            self._file.close()
+            raise
         self.duration_s = 0.0
         self.start_unix_s: float | None = None
         self.scanned = False

@@ -19,6 +19,7 @@ import aiohttp
 from bench.web.field import field, percentile
 from bench.web.page import browser_page
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.rpc.client import Client, connect
 from support.frames import dialect, frame, heartbeat
 from support.process import wait_until
 from support.web_station import WebStation
@@ -162,7 +163,7 @@ async def ordered_vehicle(station: WebStation) -> AsyncIterator[OrderedVehicle]:
         transport.close()
 
 
-async def time_orders(page: PageClient, vehicle: OrderedVehicle, method: str) -> dict[str, Any]:
+async def time_orders(page: PageClient | Client, vehicle: OrderedVehicle, method: str) -> dict[str, Any]:
     """Give one order again and again."""
     loop = asyncio.get_running_loop()
     times_ms, lost = [], 0
@@ -171,11 +172,16 @@ async def time_orders(page: PageClient, vehicle: OrderedVehicle, method: str) ->
         await asyncio.sleep(EVERY_S)
         vehicle.arrived = loop.create_future()
         began = loop.time()
-        await page.send(method, order=True, targets=str(TARGET))
+        if isinstance(page, Client):
+            answering = asyncio.create_task(page.call(method, targets=str(TARGET)))
+        else:
+            await page.send(method, order=True, targets=str(TARGET))
         try:
             times_ms.append((await asyncio.wait_for(vehicle.arrived, 5.0) - began) * 1000)
         except TimeoutError:
             lost += 1
+        if isinstance(page, Client):
+            await answering
     return {
         "count": len(times_ms),
         "lost": lost,
@@ -194,6 +200,8 @@ def measure_orders(seconds: float) -> dict[str, Any]:
 async def _measure_orders(station: WebStation) -> dict[str, Any]:
     async with page_client(station) as page, ordered_vehicle(station) as vehicle:
         await asyncio.sleep(2.0)
+        async with connect(station.socket_path) as gcs:
+            direct = await time_orders(gcs, vehicle, "vehicles.hold")
         quiet = await time_orders(page, vehicle, "vehicles.hold")
         plan = await asyncio.to_thread(begin_plan, station)
         listing = asyncio.create_task(_list_params(station))
@@ -204,6 +212,7 @@ async def _measure_orders(station: WebStation) -> dict[str, Any]:
         state = await asyncio.to_thread(station.call, "plan.status")
         return {
             "hold": quiet,
+            "hold without the web process": direct,
             "stop with streams, plan and parameters": busy,
             "plan": plan,
             "plan_state": state.get("state"),
@@ -220,7 +229,8 @@ def begin_plan(station: WebStation) -> dict[str, Any]:
     made = station.call("plan.make", goals=goals, others=False, limits={"speed_mps": 1.0})
     station.call("plan.load", plan=made["plan"])
     run = station.call("plan.run", force=True)
-    return {"vehicles": len(goals), "started": run.get("ok", True)}
+    run.get("check", {}).pop("lines", None) if isinstance(run.get("check"), dict) else run.pop("check", None)
+    return {"vehicles": len(goals), "run": run}
 
 
 async def _list_params(station: WebStation) -> None:
