@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 DEMO   := $(VENV)/.installed-demo
 TEST   := $(VENV)/.installed-test
 
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -41,6 +41,11 @@ test-web: $(STAMP)
 	$(BIN)/python build_page.py --check
 	$(BIN)/pytest tests/web
 
+# The pictures of README and docs, from the real page with simulated vehicles: docs/images/web-*.png
+pictures: $(STAMP)
+	$(BIN)/python build_page.py
+	PYTHONPATH=tests $(BIN)/python tests/web/pictures.py
+
 # Programs of a lab (a real Prometheus), of which it names those that are missing; LAB_SCRAPE_S=120
 test-lab: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m lab
@@ -54,6 +59,7 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@if command -v npm >/dev/null; then $(BIN)/python build_page.py --check; else echo "no npm in PATH: make test-web checks the page"; fi
 
 bench: $(STAMP)
 	$(BIN)/python -m pytest tests/bench -s --timeout 600

@@ -87,12 +87,15 @@ function OrderButtons(props: ButtonsProps) {
   return (
     <>
       <section class="buttons" aria-label="Orders">
-        <button type="button" class="order primary" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
+        <button type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
           onClick={(event) => event.isTrusted && void send({ label: "Hold", method: "vehicles.hold", params: {} })}>
           <span>Hold</span><Key letter="H" />
         </button>
         <HoldButton class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => void send({ label: "Arm", method: "vehicles.arm", params: {} })}>
           <span>Arm</span><Key letter="A" />
+        </HoldButton>
+        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
+          <span>Disarm</span><Key letter="D" />
         </HoldButton>
         <div class="pair">
           <HoldButton class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
@@ -110,9 +113,6 @@ function OrderButtons(props: ButtonsProps) {
         </HoldButton>
         <HoldButton class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => void send({ label: "Land", method: "vehicles.land", params: {} })}>
           <span>Land</span><Key letter="L" />
-        </HoldButton>
-        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
-          <span>Disarm</span><Key letter="D" />
         </HoldButton>
       </section>
       <Goto {...props} />
