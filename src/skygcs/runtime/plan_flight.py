@@ -47,6 +47,9 @@ ARM_WAIT_S = 20.0
 
 COPTER_TAKEOFF_MODE = "GUIDED"
 
+HOLD_MODES = frozenset({"AUTO.LOITER", "BRAKE", "GUIDED"})
+"""In which an autopilot holds its place by itself. Not ArduCopter's LOITER and POSHOLD, which follow the sticks."""
+
 LONGEST_AGE_S = 2.0
 """A position is carried on with its velocity for no longer."""
 
@@ -116,8 +119,18 @@ class PlanFlight:
             takeoff = self.takeoffs[name].look(now)
         on_ground = not is_flying(vehicle, now)
         reported, _, _ = measured_place(vehicle, self.frame, now, carried=False)
-        left = self._left(name, actor, now)
-        return Sight(place, age_s, speed, vehicle.armed, on_ground, takeoff, left, reported, age_s + delay_s)
+        return Sight(
+            place,
+            age_s,
+            speed,
+            vehicle.armed,
+            on_ground,
+            takeoff,
+            self._left(name, actor, now),
+            reported,
+            age_s + delay_s,
+            holds=vehicle.mode in HOLD_MODES,
+        )
 
     def _left(self, name: str, actor: VehicleActor, now: float) -> Left | None:
         """Why it does not follow; None: it does, or is not to yet."""

@@ -288,6 +288,7 @@ class PlanRunner:
             rule,
             _limits(actors),
             request.speed_factor,
+            _grounds(actors, measured, frame),
         )
         prepared, checked.loaded = await self._prepared(situation, None)
         checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
@@ -689,7 +690,7 @@ def _returning(
             staying.append(name)
         elif sight.on_ground:
             out.append(name)
-        elif left.why is Why.PILOT:
+        elif left.why is Why.PILOT and not sight.holds:
             out.append(name)
             reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")
         elif sight.speed_mps > SLOW_MPS:
@@ -698,6 +699,15 @@ def _returning(
         else:
             staying.append(name)
     return staying, out, [] if force else reasons
+
+
+def _grounds(actors: Sequence[VehicleActor], measured: Measured, frame: EnuFrame) -> dict[str, float]:
+    """How high the ground is under each: where it stands, else at its home."""
+    found = {name: measured.places[name][2] for name in measured.grounded}
+    for actor in actors:
+        if actor.name not in found and (home := _home(actor)) is not None:
+            found[actor.name] = frame.from_geodetic(*home)[2]
+    return found
 
 
 def _home(actor: VehicleActor) -> tuple[float, float, float] | None:

@@ -154,6 +154,8 @@ class Sight(NamedTuple):
     """The newest place as it was reported, and ``before_s``, how long ago it was there: what is compared with the
     way. A place that is carried on through a gap of the link flies past every corner."""
     before_s: float = 0.0
+    holds: bool = False
+    """Its autopilot holds it where it is, and needs nobody for that."""
 
 
 class Pair(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from skygcs.core.plan.certificate import Certificate
 from skygcs.core.plan.execution import Tubes
@@ -31,6 +31,8 @@ class Situation:
     limits: MotionLimits
     """Within which ways and phases are flown."""
     speed_factor: float = 1.0
+    ground_m: Mapping[str, float] = field(default_factory=dict)
+    """How high the ground is under each vehicle, as far as that is known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,7 @@ def prepare(situation: Situation) -> Prepared:
     """The flight from where the vehicles stand to the end of the plan; with `problems` it must not be flown."""
     problems = _Problems()
     plan = _from_the_air(situation)
-    ground_m = {name: situation.measured[name][2] for name in situation.grounded}
+    ground_m = _ground_m(situation)
     _check_heights(plan, situation, ground_m, problems)
     if problems.lines:
         return Prepared((), None, None, None, tuple(problems.lines), tuple(problems.vehicles))
@@ -211,18 +211,23 @@ def way_down(
 
 
 def _from_the_air(situation: Situation) -> Plan:
-    """A phased plan whose vehicles stand on the ground at its starts, without the climb that their take-off is."""
+    """A phased plan that begins on the ground, without the climb that is the take-off, or that is done already."""
     plan = situation.plan
-    if not isinstance(plan, PhasedPlan) or len(plan.phases) < 2 or not situation.grounded:
+    ground_m = _ground_m(situation)
+    if not isinstance(plan, PhasedPlan) or len(plan.phases) < 2 or not ground_m:
         return plan
     first = plan.phases[0]
     for name, start in plan.starts.items():
         goal = first.goals.get(name, start)
-        low = name in situation.grounded and start[2] < situation.measured[name][2] + LIFT_M
+        low = name in ground_m and start[2] < ground_m[name] + LIFT_M
         vertical = math.dist(start[:2], goal[:2]) <= 1e-6 and goal[2] > start[2]
         if not (low and vertical):
             return plan
     return PhasedPlan({name: first.goals[name] for name in plan.starts}, plan.phases[1:])
+
+
+def _ground_m(situation: Situation) -> dict[str, float]:
+    return {**situation.ground_m, **{name: situation.measured[name][2] for name in situation.grounded}}
 
 
 def _check_heights(plan: Plan, situation: Situation, ground_m: Mapping[str, float], problems: _Problems) -> None:
