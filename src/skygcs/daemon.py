@@ -68,6 +68,7 @@ class Daemon:
 
     def __init__(self, config: FleetConfig, dialect: Dialect, *, source: str = "<built in>") -> None:
         self.config = config
+        self._file_config = config  # as it was read last
         self.dialect = dialect
         self.source = source
         self.loop = asyncio.get_running_loop()
@@ -209,6 +210,16 @@ class Daemon:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PARK_S):
                     await self.fleet.command_all(flown, VehicleActor.hold)
+
+    async def reload(self, config: FleetConfig) -> list[str]:
+        """Apply another version of the fleet file: links that differ are closed, changed or opened, all others go on.
+        Returns a line for each difference; those beyond links are named, and need a restart."""
+        before, self._file_config = self._file_config, config
+        lines = await self.links.replace(before.links, config.links)
+        for table in type(config).model_fields:
+            if table != "links" and getattr(before, table) != getattr(config, table):
+                lines.append(f"[{table}] differs: it is applied by a restart")
+        return lines or ["the fleet file is as before: nothing changes"]
 
     def stop(self) -> None:
         """End `run` in order. Idempotent; safe as a signal handler of the loop."""

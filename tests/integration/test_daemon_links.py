@@ -334,3 +334,54 @@ async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_
             await task
     levels = {line["event"].split(":")[0]: line["log_level"] for line in reported}
     assert levels["link usb is down"] == "warning" and levels["link gcs is up"] == "info"
+
+
+async def test_a_reload_changes_only_the_links_that_differ(tmp_path: Path) -> None:
+    def fleet(**links: dict[str, Any]) -> FleetConfig:
+        own = DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False)
+        return FleetConfig(daemon=own, links={n: MemoryLinkConfig(name=n, **keys) for n, keys in links.items()})
+
+    async with running(tmp_path, vehicle={"role": "vehicle"}, gcs={"role": "gcs"}, old={}) as daemon:
+        await daemon.links.add("by-hand", {"type": "memory"})
+        daemon._file_config = fleet(vehicle={"role": "vehicle"}, gcs={"role": "gcs"}, old={})
+        kept, received = peer_of(daemon, "gcs"), [0]
+        vehicle = peer_of(daemon, "vehicle")
+
+        async def fly() -> None:
+            for seq in range(200):
+                vehicle.send(heartbeat(7, seq=seq))
+                received[0] = seq + 1
+                await asyncio.sleep(0.002)
+
+        flying = asyncio.create_task(fly())
+        await until(lambda: received[0] > 50)
+        lines = await daemon.reload(fleet(vehicle={"role": "vehicle"}, gcs={"role": "gcs"}, new={}))
+        assert sorted(lines) == ["link new added", "link old removed"]
+        lines = await daemon.reload(fleet(vehicle={"role": "vehicle"}, gcs={"role": "gcs"}, new={"delay_s": 0.1}))
+        assert lines == ["link new changed"]
+        await flying
+        await until(lambda: len([raw for raw in kept.received if raw[5] == 7]) == 200)
+        assert [raw[4] for raw in kept.received if raw[5] == 7] == [n & 0xFF for n in range(200)]
+        assert {row["name"] for row in daemon.links.status()} == {"vehicle", "gcs", "by-hand", "new"}
+        assert {row["name"]: row["opened"] for row in daemon.links.status()}["gcs"] == 1
+        # what a reload does not apply is named
+        other = fleet(vehicle={"role": "vehicle"}, gcs={"role": "gcs"}, new={"delay_s": 0.1})
+        assert await daemon.reload(other) == ["the fleet file is as before: nothing changes"]
+        other = other.model_copy(update={"daemon": other.daemon.model_copy(update={"sysid": 254})})
+        assert await daemon.reload(other) == ["[daemon] differs: it is applied by a restart"]
+
+
+async def test_a_reload_may_give_the_port_of_one_link_to_another(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    async with running(tmp_path) as daemon:
+        empty = daemon._file_config
+        link = {"type": "udp_server", "host": "127.0.0.1", "port": port}
+        one = FleetConfig.model_validate({"daemon": empty.daemon.model_dump(), "links": {"a": link}})
+        two = FleetConfig.model_validate({"daemon": empty.daemon.model_dump(), "links": {"b": link}})
+        assert await daemon.reload(one) == ["link a added"]
+        await until(lambda: daemon.links.status()[0]["state"] == "up")
+        assert sorted(await daemon.reload(two)) == ["link a removed", "link b added"]
+        await until(lambda: daemon.links.status()[0]["state"] == "up")
+        assert [row["name"] for row in daemon.links.status()] == ["b"]

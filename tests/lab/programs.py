@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-PROGRAMS = {"prometheus": "prometheus", "promtool": "prometheus"}
+PROGRAMS = {"prometheus": "prometheus", "promtool": "prometheus", "systemd-analyze": "systemd"}
 """Program -> package."""
 
 

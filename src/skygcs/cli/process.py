@@ -10,13 +10,16 @@ import os
 import signal
 import socket
 import sys
+import time
 from collections.abc import Callable, Coroutine, Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from skygcs.cli.journal import JournalLogger, goes_to_journal
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
+    from skygcs.config.models import FleetConfig
     from skygcs.daemon import Daemon
 
 EXIT_OK = 0
@@ -25,13 +28,22 @@ EXIT_INTERRUPTED = 130
 """The exit code of a program that Ctrl-C ended, as shells report it."""
 
 
-async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None = None) -> None:
-    """Run the daemon until SIGINT or SIGTERM; notify a service manager (sd_notify) of start and stop."""
+async def serve_until_signal(
+    daemon: Daemon, on_ready: Callable[[], None] | None = None, *, load: Callable[[], FleetConfig] | None = None
+) -> None:
+    """Run the daemon until SIGINT or SIGTERM; notify a service manager (sd_notify) of start, reload and stop.
+
+    ``load`` reads the fleet file anew on SIGHUP; without it SIGHUP has its usual effect.
+    """
     structlog = import_structlog()
     log = structlog.get_logger("skygcs")
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, daemon.stop)
+
+    reloader = _Reloader(daemon, load)
+    if load is not None:
+        loop.add_signal_handler(signal.SIGHUP, reloader.request)
 
     async def announce() -> None:
         await daemon.ready.wait()
@@ -53,6 +65,7 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
     tasks = [
         asyncio.create_task(announce(), name="announce"),
         asyncio.create_task(_feed_watchdog(), name="watchdog"),
+        asyncio.create_task(reloader.run(), name="reload"),
     ]
     try:
         await daemon.run()
@@ -60,9 +73,37 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
         for task in tasks:
             task.cancel()
         _notify_service_manager("STOPPING=1")
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if load is not None else [])):
             loop.remove_signal_handler(number)
     log.info("skygcs has stopped")
+
+
+class _Reloader:
+    """Applies the fleet file on SIGHUP, one reload at a time; a file with mistakes changes nothing."""
+
+    def __init__(self, daemon: Daemon, load: Callable[[], FleetConfig] | None) -> None:
+        self._daemon = daemon
+        self._load = load
+        self._requested = asyncio.Event()
+
+    def request(self) -> None:
+        self._requested.set()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        log = import_structlog().get_logger("skygcs")
+        await self._daemon.ready.wait()
+        while self._load is not None:
+            await self._requested.wait()
+            self._requested.clear()
+            _notify_service_manager(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+            try:
+                config = await asyncio.to_thread(self._load)
+                for line in await self._daemon.reload(config):
+                    log.info(line, kind="reload")
+            except SkygcsError as error:
+                log.error(f"the fleet file is not applied: {error}", kind="reload")
+            _notify_service_manager("READY=1")
 
 
 async def _feed_watchdog() -> None:
@@ -142,6 +183,15 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr.isatty()
     # plain: a traceback with the values of local variables could print a signing key or a token
+    if goes_to_journal():
+        journal = JournalLogger()
+        structlog.configure(
+            processors=[structlog.processors.add_log_level, structlog.processors.format_exc_info, _as_fields],
+            wrapper_class=structlog.make_filtering_bound_logger(level),
+            logger_factory=lambda *_: journal,
+            cache_logger_on_first_use=False,
+        )
+        return
     plain = structlog.dev.plain_traceback
     renderer: Any = structlog.dev.ConsoleRenderer(colors=tty, pad_event_to=0, exception_formatter=plain)
     structlog.configure(
@@ -154,3 +204,8 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
         logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
         cache_logger_on_first_use=False,
     )
+
+
+def _as_fields(logger: Any, method: str, record: Any) -> tuple[tuple[()], dict[str, Any]]:
+    """structlog calls the logger with what the last processor returns: no text, all fields."""
+    return (), dict(record)

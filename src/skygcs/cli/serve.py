@@ -10,6 +10,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skygcs import __version__
 from skygcs.cli.process import (
@@ -22,6 +23,9 @@ from skygcs.cli.process import (
 )
 from skygcs.cli.web import add_web
 from skygcs.errors import SkygcsError
+
+if TYPE_CHECKING:
+    from skygcs.config.models import FleetConfig
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -84,6 +88,13 @@ def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParse
     metrics = commands.add_parser("metrics", help="print the Grafana dashboard or the alert rules for Prometheus")
     metrics.add_argument("what", choices=("dashboard", "rules"))
     metrics.set_defaults(run=_metrics)
+
+    service = commands.add_parser("service", help="run the daemon under systemd: install, status, uninstall")
+    service.add_argument("what", choices=("install", "status", "uninstall"))
+    service.add_argument("file", type=Path, nargs="?", metavar="FLEET.toml", help="install: the fleet file to run")
+    service.add_argument("--user", action="store_true", help="a service of your own, instead of the machine's")
+    service.add_argument("--force", action="store_true", help="install: overwrite a unit that differs")
+    service.set_defaults(run=_service)
 
     completion = commands.add_parser("completion", help='print a shell\'s completion: eval "$(skygcs completion bash)"')
     completion.add_argument("shell", nargs="?", choices=("bash", "zsh", "fish"))
@@ -185,8 +196,12 @@ def _run(args: argparse.Namespace) -> int:
 
         config, dialect = load_fleet_and_dialect(args.file)
     changes = {"socket": args.socket, "log_dir": args.log_dir}
-    own = config.daemon.model_copy(update={k: v for k, v in changes.items() if v is not None})
-    config = config.model_copy(update={"daemon": own})
+
+    def with_options(config: FleetConfig) -> FleetConfig:
+        own = config.daemon.model_copy(update={k: v for k, v in changes.items() if v is not None})
+        return config.model_copy(update={"daemon": own})
+
+    config = with_options(config)
     configure_logging(verbose=args.verbose, quiet=args.quiet)
 
     async def serve() -> int:
@@ -194,7 +209,7 @@ def _run(args: argparse.Namespace) -> int:
             from skygcs.daemon import Daemon
 
         daemon = Daemon(config, dialect, source=str(args.file.resolve()))
-        await serve_until_signal(daemon)
+        await serve_until_signal(daemon, load=lambda: with_options(load_fleet_and_dialect(args.file)[0]))
         return EXIT_OK
 
     return run_loop(serve())
@@ -223,6 +238,16 @@ def _import_router(args: argparse.Namespace) -> int:
     from skygcs.cli.fleet_files import import_router_file
 
     return import_router_file(args.file, args.output, force=args.force)
+
+
+def _service(args: argparse.Namespace) -> int:
+    from skygcs.cli import service
+
+    if args.what == "install":
+        if args.file is None:
+            raise SkygcsError("service install FLEET.toml: which fleet file is it to run?")
+        return service.install(args.file, user=args.user, force=args.force)
+    return service.status(user=args.user) if args.what == "status" else service.uninstall(user=args.user)
 
 
 def _metrics(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from skygcs.config.checks import added_conflicts, link_warnings
 from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, SkygcsError
 from skygcs.events import Event
 from skygcs.links.base import Link
 from skygcs.links.factory import make_link
@@ -104,6 +104,32 @@ class LinkTable:
     async def remove(self, name: str) -> None:
         """Close a link for good. Raises LinkError if no link has that name."""
         await self._carried_through(lambda: self._remove(name))
+
+    async def replace(self, before: Mapping[str, LinkConfig], after: Mapping[str, LinkConfig]) -> list[str]:
+        """Carry out the differences between two fleet files; returns a line for each. Links that are the same in both,
+        and those added at run time, stay as they are."""
+        done: list[str] = []
+        await self._carried_through(lambda: self._replace(before, after, done))
+        return done
+
+    async def _replace(
+        self, before: Mapping[str, LinkConfig], after: Mapping[str, LinkConfig], done: list[str]
+    ) -> None:
+        gone = [name for name in before if name in self._entries and after.get(name) != before[name]]
+        for name in gone:  # all first: a new link may need the port of an old one
+            await self._remove(name)
+        for name in gone:
+            if name not in after:
+                done.append(f"link {name} removed")
+        for name, config in after.items():
+            if before.get(name) == config:
+                continue
+            try:
+                table = config.model_dump(mode="json", exclude_unset=True, exclude={"name"})
+                await self._add(name, table | {"type": config.type})
+                done.append(f"link {name} {'changed' if name in before else 'added'}")
+            except SkygcsError as error:
+                done.append(f"link {name} is not opened: {error}")
 
     def require(self, name: str) -> None:
         """Raises LinkError if there is no link of that name."""
