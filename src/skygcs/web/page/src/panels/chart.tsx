@@ -29,11 +29,11 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
   const plot = useRef<uPlot | null>(null);
   const read = useRef(columns);
   read.current = columns;
-  const shape = JSON.stringify([title, curves, heightPx, range]);
+  const shape = JSON.stringify([title, curves, heightPx, range ?? null]);
   useEffect(() => {
     const here = place.current;
     if (here === null) return undefined;
-    const given = JSON.parse(shape) as [string, Curve[], number, ChartProps["range"]];
+    const given = JSON.parse(shape) as [string, Curve[], number, readonly [number | null, number | null] | null];
     const make = (): void => {
       plot.current?.destroy();
       plot.current = new uPlot(options(here, given[1], given[2], given[3]), read.current(), here);
@@ -69,7 +69,7 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
   );
 }
 
-function options(place: HTMLElement, curves: readonly Curve[], height: number, range: ChartProps["range"]): uPlot.Options {
+function options(place: HTMLElement, curves: readonly Curve[], height: number, range: readonly [number | null, number | null] | null): uPlot.Options {
   const style = getComputedStyle(document.documentElement);
   const colour = (name: string, fallback: string): string => style.getPropertyValue(name).trim() || fallback;
   const ink = colour("--text-muted", "#888");
@@ -81,7 +81,7 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
     height,
     legend: { show: false },
     cursor: { y: false, drag: { x: false, y: false } },
-    scales: { x: { time: true }, y: range === undefined ? {} : { range: (_, least, most) => bounds(least, most, range) } },
+    scales: { x: { time: true }, y: range === null ? {} : { range: (_, least, most) => bounds(least, most, range) } },
     axes: [
       { ...axis, size: 22, space: 70 },
       { ...axis, size: 46, space: 24 },
@@ -99,5 +99,6 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
 function bounds(least: number | null, most: number | null, range: readonly [number | null, number | null]): [number, number] {
   const low = range[0] ?? least ?? 0;
   const high = range[1] ?? most ?? 1;
-  return high > low ? [low, high] : [low - 0.5, low + 0.5];
+  if (high > low) return [low, high];
+  return range[0] === null ? [low - 0.5, low + 0.5] : [low, low + 1];
 }

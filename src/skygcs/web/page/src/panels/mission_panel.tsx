@@ -11,7 +11,7 @@ import { mayOrder } from "./calls.ts";
 import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
-import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "mission";
@@ -22,9 +22,9 @@ type What = "file" | "mission" | "polygon" | "circle";
 
 const TABS: readonly { id: What; title: string }[] = [
   { id: "file", title: "File" },
-  { id: "mission", title: "Draw waypoints" },
-  { id: "polygon", title: "Draw fence" },
-  { id: "circle", title: "Fence circle" },
+  { id: "mission", title: "Waypoints" },
+  { id: "polygon", title: "Fence" },
+  { id: "circle", title: "Round fence" },
 ];
 
 type Ending = "return" | "land" | "hold";
@@ -60,10 +60,7 @@ export default function MissionPanel(props: PanelProps) {
     const shown = checked === null || tab !== "file" ? [] : missionShapes(checked, current);
     view.setOverlay(OVERLAY, overlay(shown, circle, drawn));
   }, [view, checked, draft, tab, current]);
-  useEffect(() => () => {
-    view.setOverlay(OVERLAY, null);
-    view.setTool(null);
-  }, [view]);
+  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
   const go = (id: string): void => {
     lastTab = id as What;
     setTab(lastTab);
@@ -128,7 +125,7 @@ function FromFile({ store, connection, targets, setChecked }: PanelProps & { tar
   };
   return (
     <>
-      <DropZone label="Open a mission or fence" accept=".plan,.waypoints,.txt,.mission,.json" onFiles={(files) => void take(files)} />
+      <DropZone label="Open a file" accept=".plan,.waypoints,.txt,.mission,.json" onFiles={(files) => void take(files)} />
       <p class="muted">QGroundControl .plan, Mission Planner .waypoints (QGC WPL 110): mission, fence and rally points.</p>
       {check.busy && <p class="note">Checking …</p>}
       <Failure text={unread ?? check.error} />
@@ -145,15 +142,18 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
   const origin = useStore(store, (state) => state.origin);
   const latest = useRef({ draft, keep });
   latest.current = { draft, keep };
-  useEffect(() => {
-    const keeper = {
-      get: () => latest.current.draft.drawing,
-      set: (drawing: Drawing) => latest.current.keep({ ...latest.current.draft, drawing }),
-    };
-    const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one. Escape ends drawing.";
-    view.setTool(pointsTool(keeper, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined));
-    return () => view.setTool(null);
-  }, [view, what, fence]);
+  const tool = useTool(
+    view,
+    () => {
+      const keeper = {
+        get: () => latest.current.draft.drawing,
+        set: (drawing: Drawing) => latest.current.keep({ ...latest.current.draft, drawing }),
+      };
+      const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one.";
+      return pointsTool(keeper, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined);
+    },
+    what,
+  );
   const { run, clear } = check;
   const asked = drawnParams(what, draft);
   const key = JSON.stringify(asked);
@@ -173,6 +173,7 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
   return (
     <>
       <p class="muted">{hintOf(what)}</p>
+      {!tool.active && <button type="button" onClick={tool.resume}>Draw on</button>}
       {origin === null && <p class="failure">The fleet has no origin yet: what is drawn has no place on earth.</p>}
       {what === "mission" && <MissionFields draft={draft} keep={keep} />}
       {what === "circle" && <NumberField label="Radius" unit="m" value={draft.radiusM} least={1} most={100000} onValue={(value) => value !== null && keep({ ...draft, radiusM: value })} />}

@@ -6,6 +6,8 @@ import type { Connection } from "../connection.ts";
 import { ageText } from "../format.ts";
 import { refusalText } from "../orders.ts";
 import type { Store } from "../store.ts";
+import type { Tool } from "../view/overlays.ts";
+import type { FleetView } from "../view/fleet_view.ts";
 import { ask } from "./calls.ts";
 
 export interface Answer<T> {
@@ -88,6 +90,28 @@ export function useAsk<T>(store: Store, connection: Connection, method: string):
     setState({ busy: false, answer: null, error: null });
   }, []);
   return { ...state, run, clear };
+}
+
+/** The canvas' tool while a panel is shown. A person may end it with Escape; `resume` takes it up again. */
+export function useTool(view: FleetView, make: () => Tool, key: string): { active: boolean; resume: () => void } {
+  const [active, setActive] = useState(true);
+  const latest = useRef(make);
+  latest.current = make;
+  useEffect(() => {
+    if (!active) return undefined;
+    let here = true;
+    view.setTool({
+      ...latest.current(),
+      cancel: () => {
+        if (here) setActive(false);
+      },
+    });
+    return () => {
+      here = false;
+      view.setTool(null);
+    };
+  }, [view, key, active]);
+  return { active, resume: () => setActive(true) };
 }
 
 // --- files ------------------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; fo
   const { store, connection, checked, follow } = props;
   const orders = useStore(store, mayOrder);
   const replay = useStore(store, (state) => state.hello?.replay ?? false);
-  const polled = usePolled<PlanStatus>(store, connection, replay || !orders ? null : "plan.status", {}, 500);
+  const polled = usePolled<PlanStatus>(store, connection, replay ? null : "plan.status", {}, 500);
   const status = polled.answer;
   const flies = status !== null && !AT_REST.has(status.state);
   const follower = useRef(follow);
@@ -54,13 +54,13 @@ export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; fo
   useEffect(() => {
     if (at_s !== null) follower.current(at_s);
   }, [at_s]);
-  if (replay || !orders) return null;
+  if (replay) return null;
   return (
     <section class="card" aria-label="Flight of the plan">
       <h3>Flight</h3>
       <Failure text={polled.error} />
       {status !== null && status.state !== "none" && <StatusView status={status} />}
-      {flies ? <Running {...props} status={status} /> : <Before {...props} checked={checked} status={status} />}
+      {orders && (flies ? <Running {...props} status={status} /> : <Before {...props} checked={checked} status={status} />)}
     </section>
   );
 }
@@ -71,7 +71,7 @@ function StatusView({ status }: { status: PlanStatus }) {
       <p>
         <b>{status.name ?? "plan"}</b>: {status.state.replaceAll("_", " ")}
         {status.phase !== null && status.phase !== "" ? `, ${status.phase}` : ""}
-        {status.step !== null && status.steps !== null ? ` (step ${status.step} of ${status.steps})` : ""}
+        {status.step !== null && status.steps !== null && status.steps > 0 ? ` (step ${status.step} of ${status.steps})` : ""}
         {status.clock?.finishes_in_s != null ? `, ${status.clock.finishes_in_s.toFixed(0)} s more` : ""}
       </p>
       {status.reason !== null && status.reason !== "" && <p class="failure">{status.reason}</p>}

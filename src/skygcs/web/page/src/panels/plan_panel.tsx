@@ -5,10 +5,9 @@ import { useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
-import type { Tool } from "../view/overlays.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAsk, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -43,7 +42,6 @@ export default function PlanPanel(props: PanelProps) {
   useEffect(() => () => {
     view.setOverlay(OVERLAY, null);
     view.setOverlay(SHAPE_OVERLAY, null);
-    view.setTool(null);
   }, [view]);
   const take = (next: CheckedPlan | null): void => {
     lastChecked = next;
@@ -134,19 +132,16 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   useEffect(() => {
     view.setOverlay(SHAPE_OVERLAY, overlay(places.map((at) => ({ kind: "mark", at, symbol: "ghost", ink: "draft", yawRad: (yaw * Math.PI) / 180 }))));
   }, [view, places, yaw]);
-  useEffect(() => {
-    const put = (x: number, y: number): void => setMiddle([Math.round(x * 10) / 10, Math.round(y * 10) / 10]);
-    const tool: Tool = {
+  useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
+  const tool = useTool(
+    view,
+    () => ({
       cursor: "crosshair",
       hint: "Click: the middle of the formation.",
-      click: (at) => put(at.x, at.y),
-    };
-    view.setTool(tool);
-    return () => {
-      view.setTool(null);
-      view.setOverlay(SHAPE_OVERLAY, null);
-    };
-  }, [view]);
+      click: (at) => setMiddle([Math.round(at.x * 10) / 10, Math.round(at.y * 10) / 10]),
+    }),
+    "formation",
+  );
   const plan = async (): Promise<void> => {
     const starts = startsOf(store.state, names, height / 2);
     const task = { starts, formation: { shape, spacing_m: spacing, middle_m: [middle[0], middle[1], height], yaw_deg: yaw } };
@@ -162,6 +157,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
         <NumberField label="Middle x" unit="m" value={middle[0]} onValue={(value) => value !== null && setMiddle([value, middle[1]])} />
         <NumberField label="y" unit="m" value={middle[1]} onValue={(value) => value !== null && setMiddle([middle[0], value])} />
       </div>
+      {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
       <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
     </>
   );
@@ -190,14 +186,12 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   }, [store, names, height]);
   const latest = useRef(goals);
   latest.current = goals;
-  useEffect(() => {
-    const tool = goalsTool(() => latest.current, (name, place) => setGoals((before) => new Map([...before, [name, place]])), "Drag each vehicle's final position.");
-    view.setTool(tool);
-    return () => {
-      view.setTool(null);
-      view.setOverlay(SHAPE_OVERLAY, null);
-    };
-  }, [view]);
+  useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
+  const tool = useTool(
+    view,
+    () => goalsTool(() => latest.current, (name, place) => setGoals((before) => new Map([...before, [name, place]])), "Drag each vehicle's final position."),
+    "goals",
+  );
   useEffect(() => {
     view.setOverlay(SHAPE_OVERLAY, overlay([...goals].map(([name, at]) => ({ kind: "mark", at, symbol: "handle", ink: "draft", text: name }))));
   }, [view, goals]);
@@ -232,6 +226,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
           </tbody>
         </table>
       )}
+      {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
       <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
     </>
   );

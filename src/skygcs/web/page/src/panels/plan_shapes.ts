@@ -61,7 +61,7 @@ export function planShapes(checked: CheckedPlan, timeline: PlanTimeline | null):
   for (const [[x, y, z], [tox, toy]] of space?.boxes ?? []) {
     shapes.push({ kind: "path", points: [[x, y, z], [tox, y, z], [tox, toy, z], [x, toy, z]], ink: "danger", closed: true, filled: true });
   }
-  for (const [name, at] of Object.entries(space?.standing ?? {})) shapes.push({ kind: "mark", at, symbol: "cross", ink: "muted", text: name });
+  for (const at of Object.values(space?.standing ?? {})) shapes.push({ kind: "mark", at, symbol: "cross", ink: "muted" });
   if (timeline !== null) {
     const each = Math.max(2, Math.floor(MOST_POINTS / Math.max(1, timeline.paths.size)));
     for (const path of timeline.paths.values()) {

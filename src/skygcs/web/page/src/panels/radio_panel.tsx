@@ -52,7 +52,7 @@ interface Link {
   role: string;
   state: string;
   last_error: string | null;
-  channels: readonly { peer: string; counters?: Readonly<Record<string, number>> }[];
+  channels: readonly ({ peer: string; counters?: Readonly<Record<string, number>> } & Readonly<Record<string, unknown>>)[];
 }
 
 /** Ten minutes at one report a second. */
@@ -265,7 +265,7 @@ function Links({ links }: { links: readonly Link[] }) {
                 <td>{i === 0 ? link.type.replaceAll("_", " ") : ""}</td>
                 <td>{i === 0 ? (link.state === "up" ? "up" : `${link.state}${link.last_error === null ? "" : `: ${link.last_error}`}`) : ""}</td>
                 <td>{channel?.peer ?? ""}</td>
-                {["rx_frames", "tx_frames", "tx_dropped", "bad_crc"].map((key) => <td key={key} class="number">{countText(channel?.counters?.[key])}</td>)}
+                {["rx_frames", "tx_frames", "tx_dropped", "bad_crc"].map((key) => <td key={key} class="number">{countText(counterOf(channel, key))}</td>)}
               </tr>
             )),
           )}
@@ -273,6 +273,11 @@ function Links({ links }: { links: readonly Link[] }) {
       </table>
     </div>
   );
+}
+
+function counterOf(channel: Link["channels"][number] | null, key: string): number | null {
+  const value = channel?.counters?.[key] ?? channel?.[key];
+  return typeof value === "number" ? value : null;
 }
 
 function bytes(value: number): string {

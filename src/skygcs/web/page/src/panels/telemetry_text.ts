@@ -66,6 +66,7 @@ function numberText(key: string, value: number): string {
   if (key === "lat_deg" || key === "lon_deg") return fixed(value, PLACES) ?? "–";
   if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
+  if (/_(s|deg|percent)$/.test(key) || key === "volts" || key === "amps") return fixed(value, key.endsWith("_s") && size < 10 ? 2 : size >= 100 ? 0 : 1) ?? "–";
   return fixed(value, size >= 100 ? 1 : size >= 1 ? 2 : 4) ?? "–";
 }
 

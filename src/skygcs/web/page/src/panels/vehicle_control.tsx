@@ -127,7 +127,7 @@ interface GainsAnswer {
   gains: Readonly<Record<string, GainsOf>>;
 }
 
-const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "position P", vel_p: "velocity P", vel_i: "velocity I", vel_d: "velocity D" };
+const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "place P", vel_p: "speed P", vel_i: "speed I", vel_d: "speed D" };
 
 function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: boolean }) {
   const [gains, setGains] = useState<GainsOf | null>(null);

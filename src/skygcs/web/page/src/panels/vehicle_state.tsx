@@ -31,7 +31,6 @@ export function VehicleFields(props: VehicleProps) {
   return (
     <>
       <Failure text={error} />
-      <Fields fields={plain} />
       {groups.map(({ name, fields, age_s }) => (
         <Fold key={name} open={OPEN_GROUPS.has(name)} title={labelOf(name).text} side={age_s === null ? undefined : <Age age_s={age_s + sinceS} old_s={OLD_S} />}>
           <div class={age_s !== null && age_s + sinceS > OLD_S ? "lost" : undefined}>
@@ -39,6 +38,9 @@ export function VehicleFields(props: VehicleProps) {
           </div>
         </Fold>
       ))}
+      <Fold title="vehicle">
+        <Fields fields={plain} />
+      </Fold>
       <Fold title="components" side={state.components.length}>
         <table class="plain">
           <thead>
