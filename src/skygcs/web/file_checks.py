@@ -18,8 +18,6 @@ from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import ParamFile, parse
 from skygcs.errors import RefusedError
 from skygcs.web.dropped import DroppedFile, Request, parsed
-from skygcs.web.mission_checks import check_fence, check_mission
-from skygcs.web.plan_checks import check_plan_files
 
 MAX_PARAMS = 5000
 """More than any autopilot has."""
@@ -46,6 +44,27 @@ class ParamsCheck(Request):
     include: tuple[Literal["settings", "calibration", "statistics", "identity"], ...] = Field(
         ("settings",), strict=False
     )
+
+
+def check_mission(params: Mapping[str, Any]) -> dict[str, Any]:
+    """web.mission.check. Each check runs in a process that has just begun: it imports what it needs, and no more."""
+    from skygcs.web import mission_checks
+
+    return mission_checks.check_mission(params)
+
+
+def check_fence(params: Mapping[str, Any]) -> dict[str, Any]:
+    """web.fence.check."""
+    from skygcs.web import mission_checks
+
+    return mission_checks.check_fence(params)
+
+
+def check_plan_files(params: Mapping[str, Any]) -> dict[str, Any]:
+    """web.plan.check."""
+    from skygcs.web import plan_checks
+
+    return plan_checks.check_plan_files(params)
 
 
 def check_params(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,53 @@
+"""Steps that browser tests of the panels share."""
+
+from __future__ import annotations
+
+import json
+
+from playwright.sync_api import Locator, Page, expect
+
+from support.browser import until
+
+expect.set_options(timeout=60_000)  # a hang, not a measure: a busy machine takes long
+
+HOLD_MS = 1300
+"""A dangerous button is held down for a second; a busy machine counts it late."""
+
+
+def select(page: Page, *names: str) -> None:
+    """Select vehicles, as the table does."""
+    until(page, f"{json.dumps(names)}.every(name => skygcs.store.state.vehicles.has(name))")
+    page.evaluate("names => skygcs.store.dispatch({type: 'select', names, how: 'only'})", list(names))
+
+
+def side(page: Page, title: str, *, phone: bool = False) -> None:
+    """Open a panel beside the view."""
+    if phone:
+        page.get_by_role("navigation", name="Panes").get_by_role("button", name=title, exact=True).click()
+    else:
+        page.get_by_role("tablist", name="Panels").get_by_role("tab", name=title, exact=True).click()
+
+
+def hold(page: Page, button: Locator) -> None:
+    """Hold a button down for its second."""
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.wait_for_timeout(HOLD_MS)
+    page.mouse.up()
+
+
+def click_view(page: Page, *points: tuple[float, float]) -> None:
+    """Click places of the fleet view, given as shares of its width and height."""
+    box = page.locator(".viewpane canvas").first.bounding_box()
+    assert box is not None
+    for x, y in points:
+        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        page.wait_for_timeout(60)
+
+
+def fits(page: Page) -> bool:
+    """True if nothing is wider than the window."""
+    return bool(page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))

@@ -1,0 +1,131 @@
+"""Missions and fences in the browser: files and drawings, their checks, the upload, and the flight."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from support.page_steps import click_view, fits, hold, select, side
+
+WPL = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t43.7806\t-79.4653\t180\t1
+1\t0\t3\t22\t0\t0\t0\t0\t43.7806\t-79.4653\t10\t1
+2\t0\t3\t16\t0\t0\t0\t0\t43.78085\t-79.4650\t12\t1
+3\t0\t3\t16\t0\t0\t0\t0\t43.7809\t-79.4655\t12\t1
+4\t0\t3\t20\t0\t0\t0\t0\t0\t0\t0\t1
+"""
+TOO_HIGH = WPL.replace("-79.4655\t12", "-79.4655\t900")
+
+DROP = """([name, text]) => {
+  const data = new DataTransfer();
+  data.items.add(new File([text], name, {type: "text/plain"}));
+  const zone = document.querySelector(".dropzone");
+  for (const type of ["dragover", "drop"])
+    zone.dispatchEvent(new DragEvent(type, {dataTransfer: data, bubbles: true, cancelable: true}));
+}"""
+
+
+def drop(page: Page, name: str, text: str) -> None:
+    """Drop a file on the panel."""
+    page.wait_for_selector(".dropzone")
+    page.evaluate(DROP, [name, text])
+
+
+def test_a_dropped_mission_is_checked_drawn_uploaded_and_flown(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v1", "v2")
+    side(page, "Missions")
+    drop(page, "survey.waypoints", WPL)
+    check = page.get_by_role("region", name="Check of survey.waypoints")
+    expect(check).to_contain_text("can be flown")
+    expect(check).to_contain_text("4 mission items")
+    page.get_by_role("button", name="Fit").click()
+    check.get_by_role("button", name="Upload to v1 and v2").click()
+    board = page.get_by_role("region", name="On board")
+    expect(board.get_by_role("row", name=re.compile("v1"))).to_contain_text("4", timeout=60_000)
+    for name in ("v1", "v2"):
+        status = station.call("missions.status", targets=name)[0]
+        assert status["counts"]["mission"] == 4
+    shot(page, "mission-uploaded")
+    # one of them flies it
+    select(page, "v1")
+    hold(page, board.get_by_role("button", name=re.compile("Start the mission of v1: arms")))
+    expect(board.get_by_role("row", name=re.compile("v1"))).to_contain_text(re.compile("active"), timeout=60_000)
+    page.wait_for_timeout(4000)
+    shot(page, "mission-flown")
+    board.get_by_role("button", name="Pause", exact=True).click()
+    expect(page.get_by_role("log", name="Orders")).to_contain_text("Pause mission")
+    station.call("vehicles.land", targets="v1")
+    assert not page.errors
+
+
+def test_a_refused_mission_names_the_item_and_is_not_uploaded(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v2")
+    side(page, "Missions")
+    drop(page, "high.waypoints", TOO_HIGH)
+    check = page.get_by_role("region", name="Check of high.waypoints")
+    expect(check).to_contain_text("refused")
+    expect(check).to_contain_text("mission item 3")
+    expect(check.get_by_role("button", name="Upload to v2")).to_be_disabled()
+    shot(page, "mission-refused")
+    drop(page, "not-a-plan.plan", '{"fileType": "Song"}')
+    expect(page.locator(".missionpanel .failure").first).to_contain_text("not-a-plan.plan")
+
+
+def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v2")
+    side(page, "Missions")
+    page.get_by_role("tab", name="Waypoints", exact=True).click()
+    page.get_by_role("button", name="Fit").click()
+    click_view(page, (0.3, 0.35), (0.6, 0.35), (0.6, 0.6))
+    expect(page.get_by_role("list", name="Points").locator("li")).to_have_count(3)
+    check = page.get_by_role("region", name="Check of drawn.plan")
+    expect(check).to_contain_text("5 mission items")
+    points = page.evaluate("[...document.querySelectorAll('.points li .link')].map(e => e.textContent)")
+    box = page.locator(".viewpane canvas").first.bounding_box()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"], steps=5)
+    page.mouse.up()
+    moved = page.evaluate("[...document.querySelectorAll('.points li .link')].map(e => e.textContent)")
+    assert moved[:2] == points[:2] and moved[2] != points[2]
+    shot(page, "mission-drawn")
+    check.get_by_role("button", name="Upload to v2").click()
+    expect(page.get_by_role("log", name="Orders")).to_contain_text("5 mission items taken", timeout=60_000)
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Draw on").click()
+    assert not page.errors
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_a_drawn_fence_is_checked_and_uploaded(station, open_page, shot, theme) -> None:
+    page = open_page(station, theme=theme)
+    select(page, "v3")
+    side(page, "Missions")
+    page.get_by_role("tab", name="Fence", exact=True).click()
+    click_view(page, (0.1, 0.15), (0.9, 0.15), (0.9, 0.6))
+    check = page.get_by_role("region", name="Check of drawn.plan")
+    expect(check).to_contain_text("1 fence polygon")
+    click_view(page, (0.1, 0.6))
+    expect(check).to_contain_text("can be flown")
+    shot(page, f"fence-drawn-{theme}")
+    check.get_by_role("button", name="Upload to v3").click()
+    expect(page.get_by_role("region", name="On board").get_by_role("row", name=re.compile("v3"))).to_contain_text(
+        re.compile(r"4$"), timeout=60_000
+    )
+    assert not page.errors
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_missions_fit_a_phone(station, open_page, shot, theme) -> None:
+    page = open_page(station, width=390, height=800, theme=theme, touch=True)
+    select(page, "v1")
+    side(page, "Missions", phone=True)
+    drop(page, "survey.waypoints", WPL)
+    expect(page.get_by_role("region", name="Check of survey.waypoints")).to_contain_text("can be flown")
+    assert fits(page)
+    shot(page, f"mission-phone-{theme}")

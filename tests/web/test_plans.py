@@ -1,0 +1,120 @@
+"""Plans in the browser: certificate, timeline, formation, final positions, and the flight by the daemon."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from support.page_steps import click_view, fits, hold, select, side
+
+CROSSING = "vehicle,t,x,y,z,yaw\nv1,0,-20,0,10,0\nv1,20,20,0,10,0\nv2,0,0,-20,10,0\nv2,20,0,20,10,0\n"
+
+
+def test_a_plan_whose_vehicles_meet_is_refused_with_pair_and_time(station, open_page, shot) -> None:
+    page = open_page(station)
+    side(page, "Plans")
+    page.locator(".planpanel input[type=file]").set_input_files(
+        {"name": "crossing.csv", "mimeType": "text/csv", "buffer": CROSSING.encode()}
+    )
+    certificate = page.get_by_role("region", name="Certificate")
+    expect(certificate).to_contain_text("refused")
+    expect(certificate).to_contain_text(re.compile(r"v1 and v2 come within .* at 10\.\d s"))
+    certificate.get_by_text("Terms of the margin").click()
+    expect(certificate).to_contain_text("half wingspan")
+    timeline = page.get_by_role("region", name="Timeline of the plan")
+    timeline.get_by_label("Time of the plan").evaluate(
+        "bar => { bar.value = 10; bar.dispatchEvent(new Event('input', {bubbles: true})); }"
+    )
+    expect(timeline).to_contain_text("10.0 of 20.0 s")
+    expect(timeline).to_contain_text(re.compile(r"v1 and v2, 0\.\d m"))
+    page.get_by_role("button", name="Fit").click()
+    shot(page, "plan-refused")
+    assert not page.errors
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_a_formation_is_planned_and_played(station, open_page, shot, theme) -> None:
+    page = open_page(station, theme=theme)
+    select(page, "v1", "v2", "v3")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Formation", exact=True).click()
+    page.get_by_label("Height", exact=True).fill("15")
+    page.get_by_label("Middle x").fill("10")
+    page.get_by_label("y", exact=True).fill("25")
+    page.get_by_role("button", name="Plan for 3 vehicles").click()
+    certificate = page.get_by_role("region", name="Certificate")
+    expect(certificate).to_contain_text("certified", timeout=60_000)
+    timeline = page.get_by_role("region", name="Timeline of the plan")
+    timeline.get_by_label("Speed").select_option("10")
+    timeline.get_by_role("button", name="Play the picture").click()
+    expect(timeline.locator("output")).to_have_text(re.compile(r"^(\d+\.\d) of \1 s$"))
+    page.get_by_role("button", name="Fit").click()
+    shot(page, f"plan-formation-{theme}")
+    assert not page.errors
+
+
+def test_final_positions_are_dragged_and_the_plan_is_flown(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v1", "v2")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Final positions", exact=True).click()
+    page.get_by_label("Height of all").fill("10")
+    rows = page.locator(".planpanel table tbody tr")
+    expect(rows).to_have_count(2)
+    before = rows.first.inner_text()
+    # the first goal lies on its vehicle, which the view can say where
+    at = page.evaluate(
+        """() => { const place = skygcs.store.state.vehicles.get('v1').position.enu_m;
+                   const box = document.querySelector('.viewpane canvas').getBoundingClientRect();
+                   for (let x = 0; x < box.width; x += 2) for (let y = 0; y < box.height; y += 2) {
+                     const p = skygcs.view?.pointerAt(x, y, false);
+                     if (p && Math.hypot(p.x - place[0], p.y - place[1]) < p.reachM / 4) return [box.x + x, box.y + y];
+                   } return null; }"""
+    )
+    assert at is not None
+    page.mouse.move(*at)
+    page.mouse.down()
+    page.mouse.move(at[0] - 60, at[1] - 120, steps=6)
+    page.mouse.up()
+    assert rows.first.inner_text() != before
+    page.get_by_role("button", name="Plan for 2 vehicles").click()
+    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified", timeout=60_000)
+    flight = page.get_by_role("region", name="Flight of the plan")
+    flight.get_by_role("button", name="Check with the fleet").click()
+    expect(flight).to_contain_text("The fleet is ready for it", timeout=60_000)
+    shot(page, "plan-ready")
+    hold(page, flight.get_by_role("button", name=re.compile("^Fly the plan with")))
+    expect(flight).to_contain_text(re.compile("takeoff|engaging|to starts|flying"), timeout=60_000)
+    expect(flight.get_by_role("button", name="Pause")).to_be_visible()
+    page.wait_for_timeout(6000)
+    shot(page, "plan-flown")
+    flight.get_by_role("button", name="Pause").click()
+    expect(page.get_by_role("log", name="Orders")).to_contain_text("Pause plan")
+    flight.get_by_role("button", name="Land", exact=True).click()
+    expect(flight).to_contain_text(re.compile("landing|landed"), timeout=60_000)
+    assert not page.errors
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_plans_fit_a_phone(station, open_page, shot, theme) -> None:
+    page = open_page(station, width=390, height=800, theme=theme, touch=True)
+    select(page, "v1", "v2")
+    side(page, "Plans", phone=True)
+    page.get_by_role("tab", name="Formation", exact=True).click()
+    expect(page.get_by_role("button", name="Plan for 2 vehicles")).to_be_visible()
+    assert fits(page)
+    shot(page, f"plan-phone-{theme}")
+
+
+def test_a_click_puts_the_formation(station, open_page) -> None:
+    page = open_page(station)
+    select(page, "v1", "v2")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Formation", exact=True).click()
+    before = page.get_by_label("Middle x").input_value()
+    click_view(page, (0.8, 0.3))
+    expect(page.get_by_label("Middle x")).not_to_have_value(before)
+    # the vehicles stay selected: a click that places is no click that selects
+    assert page.evaluate("[...skygcs.store.state.selection].length") == 2
