@@ -110,7 +110,11 @@ function FromFile({ store, connection, targets, setChecked }: PanelProps & { tar
   // the file is checked again for another vehicle, or about another origin
   useEffect(() => {
     if (lastFile === null) return;
-    void run({ file: lastFile, ...context(store.state, targets) }).then(setChecked);
+    const { text } = lastFile;
+    setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
+    void run({ file: lastFile, ...context(store.state, targets) }).then((found) => {
+      if (found !== null) setChecked({ ...found, text: text ?? null });
+    });
   }, [run, store, origin, targets, file, setChecked]);
   const take = async (files: File[]): Promise<void> => {
     const [first] = files;
@@ -158,15 +162,15 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
   const asked = drawnParams(what, draft);
   const key = JSON.stringify(asked);
   useEffect(() => {
-    if (key === "null") {
-      clear();
-      setChecked(null);
-      return undefined;
-    }
+    clear();
+    setChecked(null); // what was found of the drawing before is not to be uploaded
+    if (key === "null") return undefined;
     const timer = setTimeout(() => {
       const { autopilot, vehicle_xy_m } = context(store.state, targets) as { autopilot: string | null; vehicle_xy_m?: number[] };
       const more = fence ? { autopilot } : { autopilot, ...(vehicle_xy_m === undefined ? {} : { vehicle_xy_m }) };
-      void run({ drawn: JSON.parse(key) as object, origin, ...more }).then(setChecked);
+      void run({ drawn: JSON.parse(key) as object, origin, ...more }).then((found) => {
+        if (found !== null) setChecked(found);
+      });
     }, CHECK_AFTER_MS);
     return () => clearTimeout(timer);
   }, [key, run, clear, store, origin, targets, fence, setChecked]);
@@ -252,7 +256,7 @@ function Points({ draft, keep, heights }: { draft: Draft; keep: (draft: Draft) =
 
 function Checked({ store, connection, checked, targets, fenceOnly }: PanelProps & { checked: CheckedMission; targets: readonly string[]; fenceOnly: boolean }) {
   const orders = useStore(store, mayOrder);
-  const text = checked.text ?? lastFile?.text ?? null;
+  const { text } = checked;
   const lists = fenceOnly ? ["fence"] : checked.holds;
   const upload = (force: boolean): void =>
     void sendOrder(store, connection, {

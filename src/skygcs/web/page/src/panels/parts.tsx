@@ -66,7 +66,7 @@ export interface Asking<T> {
   clear: () => void;
 }
 
-/** One question at a person's wish. A newer one replaces it: an older answer is not shown any more. */
+/** One question at a person's wish. A newer one replaces it: an older answer is neither shown nor returned. */
 export function useAsk<T>(store: Store, connection: Connection, method: string): Asking<T> {
   const [state, setState] = useState<{ busy: boolean; answer: T | null; error: string | null }>({ busy: false, answer: null, error: null });
   const number = useRef(0);
@@ -76,7 +76,8 @@ export function useAsk<T>(store: Store, connection: Connection, method: string):
       setState((before) => ({ ...before, busy: true, error: null }));
       try {
         const answer = await ask<T>(store, connection, method, params);
-        if (mine === number.current) setState({ busy: false, answer, error: null });
+        if (mine !== number.current) return null;
+        setState({ busy: false, answer, error: null });
         return answer;
       } catch (error) {
         if (mine === number.current) setState({ busy: false, answer: null, error: refusalText(error) });

@@ -142,34 +142,44 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
 function Before({ store, connection, checked, status }: PanelProps & { checked: CheckedPlan | null; status: PlanStatus | null }) {
   const [mode, setMode] = useState<Mode>("position");
   const [speed, setSpeed] = useState<number | null>(1);
-  const [report, setReport] = useState<Report | null>(null);
+  /** What the daemon found of this plan in this mode, and its number of the plan: no other one is flown. */
+  const [found, setFound] = useState<{ plan: string; report: Report } | null>(null);
+  const report = found?.report ?? null;
   const [busy, setBusy] = useState(false);
   const [error, setError] = useState<string | null>(null);
   const text = checked?.text ?? null;
-  useEffect(() => setReport(null), [checked, mode, speed]);
+  const wanted = useRef(0);
+  useEffect(() => {
+    wanted.current++;
+    setFound(null);
+  }, [checked, mode, speed]);
   const params = { mode, speed: speed ?? 1 };
   const targets = Object.keys(checked?.goals ?? {});
   const examine = async (): Promise<void> => {
     if (text === null || checked === null) return;
+    const mine = wanted.current;
     setBusy(true);
     setError(null);
     try {
       if (text.length > MAX_PLAN_CHARS) throw new Error(`the plan has ${(text.length / 1e6).toFixed(1)} MB; the daemon takes 1 MB in one request`);
-      await ask(store, connection, "plan.load", { plan: JSON.parse(text) as object, name: checked.name });
-      setReport(await ask<Report>(store, connection, "plan.check", params));
+      const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { plan: JSON.parse(text) as object, name: checked.name.slice(0, 64) });
+      const answer = await ask<Report>(store, connection, "plan.check", { plan, ...params });
+      if (mine === wanted.current) setFound({ plan, report: answer });
     } catch (failed) {
       setError(refusalText(failed));
     }
     setBusy(false);
   };
   const run = async (force: boolean): Promise<void> => {
-    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { ...params, force }, targets };
-    const answer = await orderWith<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: found }) => ({
+    if (found === null) return;
+    const { plan } = found;
+    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, force }, targets };
+    const answer = await orderWith<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) => ({
       ok: started,
       outcomes: {},
-      text: started ? null : found.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; "),
+      text: started ? null : after.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; "),
     }));
-    if (answer !== null) setReport(answer.started ? null : answer.report);
+    if (answer !== null) setFound(answer.started ? null : { plan, report: answer.report });
   };
   if (checked === null) return <p class="note">{status === null || status.state === "none" ? "Open or make a plan to fly it." : ""}</p>;
   const whom = namesText(targets);

@@ -81,7 +81,9 @@ function FromFiles({ store, connection, take }: PanelProps & { take: (checked: C
     try {
       const content: FileContent[] = await Promise.all(files.map(contentOf));
       const { origin } = store.state;
-      take(await check.run({ files: content, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) }));
+      take(null);
+      const found = await check.run({ files: content, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) });
+      if (found !== null) take(found);
     } catch (error) {
       setUnread(refusalText(error));
     }
@@ -145,7 +147,9 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   const plan = async (): Promise<void> => {
     const starts = startsOf(store.state, names, height / 2);
     const task = { starts, formation: { shape, spacing_m: spacing, middle_m: [middle[0], middle[1], height], yaw_deg: yaw } };
-    take(await check.run({ task, standing: standingBut(store.state, names) }));
+    take(null);
+    const found = await check.run({ task, standing: standingBut(store.state, names) });
+    if (found !== null) take(found);
   };
   return (
     <>
@@ -197,7 +201,9 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   }, [view, goals]);
   const plan = async (): Promise<void> => {
     const task = { starts: startsOf(store.state, names, height / 2), goals: Object.fromEntries(goals), exchange };
-    take(await check.run({ task, standing: standingBut(store.state, names) }));
+    take(null);
+    const found = await check.run({ task, standing: standingBut(store.state, names) });
+    if (found !== null) take(found);
   };
   return (
     <>
