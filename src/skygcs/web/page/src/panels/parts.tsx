@@ -249,6 +249,7 @@ export function NumberField(props: {
       <span>{props.label}</span>
       <input
         type="number"
+        aria-label={props.label}
         inputMode="decimal"
         value={props.value ?? ""}
         min={props.least}
