@@ -99,8 +99,19 @@ def swap(fleet: MixedField) -> Plan:
     return found[0]
 
 
-@pytest.mark.parametrize(("make", "speed"), [(crossing, 1.0), (swap, 0.5)])
-def test_a_mixed_fleet_flies_a_plan(fleet: MixedField, row: dict[str, Any], make: Any, speed: float) -> None:
+def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
+    fleet: MixedField, row: dict[str, Any]
+) -> None:
+    for make, speed in ((crossing, 1.0), (swap, 0.5)):
+        row[make.__name__] = {}
+        _fly(fleet, row[make.__name__], make, speed)
+    fleet.daemon.call("plan.land")
+    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")
+    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] == "landed", 20, "the plan has landed")
+    row["finished"] = True
+
+
+def _fly(fleet: MixedField, row: dict[str, Any], make: Any, speed: float) -> None:
     plan = make(fleet)
     certificate = certify(plan, rule_of(fleet), FlightSpace())
     assert certificate.certified and certificate.closest is not None, certificate.reasons()
@@ -129,10 +140,6 @@ def test_a_mixed_fleet_flies_a_plan(fleet: MixedField, row: dict[str, Any], make
     row["most_off_m"] = {name: round(error, 2) for name, error in errors.items()}
     _compare(fleet, row, certificate, began)
     assert status["state"] == "finished", status["reason"]
-    fleet.daemon.call("plan.land")
-    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")
-    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] == "landed", 20, "the plan has landed")
-    row["finished"] = True
 
 
 def _compare(fleet: MixedField, row: dict[str, Any], certificate: Certificate, since: float) -> None:

@@ -1,6 +1,6 @@
 """`make bench-monitor`: how the monitor keeps vehicles apart, and what it costs. All in build/bench/monitor.json.
 
-python -m bench.monitor [--only encounters|formation|cost] [--encounters N] [--jobs N]
+python -m bench.monitor [--only encounters|formation|cost|lateness] [--encounters N] [--jobs N]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 from bench.monitor.cost import cost_rows
 from bench.monitor.formation import fly_formation
+from bench.monitor.lateness import lateness_rows
 from bench.monitor.virtual import in_virtual_time
 from support.encounters import Judged, judge, rows
 
@@ -67,9 +68,21 @@ def cost(told: dict[str, Any]) -> list[str]:
     return []
 
 
+def lateness(told: dict[str, Any]) -> list[str]:
+    told["lateness"] = []
+    for row in lateness_rows():
+        told["lateness"].append(row)
+        print(
+            f"{row['vehicles']:>3} vehicles, {row['layout']:<9} ticks late: p99 {row['p99_without_ms']:.2f} ms, "
+            f"{row['p99_with_ms']:.2f} ms with the monitor ({row['ratio']:.2f}); at most "
+            f"{row['most_without_ms']:.1f} and {row['most_with_ms']:.1f} ms"
+        )
+    return []
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.monitor", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", choices=("encounters", "formation", "cost"))
+    parser.add_argument("--only", choices=("encounters", "formation", "cost", "lateness"))
     parser.add_argument("--encounters", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
@@ -78,6 +91,8 @@ def main() -> int:
     missed: list[str] = []
     if options.only in (None, "cost"):
         missed += cost(told)
+    if options.only in (None, "lateness"):
+        missed += lateness(told)
     if options.only in (None, "encounters"):
         missed += encounters(options.encounters, options.jobs, told)
     if options.only in (None, "formation"):

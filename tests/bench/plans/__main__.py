@@ -1,4 +1,5 @@
-"""`make bench-plans`: how fast plans are certified (CPU seconds), whether any certificate is wrong, what is refused.
+"""`make bench-plans`: how fast plans are certified (CPU seconds), whether any certificate is wrong, what is refused,
+and how far apart vehicles stay that fly plans.
 
 A table on stdout, all in build/bench/plans.json.
 
@@ -19,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.plans import refusals
+from bench.plans import flights, refusals
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
 from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import TimedPlan
@@ -39,20 +40,25 @@ def main() -> int:
     refused = [_refusal(case) for case in refusals.cases()]
     speeds = [_labelled(50), _exchangeable(100), _pieces(50, 20), _pieces(50, 100), _pieces(100, 20), _swap(50)]
     with ProcessPoolExecutor(options.jobs) as pool:
+        flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
         judged = list(pool.map(judge, range(options.instances), chunksize=50))
     instances = _summary(judged)
     missed = [row["what"] for row in refused if not row["met"]]
     missed += [row["what"] for row in speeds if row["most_s"] is not None and row["median_s"] > row["most_s"]]
+    missed += [f"flight: {row['flight']}" for row in flown if not row["met"]]
     missed += ["random plans"] if instances["violations"] or instances["loose"] else []
     for row in speeds:
         limit = "" if row["most_s"] is None else f"  (at most {row['most_s']:g} s)"
         print(f"{row['what']:58} {row['median_s']:7.3f} s, slowest {row['slowest_s']:.3f} s{limit}  {row['note']}")
     for row in refused:
         print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']:46} {row['answer'][:110]}")
+    for row in flown:
+        print(flights.text(row))
     print(json.dumps(instances, indent=2))
     answer = {
         "speed": speeds,
         "refusals": refused,
+        "flights": flown,
         "instances": instances,
         "missed": missed,
         "seconds": round(time.monotonic() - began, 1),
