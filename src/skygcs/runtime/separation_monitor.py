@@ -143,6 +143,7 @@ class SeparationMonitor:
         actor = self._actors.get(request.key)
         if actor is None or actor.name != request.name or len(self._tasks) >= MAX_HOLDS:
             self.monitor.counters.holds_failed += 1
+            self.monitor.hold_failed(request, self._loop.time())
             return
         data = {**request.data, "order": "hold", "with": request.other}
         self._on_event(Event(KIND, actor.name, actor.sysid, request.text, data))
@@ -152,6 +153,8 @@ class SeparationMonitor:
         outcome = await actor.hold()
         if not outcome.ok:
             self.monitor.counters.holds_failed += 1
+            if outcome.result != "cancelled":  # not where a newer order replaced it
+                self.monitor.hold_failed(request, self._loop.time())
         text = f"{actor.name}, ordered to hold for its distance to {request.other}: {outcome.message}"
         data = {**request.data, "order": "hold", "with": request.other, "outcome": outcome.as_dict()}
         self._on_event(Event(KIND, actor.name, actor.sysid, text, data))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from collections.abc import Callable, Sequence
 
 import pytest
@@ -461,3 +462,97 @@ def test_the_worst_conflict_of_a_vehicle_is_in_its_state() -> None:
     state = fleet.monitor.of(1 << 8 | 1)
     assert state is not None and state["with"] == "v3" and state["level"] == "action"
     assert fleet.monitor.conflicts()[0].level is Level.ACTION
+
+
+# --- events in the wrong order ----------------------------------------------------------------------------------------
+
+
+def head_on(*, acting: bool = True) -> Watched:
+    return Watched(WatchedVehicle(1), WatchedVehicle(2), acting=acting)
+
+
+WEST = flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0))
+EAST = flying((20.0, 0.0, 20.0), (-2.0, 0.0, 0.0))
+SOUTH = flying((0.0, 20.0, 20.0), (0.0, -2.0, 0.0))
+
+
+def test_one_that_vanishes_in_mid_conflict_is_warned_of_until_it_may_be_anywhere() -> None:
+    fleet = head_on()
+    fleet.run(3.0, WEST, EAST)
+    fleet.run(5.0, WEST, None)
+    assert "action" in fleet.levels()
+    assert not [at for at, hold in fleet.holds if hold.name == "v2" and at > 5.0], "silent for 2 s"
+    fleet.run(SILENT_S, standing(0.0, 0.0, 20.0), None)
+    assert fleet.monitor.pairs == {} and fleet.levels()[-1] == "none"
+    assert any(event.data.get("watched") is False for _, event in fleet.events)
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0))
+    assert fleet.levels()[-1] in ("warning", "action"), "it came back, too near"
+
+
+def test_a_new_system_id_in_mid_conflict_begins_a_conflict_of_its_own() -> None:
+    fleet = head_on(acting=False)
+    fleet.run(4.0, WEST, EAST)
+    fleet.fleet[1] = WatchedVehicle(77, "v2")
+    fleet.run(3.0, WEST, EAST)
+    assert set(fleet.monitor.pairs) == {(1 << 8 | 1, 77 << 8 | 1)}
+    told = [(event.data["vehicles"], event.data["level"]) for _, event in fleet.events]
+    assert (["v1", "v2"], "none") in told and told[-1][1] in ("warning", "action")
+
+
+def test_a_pilot_who_takes_over_in_an_action_is_left_alone_and_the_other_holds() -> None:
+    fleet = head_on()
+    fleet.run(2.25, WEST, SOUTH)
+    fleet.modes[2] = LOITER
+    fleet.run(6.0, WEST, SOUTH)
+    assert [hold.name for _, hold in fleet.holds] == ["v1"]
+
+
+def test_a_hold_that_failed_is_ordered_again_and_one_that_was_taken_back_is_not() -> None:
+    for again in (True, False):
+        fleet = head_on()
+        fleet.modes[1] = LOITER  # its pilot flies the other
+        fleet.run(6.5, WEST, SOUTH)
+        ((_, hold),) = fleet.holds
+        assert hold.name == "v2"
+        if again:
+            fleet.monitor.hold_failed(hold, fleet.now)
+        fleet.run(2.0, WEST, SOUTH)
+        assert [h.name for _, h in fleet.holds] == (["v2", "v2"] if again else ["v2"])
+
+
+def test_two_conflicts_of_one_vehicle_order_one_hold_of_it_for_each_at_most() -> None:
+    fleet = Watched(*(WatchedVehicle(i) for i in (1, 2, 3)), acting=True)
+    west = flying((-20.0, 4.0, 20.0), (2.0, -0.4, 0.0))
+    fleet.run(12.0, west, flying((-20.0, -4.0, 20.0), (2.0, 0.4, 0.0)), EAST)
+    holds = [(hold.name, hold.other) for _, hold in fleet.holds]
+    assert holds and len(holds) == len(set(holds)), holds
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_positions_that_jump_or_lie_end_no_watch_and_grow_nothing(seed: int) -> None:
+    rng = random.Random(seed)
+    fleet = Watched(*(WatchedVehicle(i + 1) for i in range(6)), acting=True)
+    extremes = (0, 1, -1, 2**31 - 1, -(2**31), 900_000_000, -900_000_001, 1_800_000_000)
+    for _ in range(80):
+        for vehicle in fleet.fleet[:4]:
+            vehicle.heartbeat(fleet.now, armed=rng.random() < 0.9, mode=rng.choice((GUIDED, LOITER, RTL, LAND)))
+            values = {key: rng.choice(extremes) for key in ("lat", "lon", "alt", "relative_alt")}
+            speeds = {key: rng.randint(-32768, 32767) for key in ("vx", "vy", "vz")}
+            if rng.random() < 0.5:
+                here = [rng.uniform(-9.0, 9.0) for _ in "xy"]
+                vehicle.position(fleet.now, (*here, 20.0), [rng.uniform(-300.0, 300.0) for _ in "xyz"])
+            else:
+                vehicle.send("GLOBAL_POSITION_INT", fleet.now, time_boot_ms=0, **values, **speeds, hdg=0)
+        fleet.run(STEP_S, *[None] * 4, standing(0.0, 50.0, 20.0), standing(1.0, 50.0, 20.0))
+    assert (5 << 8 | 1, 6 << 8 | 1) in fleet.monitor.pairs, "the honest pair is watched all the while"
+    assert len(fleet.monitor.pairs) <= 15 and len(fleet.monitor._held) <= 15
+    for event in (event for _, event in fleet.events):
+        assert all(value == value for value in event.data.values())  # no NaN
+
+
+def test_all_system_ids_at_once_are_watched() -> None:
+    fleet = Watched(*(WatchedVehicle(i) for i in range(1, 256)))
+    places = [standing(10.0 * (i % 16), 10.0 * (i // 16), 20.0) for i in range(253)]
+    fleet.run(3.0, *places, standing(-50.0, 0.0, 20.0), standing(-51.0, 0.0, 20.0))
+    assert len(fleet.monitor.tracks.tracks) == 255
+    assert [pair.level for pair in fleet.monitor.conflicts()] == [Level.WARNING]

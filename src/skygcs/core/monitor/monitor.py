@@ -33,6 +33,9 @@ an operator orders after the hold is carried out."""
 SETTLE_S = 4.0
 """After a hold the vehicle is given so long to stop, before the other one is held as well."""
 
+RETRY_S = 1.0
+"""After a hold that failed."""
+
 BLIND_S = 3.0
 """A flying vehicle that cannot be watched is reported after so long: it may just have been found."""
 
@@ -49,6 +52,7 @@ class HoldRequest(NamedTuple):
     other: str
     text: str
     data: dict[str, Any]
+    pair: PairKey = (0, 0)
 
 
 @dataclass(slots=True)
@@ -231,7 +235,14 @@ class Monitor:
             self.counters.holds += 1
             text = f"{track.name} is ordered to hold: it would come {conflict.closest_m:.1f} m near {other.name} in "
             text += f"{conflict.closest_in_s:.0f} s"
-            self.holds.append(HoldRequest(track.key, track.name, other.name, text, pair.describe()))
+            self.holds.append(HoldRequest(track.key, track.name, other.name, text, pair.describe(), key))
+
+    def hold_failed(self, request: HoldRequest, now: float) -> None:
+        """The vehicle did not take the order: after `RETRY_S` it may be given again, to it or to the other one."""
+        held = self._held.get(request.pair)
+        if held is not None:
+            held.keys.discard(request.key)
+            held.at = now - SETTLE_S + RETRY_S
 
     # -- reports
 
