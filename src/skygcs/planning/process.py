@@ -27,7 +27,7 @@ PROGRESS = b'{"progress"'
 """How a line begins that is not the answer."""
 
 REFUSED = b'{"refused"'
-"""How an answer begins that is none but a reason."""
+"""How an answer begins that consists of a reason."""
 
 STDERR_BYTES = 4096
 
@@ -113,7 +113,7 @@ async def _process(kind: str, request: bytes, on_progress: OnProgress | None, li
 
 
 async def _talk(process: asyncio.subprocess.Process, request: bytes, on_progress: OnProgress | None) -> bytes:
-    """Send the request, read up to the answer; b"" where there is none."""
+    """Send the request, read up to the answer; b"" if it ended without one."""
     assert process.stdin is not None and process.stdout is not None
     with contextlib.suppress(ConnectionError):  # it has ended already: what it wrote says why
         process.stdin.write(request)

@@ -20,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.plans import flights, refusals
+from bench.plans import flights, refusals, tick_lateness
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
 from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import TimedPlan
@@ -35,6 +35,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.plans", description=__doc__.splitlines()[0])
     parser.add_argument("--instances", type=int, default=10_000)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--no-ticks", action="store_true", help="leave out the daemon in real time")
     options = parser.parse_args()
     began = time.monotonic()
     refused = [_refusal(case) for case in refusals.cases()]
@@ -43,6 +44,7 @@ def main() -> int:
         flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
         judged = list(pool.map(judge, range(options.instances), chunksize=50))
     instances = _summary(judged)
+    ticks = None if options.no_ticks else tick_lateness.measured()
     missed = [row["what"] for row in refused if not row["met"]]
     missed += [row["what"] for row in speeds if row["most_s"] is not None and row["median_s"] > row["most_s"]]
     missed += [f"flight: {row['flight']}" for row in flown if not row["met"]]
@@ -55,11 +57,13 @@ def main() -> int:
     for row in flown:
         print(flights.text(row))
     print(json.dumps(instances, indent=2))
+    print(json.dumps(ticks, indent=2))
     answer = {
         "speed": speeds,
         "refusals": refused,
         "flights": flown,
         "instances": instances,
+        "control_ticks": ticks,
         "missed": missed,
         "seconds": round(time.monotonic() - began, 1),
     }

@@ -97,7 +97,7 @@ class Conflict:
 
 def rank(a: Track, b: Track, widened: float = 1.0) -> tuple[float, float] | None:
     """(time until the margin is lost, closest distance) of what may be a conflict, for a choice among many: a part of
-    `find_conflict`, which may find none after all. None: there is none."""
+    `find_conflict`, which may find no conflict after all; None if they cannot."""
     if a.has_goal or b.has_goal:
         return _rank_with_goals(a, b, widened)
     # as pair_margin, without making one

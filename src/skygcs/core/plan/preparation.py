@@ -124,7 +124,7 @@ def _clearance(certificate: Certificate) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A certified way, or the reasons why there is none."""
+    """A certified way, or the reasons why none was found."""
 
     plan: PhasedPlan | None
     certificate: Certificate | None

@@ -5,7 +5,7 @@ box, every point of the piece is at least d(c) - r from a wall that is d(c) from
 decide are halved; a piece smaller than `SMALLEST_M` that is undecided counts as too near.
 
 The fence is a polygon of any shape, the boxes are solid. The margin of a vehicle from walls is its own part of the
-margin of a pair; from the floor there is none, as every flight begins and ends there.
+margin of a pair; from the floor it keeps no margin, as every flight begins and ends there.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ class Rule:
 
     ``one_of``: any of these values. ``least``, ``most``: bounds that belong to it. ``bits``, ``no_bits``: a mask of
     bits that must be set, or clear (whole numbers only). ``set_to``: what makes it right where the rule itself does not
-    say enough. ``why`` is reported with a failure. ``optional``: a vehicle without such a parameter is none the worse.
+    say enough. ``why`` is reported with a failure. ``optional``: a vehicle without such a parameter passes.
     """
 
     one_of: tuple[Value, ...] = ()

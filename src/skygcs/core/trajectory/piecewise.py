@@ -43,7 +43,7 @@ MAX_TERM = 1e8
 """Of any |c_k| T^k, in metres or radians. Sums of sixteen such terms are exact to 1 µm."""
 
 MAX_POSITION_M = 1e5
-"""100 km from the origin: farther out the flat world frame is none; a larger number has a wrong unit."""
+"""100 km from the origin: farther out the earth is too curved for a flat frame; a larger number has a wrong unit."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 

@@ -156,7 +156,7 @@ def reports_breach(text: str) -> bool:
 
 
 def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
-    """Breach by telemetry newer than that time: FENCE_STATUS, else the bit of SYS_STATUS; None if there is none."""
+    """Breach by telemetry newer than that time: FENCE_STATUS, else the bit of SYS_STATUS; None if neither came."""
     slot = vehicle.slot("FENCE_STATUS")
     if slot is not None and slot.frame is not None and slot.at >= fresh_after:
         return bool(slot.frame.fields()["breach_status"])
