@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -197,8 +198,6 @@ def test_a_lost_connection_leaves_the_order_unknown_and_it_is_not_sent_again(
             .then(() => 'answered', error => error.message); }"""
     )
     page.wait_for_timeout(100)
-    import signal
-
     station.stop_web(signal.SIGKILL)
     text = page.evaluate("window.ordered")
     assert text in ("answered", "unknown: connection lost before the answer; look at the vehicles")
@@ -233,3 +232,62 @@ def test_keys_are_listed_and_the_focus_is_seen(page: Page, shot: Shot) -> None:
     page.keyboard.press("Tab")
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline == "solid"
+
+
+def test_letters_are_orders_only_while_their_buttons_are_seen(page: Page) -> None:
+    select(page, "v1")
+    page.get_by_role("button", name="Events").click()
+    page.keyboard.down("a")
+    page.wait_for_timeout(HOLD_MS + 400)
+    page.keyboard.up("a")
+    page.keyboard.press("h")
+    page.get_by_role("button", name="Fleet", exact=True).click()
+    page.keyboard.press("?")
+    page.keyboard.press("h")
+    page.keyboard.press("Escape")
+    assert not any(str(m.get("method")) in ("vehicles.arm", "vehicles.hold") for m in page.sent)  # type: ignore[attr-defined]
+    page.keyboard.press("h")
+    expect(page.locator(".toast").first).to_contain_text("Hold")
+
+
+def test_a_short_press_on_a_page_that_stood_still_is_no_order(page: Page) -> None:
+    """Press and release are both in the queue when the page wakes: the release must count before the timer."""
+    select(page, "v1")
+    order(page, "Arm").hover()
+    page.mouse.down()
+    expect(page.locator(".holdhint")).to_be_visible()
+    page.evaluate(
+        "setTimeout(() => { const end = performance.now() + 2500; while (performance.now() < end); }, 0)",
+    )
+    page.wait_for_timeout(50)
+    page.mouse.up()
+    page.wait_for_timeout(1_500)
+    assert sent(page, "vehicles.arm") == []
+
+
+def test_a_hold_begins_anew_when_its_targets_change(page: Page) -> None:
+    select(page, "v1")
+    order(page, "Arm").hover()
+    page.mouse.down()
+    page.wait_for_timeout(HOLD_MS // 2)
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2'], how: 'only'})")
+    page.wait_for_timeout(HOLD_MS + 400)
+    page.mouse.up()
+    assert sent(page, "vehicles.arm") == []
+
+
+def test_one_of_five_targets_replaced_while_held_begins_anew_although_the_button_reads_the_same(
+    make_station: Callable[..., WebStation], open_page: OpenPage
+) -> None:
+    page = open_page(make_station((6, 0)))
+    keep_sent(page)
+    page.reload()
+    expect(page.locator("tr.row[data-heard=true]")).to_have_count(6)
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2', 'v3', 'v4', 'v5'], how: 'only'})")
+    order(page, "Arm").hover()
+    page.mouse.down()
+    page.wait_for_timeout(HOLD_MS // 2)
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2', 'v3', 'v4', 'v6'], how: 'only'})")
+    page.wait_for_timeout(HOLD_MS + 400)
+    page.mouse.up()
+    assert sent(page, "vehicles.arm") == []

@@ -147,6 +147,11 @@ export class Connection {
     this.connect();
   }
 
+  /** Gives up a socket that cannot be trusted, and connects anew: the computer slept. */
+  restart(reason: string): void {
+    if (this.socket !== null) this.lost(this.socket, reason);
+  }
+
   onPhase(listener: (phase: Phase) => void): () => void {
     this.phaseListeners.add(listener);
     return () => this.phaseListeners.delete(listener);

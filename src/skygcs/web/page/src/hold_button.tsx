@@ -2,7 +2,7 @@
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
-import { isTextField } from "./stop_key.ts";
+import { isSeen, isTextField } from "./stop_key.ts";
 
 export const HOLD_MS = 1_000;
 
@@ -12,6 +12,8 @@ export interface HoldButtonProps {
   act: () => void;
   children: ComponentChildren;
   disabled?: boolean;
+  /** All that it is for: a hold begins anew when it changes, also where `what` does not name everything. */
+  targets?: readonly string[];
   /** A letter that does the same while it is held, outside of text fields. */
   hotkey?: string;
   danger?: boolean;
@@ -19,9 +21,10 @@ export interface HoldButtonProps {
   title?: string;
 }
 
-export function HoldButton({ what, act, children, disabled = false, hotkey, danger = false, title, ...rest }: HoldButtonProps) {
+export function HoldButton({ what, act, children, targets = [], disabled = false, hotkey, danger = false, title, ...rest }: HoldButtonProps) {
   const [holding, setHolding] = useState(false);
   const timer = useRef<ReturnType<typeof setTimeout> | null>(null);
+  const button = useRef<HTMLButtonElement>(null);
   const action = useRef(act);
   action.current = act;
 
@@ -34,8 +37,13 @@ export function HoldButton({ what, act, children, disabled = false, hotkey, dang
     if (disabled || timer.current !== null) return;
     setHolding(true);
     timer.current = setTimeout(() => {
-      release();
-      action.current();
+      // a page that stood still has the release in its queue, perhaps behind this timer: input comes before a frame
+      requestAnimationFrame(() => {
+        timer.current &&= setTimeout(() => {
+          release();
+          action.current();
+        }, 0);
+      });
     }, HOLD_MS);
   };
   useEffect(() => release, []);
@@ -43,12 +51,14 @@ export function HoldButton({ what, act, children, disabled = false, hotkey, dang
     if (disabled) release();
   }, [disabled]);
   // what it is for changed under the finger: begin anew
-  useEffect(() => release, [what]);
-  useHotkey(hotkey, press, release, disabled);
+  const about = `${what}\n${targets.join("\n")}`;
+  useEffect(() => release, [about]);
+  useHotkey(hotkey, button, press, release, disabled);
 
   const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";
   return (
     <button
+      ref={button}
       type="button"
       class={`hold ${danger ? "danger" : ""} ${rest.class ?? ""}`}
       data-holding={holding}
@@ -85,28 +95,35 @@ function HoldHint({ what }: { what: string }) {
   return <span class="holdhint" role="status">{what}: keep holding</span>;
 }
 
-function useHotkey(hotkey: string | undefined, press: () => void, release: () => void, disabled: boolean): void {
+function useHotkey(
+  hotkey: string | undefined,
+  button: { readonly current: HTMLElement | null },
+  press: () => void,
+  release: () => void,
+  disabled: boolean,
+): void {
   const calls = useRef({ press, release });
   calls.current = { press, release };
   useEffect(() => {
-    if (hotkey === undefined || disabled) return undefined;
+    const onBlur = (): void => calls.current.release();
+    addEventListener("blur", onBlur);
+    if (hotkey === undefined || disabled) return () => removeEventListener("blur", onBlur);
     const isIt = (event: KeyboardEvent): boolean => event.key.toLowerCase() === hotkey;
     const onDown = (event: KeyboardEvent): void => {
       if (!isIt(event) || event.repeat || !event.isTrusted || isTextField(event.target)) return;
+      if (!isSeen(button.current)) return;
       if (event.shiftKey || event.ctrlKey || event.metaKey || event.altKey) return;
       calls.current.press();
     };
     const onUp = (event: KeyboardEvent): void => {
       if (isIt(event)) calls.current.release();
     };
-    const onBlur = (): void => calls.current.release();
     addEventListener("keydown", onDown);
     addEventListener("keyup", onUp);
-    addEventListener("blur", onBlur);
     return () => {
       removeEventListener("keydown", onDown);
       removeEventListener("keyup", onUp);
       removeEventListener("blur", onBlur);
     };
-  }, [hotkey, disabled]);
+  }, [hotkey, button, disabled]);
 }

@@ -1,6 +1,6 @@
 // Orders for the selected vehicles. Hold and STOP act at once; everything else is held down for a second.
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { namesText, fixed } from "./format.ts";
 import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
@@ -9,7 +9,7 @@ import { OrderHistory } from "./order_list.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
 import type { PanelProps } from "./panels/registry.ts";
 import { modesFor } from "./modes.ts";
-import { isTextField } from "./stop_key.ts";
+import { isSeen, isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type OrderState, type State } from "./store.ts";
 
 const DEFAULT_HEIGHT_M = 10;
@@ -83,22 +83,23 @@ function OrderButtons(props: ButtonsProps) {
   const [heightText, setHeightText] = useState(String(DEFAULT_HEIGHT_M));
   const height = Number(heightText);
   const heightOk = heightText.trim() !== "" && height > 0 && height <= MOST_HEIGHT_M;
-  useHoldKey(enabled, () => void send({ label: "Hold", method: "vehicles.hold", params: {} }));
+  const hold = useRef<HTMLButtonElement>(null);
+  useHoldKey(enabled, hold, () => void send({ label: "Hold", method: "vehicles.hold", params: {} }));
   return (
     <>
       <section class="buttons" aria-label="Orders">
-        <button type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
+        <button ref={hold} type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
           onClick={(event) => event.isTrusted && void send({ label: "Hold", method: "vehicles.hold", params: {} })}>
           <span>Hold</span><Key letter="H" />
         </button>
-        <HoldButton class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => void send({ label: "Arm", method: "vehicles.arm", params: {} })}>
+        <HoldButton targets={targets} class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => void send({ label: "Arm", method: "vehicles.arm", params: {} })}>
           <span>Arm</span><Key letter="A" />
         </HoldButton>
-        <HoldButton class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
+        <HoldButton targets={targets} class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
           <span>Disarm</span><Key letter="D" />
         </HoldButton>
         <div class="pair">
-          <HoldButton class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
+          <HoldButton targets={targets} class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
             act={() => void send({ label: `Take off to ${height} m`, method: "vehicles.takeoff", params: { height_m: height } })}>
             <span>Take off</span><Key letter="T" />
           </HoldButton>
@@ -108,10 +109,10 @@ function OrderButtons(props: ButtonsProps) {
             <span>m</span>
           </label>
         </div>
-        <HoldButton class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => void send({ label: "Return", method: "vehicles.rtl", params: {} })}>
+        <HoldButton targets={targets} class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => void send({ label: "Return", method: "vehicles.rtl", params: {} })}>
           <span>Return</span><Key letter="R" />
         </HoldButton>
-        <HoldButton class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => void send({ label: "Land", method: "vehicles.land", params: {} })}>
+        <HoldButton targets={targets} class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => void send({ label: "Land", method: "vehicles.land", params: {} })}>
           <span>Land</span><Key letter="L" />
         </HoldButton>
       </section>
@@ -127,12 +128,12 @@ function Key({ letter }: { letter: string }) {
 }
 
 /** H acts at once: it is the one order that makes things calmer. */
-function useHoldKey(enabled: boolean, act: () => void): void {
+function useHoldKey(enabled: boolean, button: { readonly current: HTMLElement | null }, act: () => void): void {
   useEffect(() => {
     if (!enabled) return undefined;
     const onKey = (event: KeyboardEvent): void => {
       if (event.key.toLowerCase() !== "h" || event.repeat || !event.isTrusted || isTextField(event.target)) return;
-      if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || !isSeen(button.current)) return;
       act();
     };
     addEventListener("keydown", onKey);
@@ -141,6 +142,7 @@ function useHoldKey(enabled: boolean, act: () => void): void {
 }
 
 function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
+  const chooser = useRef<HTMLButtonElement>(null);
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   const [fields, setFields] = useState({ x: "", y: "", height: "" });
   const x = Number(fields.x);
@@ -157,7 +159,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
   }, [draft, valid, x, y, targets]);
   useEffect(() => {
     const onKey = (event: KeyboardEvent): void => {
-      if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target)) return;
+      if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target) || !isSeen(chooser.current)) return;
       if (!(event.ctrlKey || event.metaKey || event.altKey)) pick();
     };
     addEventListener("keydown", onKey);
@@ -167,7 +169,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
   return (
     <section class="goto" aria-label="Go to">
       <div class="heading"><h3>Go to</h3>
-        <button type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={draft !== null && view.tool !== null}>Choose in the view<Key letter="G" /></button>
+        <button ref={chooser} type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={draft !== null && view.tool !== null}>Choose in the view<Key letter="G" /></button>
       </div>
       <div class="fields">
         {([["x", "x, m"], ["y", "y, m"], ["height", "Height, m"]] as const).map(([key, label]) => (
@@ -179,7 +181,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
           </label>
         ))}
       </div>
-      <HoldButton class="order wide" disabled={!enabled || place === null} what={`Send ${namesText(targets)} to x ${fields.x}, y ${fields.y}${up}`}
+      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${namesText(targets)} to x ${fields.x}, y ${fields.y}${up}`}
         act={() => {
           if (place === null) return;
           const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
@@ -213,7 +215,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
           {choices.map((name) => <option key={name} value={name}>{name}</option>)}
         </select>
       </label>
-      <HoldButton class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${namesText(targets)}`}
+      <HoldButton targets={targets} class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${namesText(targets)}`}
         act={() => void send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
         <span>Set</span>
       </HoldButton>
@@ -227,11 +229,11 @@ function Emergency({ targets, enabled, send }: ButtonsProps) {
   return (
     <details class="emergency">
       <summary>Emergency</summary>
-      <HoldButton class="order wide" danger disabled={!enabled} what={`Land ${who} now, over every link`}
+      <HoldButton targets={targets} class="order wide" danger disabled={!enabled} what={`Land ${who} now, over every link`}
         act={() => void send({ label: "Emergency landing", method: "vehicles.stop", params: { action: "land" }, withinS: 10 })}>
         <span>Land now, over every link</span>
       </HoldButton>
-      <HoldButton class="order wide" danger disabled={!enabled} what={`Stop the motors of ${who}: what flies falls`}
+      <HoldButton targets={targets} class="order wide" danger disabled={!enabled} what={`Stop the motors of ${who}: what flies falls`}
         act={() => void send({ label: "Motors off", method: "vehicles.stop", params: { action: "kill", confirm: `kill-${targets.length}` }, withinS: 10 })}>
         <span>Stop motors: what flies falls</span>
       </HoldButton>

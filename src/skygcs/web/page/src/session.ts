@@ -6,6 +6,7 @@ import type { DaemonLink, FleetEvent, Hello, Origin, StateBatch } from "./types.
 
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
+const GREET_AGAIN_MS = 1_000;
 
 /** Joins the connection and the store; returns what ends it. */
 export function beginSession(connection: Connection, store: Store, nowMs: () => number): () => void {
@@ -36,6 +37,15 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     await fetchFromDaemon();
   }
 
+  /** A refusal, say of too many requests, must not leave a page that is connected and shows nothing. */
+  function greetUntilItWorks(): void {
+    greet().catch(() => {
+      setTimeout(() => {
+        if (connection.phase.kind === "open") greetUntilItWorks();
+      }, GREET_AGAIN_MS);
+    });
+  }
+
   /** Without a daemon these are refused; they are asked for again when it is there. */
   async function fetchFromDaemon(): Promise<void> {
     await Promise.allSettled([fetchOrigin(), fetchEvents()]);
@@ -64,7 +74,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   const undo = [
     connection.onPhase((phase) => {
       store.dispatch({ type: "phase", phase });
-      if (phase.kind === "open") greet().catch(ignore);
+      if (phase.kind === "open") greetUntilItWorks();
     }),
     connection.on<StateBatch>("web.state", onBatch),
     connection.on<DaemonLink>("web.daemon", onDaemon),

@@ -13,3 +13,8 @@ export function isTextField(target: EventTarget | null): boolean {
   if (target instanceof HTMLInputElement) return !["button", "checkbox", "radio", "range"].includes(target.type);
   return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
 }
+
+/** Whether a person can see it: letters are orders only while their buttons, with their targets, are on the screen. */
+export function isSeen(element: Element | null): boolean {
+  return element !== null && element.getClientRects().length > 0 && document.querySelector("dialog[open]") === null;
+}

@@ -81,6 +81,7 @@ export const EMPTY: State = {
 export type Action =
   | { type: "phase"; phase: Phase }
   | { type: "hello"; hello: Hello; atMs: number }
+  | { type: "slept"; ms: number }
   | { type: "daemon"; daemon: DaemonLink }
   | { type: "origin"; origin: Origin | null }
   | { type: "batch"; batch: StateBatch; atMs: number }
@@ -110,6 +111,8 @@ export function reduce(state: State, action: Action): State {
         daemon: action.hello.daemon,
         clock: { now_s: action.hello.now_s, atMs: action.atMs },
       };
+    case "slept": // the page's clock stood still meanwhile, and the vehicles did not
+      return state.clock === null ? state : { ...state, clock: { ...state.clock, atMs: state.clock.atMs - action.ms } };
     case "daemon":
       return { ...state, daemon: action.daemon };
     case "origin":

@@ -98,3 +98,8 @@ test("a trail begins with arming, has no line over a jump, and begins anew with 
   take(9, { origin_generation: 2 });
   assert.equal(trails.byName.get("a")?.length, 1);
 });
+
+test("a sleep of the computer counts in all ages", () => {
+  const state = reduce(after(batch([vehicle("a", 1)])), { type: "slept", ms: 60_000 });
+  assert.equal(isHeard(only(state), serverNowS(state, 100)), false);
+});
