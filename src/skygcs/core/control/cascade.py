@@ -246,26 +246,25 @@ def velocity_setpoint(
     x, y, z = pos_enu_m
     x_ref, y_ref, z_ref = reference.pos_enu_m
     vx, vy, vz = reference.vel_enu_mps if vel_ref_enu_mps is None else vel_ref_enu_mps
-    acc_xy, acc_z = config.acc_xy_max_mps2, config.acc_z_max_mps2
     if not reference.velocity_only_xy:
         p = config.xy.pos_p_per_s
         px, py = p * (x_ref - x), p * (y_ref - y)
-        if acc_xy is not None and p * math.hypot(px, py) > acc_xy:
-            speed = math.hypot(px, py)
-            share = approach_speed(speed, p, acc_xy) / speed
+        if (squared := px * px + py * py) > config.near_xy_squared:
+            share = approach_speed(math.sqrt(squared), math.sqrt(config.near_xy_squared)) / math.sqrt(squared)
             px, py = px * share, py * share
         vx, vy = vx + px, vy + py
     if not reference.velocity_only_z:
-        p = config.z.pos_p_per_s
-        pz = p * (z_ref - z)
-        if acc_z is not None and p * abs(pz) > acc_z:
-            pz = math.copysign(approach_speed(abs(pz), p, acc_z), pz)
+        pz = config.z.pos_p_per_s * (z_ref - z)
+        if not -config.near_z_mps <= pz <= config.near_z_mps:
+            pz = math.copysign(approach_speed(abs(pz), config.near_z_mps), pz)
         vz += pz
-    ax, ay, az = reference.acc_enu_mps2
-    if acc_xy is not None:
-        vx, vy = grown_xy(vx, vy, before[0] + ax * dt_s, before[1] + ay * dt_s, acc_xy * dt_s)
-    if acc_z is not None:
-        vz = grown(vz, before[2] + az * dt_s, acc_z * dt_s)
+    if (acc_xy := config.acc_xy_max_mps2) is not None:
+        bx, by, _ = before
+        if (squared := vx * vx + vy * vy) > bx * vx + by * vy:  # it grows
+            ax, ay, _ = reference.acc_enu_mps2
+            vx, vy = grown_xy(vx, vy, squared, bx + ax * dt_s, by + ay * dt_s, acc_xy * dt_s)
+    if (acc_z := config.acc_z_max_mps2) is not None:
+        vz = grown(vz, before[2] + reference.acc_enu_mps2[2] * dt_s, acc_z * dt_s)
     return clip(vx, config.vel_xy_max_mps), clip(vy, config.vel_xy_max_mps), clip(vz, config.vel_z_max_mps)
 
 

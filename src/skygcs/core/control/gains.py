@@ -45,7 +45,7 @@ UTIAS_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
 class _Derived:
     """What follows from a config and is wanted in every step; no fields, so that configs compare and print as given."""
 
-    __slots__ = ("dt_max_s", "dt_min_s", "integral_xy_max", "tilt_max_tan")
+    __slots__ = ("dt_max_s", "dt_min_s", "integral_xy_max", "near_xy_squared", "near_z_mps", "tilt_max_tan")
 
     dt_min_s: float
     """Shortest step the law believes: 10 ms at 50 Hz."""
@@ -54,6 +54,9 @@ class _Derived:
     integral_xy_max: float
     """Norm of the horizontal integral: what full tilt gives at hover. More could never be flown."""
     tilt_max_tan: float
+    near_xy_squared: float
+    """Of the speed up to which the position loop is not limited by ``acc_xy_max_mps2``; infinite without one."""
+    near_z_mps: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,12 @@ class ControlConfig(_Derived):
         assign(self, "dt_max_s", 1.5 * self.period_s)
         assign(self, "tilt_max_tan", tilt_max_tan)
         assign(self, "integral_xy_max", self.hover_thrust * tilt_max_tan)
+        assign(self, "near_xy_squared", _near(self.acc_xy_max_mps2, self.xy) ** 2)
+        assign(self, "near_z_mps", _near(self.acc_z_max_mps2, self.z))
+
+
+def _near(acc_mps2: float | None, gains: AxisGains) -> float:
+    return math.inf if acc_mps2 is None or gains.pos_p_per_s == 0.0 else acc_mps2 / gains.pos_p_per_s
 
 
 def _gain_problems(axis: str, gains: AxisGains) -> list[str]:

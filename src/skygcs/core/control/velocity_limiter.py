@@ -16,11 +16,10 @@ from __future__ import annotations
 import math
 
 
-def approach_speed(proportional: float, p_per_s: float, acc_mps2: float) -> float:
+def approach_speed(proportional: float, near: float) -> float:
     """The speed towards a position, less than the ``proportional`` one of the P loop where it could not brake from
-    that. Both at least 0."""
-    linear = acc_mps2 / p_per_s if p_per_s > 0.0 else math.inf
-    return proportional if proportional <= linear else math.sqrt((2.0 * proportional - linear) * linear)
+    that: above ``near``, a / Kp. Both at least 0."""
+    return proportional if proportional <= near else math.sqrt((2.0 * proportional - near) * near)
 
 
 def grown(wanted: float, before: float, most: float) -> float:
@@ -32,9 +31,8 @@ def grown(wanted: float, before: float, most: float) -> float:
     return bound if wanted < bound else wanted
 
 
-def grown_xy(x: float, y: float, before_x: float, before_y: float, most: float) -> tuple[float, float]:
-    """The same of a vector's length."""
-    squared = x * x + y * y
+def grown_xy(x: float, y: float, squared: float, before_x: float, before_y: float, most: float) -> tuple[float, float]:
+    """The same of a vector's length, whose square is ``squared``."""
     if squared <= most * most:
         return x, y
     size = math.sqrt(squared)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.control import ControlConfig, Estimate, Memory, Reference, step, velocity_step
+from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step, velocity_step
 from skygcs.core.control.gains import GRAVITY_MPS2
 from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
 from skygcs.errors import ConfigError
@@ -24,7 +24,7 @@ speeds, slow = st.floats(-15.0, 15.0), st.floats(-8.0, 8.0)
 
 @given(st.floats(0.0, 1000.0), st.floats(0.05, 5.0), st.floats(0.1, 30.0))
 def test_from_the_speed_towards_a_position_it_can_be_braked_before_it(distance_m: float, p: float, acc: float) -> None:
-    speed = approach_speed(p * distance_m, p, acc)
+    speed = approach_speed(p * distance_m, acc / p)
     assert speed <= p * distance_m + 1e-9
     assert speed * speed / (2.0 * acc) <= distance_m + 1e-9
     if p * p * distance_m <= acc:
@@ -35,11 +35,14 @@ def test_it_passes_from_the_loop_to_the_braking_curve_without_a_jump_or_a_kink()
     p, acc = 0.95, 2.0
     edge = acc / p
     for step_mps in (1e-6, 1e-4):
-        assert approach_speed(edge + step_mps, p, acc) == pytest.approx(edge + step_mps, abs=step_mps**2)
+        assert approach_speed(edge + step_mps, edge) == pytest.approx(edge + step_mps, abs=step_mps**2)
 
 
 def test_without_a_position_gain_nothing_is_limited() -> None:
-    assert approach_speed(3.0, 0.0, 2.0) == 3.0
+    config = replace(LIMITED, xy=AxisGains(0.0, 0.08, 0.02), z=AxisGains(0.0, 0.3, 0.02))
+    assert config.near_xy_squared == config.near_z_mps == math.inf
+    here = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert velocity_step(config, Memory(), here, Reference((9.0, 9.0, 9.0)), PERIOD_S)[0] == (0.0, 0.0, 0.0)
 
 
 @given(speeds, speeds, st.floats(0.001, 1.0))
@@ -49,13 +52,13 @@ def test_a_speed_grows_by_no_more_and_shrinks_at_once(wanted: float, before: flo
     assert abs(now) <= max(before * math.copysign(1.0, wanted), 0.0) + most + 1e-9
     if abs(wanted) <= abs(before) and wanted * before > 0.0:
         assert now == wanted
-    x, y = grown_xy(wanted, 0.0, before, 0.0, most)
+    x, y = grown_xy(wanted, 0.0, wanted**2, before, 0.0, most)
     assert (x, y) == (pytest.approx(now), 0.0)
 
 
 @given(speeds, speeds, speeds, speeds, st.floats(0.001, 1.0))
 def test_a_velocity_grows_along_its_own_direction(x: float, y: float, bx: float, by: float, most: float) -> None:
-    nx, ny = grown_xy(x, y, bx, by, most)
+    nx, ny = grown_xy(x, y, x * x + y * y, bx, by, most)
     size, now = math.hypot(x, y), math.hypot(nx, ny)
     assert now <= size + 1e-9
     if size > 1e-3:
