@@ -53,6 +53,7 @@ COMMANDS = (
     ("plot", ("plot",)),
     ("tlog", ("tlog",)),
     ("onboard_logs", ("log",)),
+    ("foxglove", ("foxglove",)),
     ("status", ("call", "discover")),
 )
 """Modules, and commands that their ``add_to(app)`` adds, in the order of the help. A module is imported when one of its
