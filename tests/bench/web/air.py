@@ -222,15 +222,16 @@ async def _measure_orders(station: WebStation) -> dict[str, Any]:
 def begin_plan(station: WebStation) -> dict[str, Any]:
     """Make, load and run a plan for a few vehicles: far enough to fly for the whole measurement."""
     states = {v["name"]: v for v in station.call("vehicles.list")}
-    goals = {}
+    starts, goals = {}, {}
     for number, name in enumerate(FLOWN):
         east, north, _ = states[name]["position"]["enu_m"]
-        goals[name] = [east, north + 45.0, 10.0 + 6.0 * number]
-    made = station.call("plan.make", goals=goals, others=False, limits={"speed_mps": 1.0})
+        starts[name] = [east, north, 5.0 + 2.0 * number]
+        goals[name] = [east, north + 45.0, 5.0 + 2.0 * number]
+    made = station.call("plan.make", goals=goals, starts=starts, others=False, limits={"speed_mps": 1.0})
     station.call("plan.load", plan=made["plan"])
-    run = station.call("plan.run", force=True)
-    run.get("check", {}).pop("lines", None) if isinstance(run.get("check"), dict) else run.pop("check", None)
-    return {"vehicles": len(goals), "run": run}
+    run = station.call("plan.run", force=True, set_return_heights=True)
+    problems = [f"{f['vehicle']}: {f['text']}" for f in run["report"]["findings"] if f["severity"] == "refused"]
+    return {"vehicles": len(goals), "started": run["started"], "refused": problems}
 
 
 async def _list_params(station: WebStation) -> None:
