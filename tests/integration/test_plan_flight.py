@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
@@ -232,3 +233,13 @@ async def test_the_tracking_error_of_the_fleet_file_widens_the_tube(tmp_path: Pa
         report = (await gcs("plan.status"))["vehicles"]
         tubes = {vehicle["vehicle"]: vehicle["tube_m"] for vehicle in report}
         assert tubes["v1"] == pytest.approx(tubes["v2"] + 0.9)
+
+
+async def test_a_barrier_that_was_passed_is_enough_for_the_next_step(tmp_path: Path) -> None:
+    """Within its tube, but farther from its place than a trajectory of its own might begin."""
+    control = {"trajectory": {"start_within_m": 0.1}}
+    async with flown(tmp_path, px4=2, control=control, conditions=Conditions(gps_noise_m=0.25)) as gcs:
+        starts, goals = crossing(gcs)
+        await run(gcs, timed(starts, goals))
+        await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 180.0)
+        assert state(gcs) == "finished", (await gcs("plan.status"))["reason"]

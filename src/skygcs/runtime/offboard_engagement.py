@@ -244,8 +244,8 @@ class OffboardEngagement:
             self.clock.start()
         return Outcome(True, "accepted", "followed")
 
-    def trajectory_refusal(self, loaded: LoadedTrajectory, speed_factor: float) -> str | None:
-        """Why it cannot begin this trajectory now; None if it can."""
+    def trajectory_refusal(self, loaded: LoadedTrajectory, speed_factor: float, *, placed: bool = False) -> str | None:
+        """Why it cannot begin this trajectory now; None if it can. ``placed``: the caller knows it is at its begin."""
         controller, origin, now = self.controller, self._vehicle.origin, self._loop.time()
         if not self.flying or controller.frame is None or origin is None or self._fence is None:
             return self._not_flying().message.removeprefix("refused: ")
@@ -256,7 +256,7 @@ class OffboardEngagement:
         limits = self.trajectory_limits()
         first = controller.frame.from_geodetic(*EnuFrame(origin).to_geodetic(*loaded.trajectory.start_enu_m))
         return (
-            distance_refusal(controller.here(now), first, limits)
+            (None if placed else distance_refusal(controller.here(now), first, limits))
             or loaded.why_not(limits, speed_factor)
             or loaded.outside(origin, self._fence)
         )

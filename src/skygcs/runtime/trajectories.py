@@ -168,10 +168,18 @@ class Trajectories:
         return chosen, {actor: missing.format(actor.name) for actor in actors if actor not in chosen}
 
     def _clock(
-        self, chosen: Mapping[VehicleActor, LoadedTrajectory], at_s: float, speed_factor: float
+        self,
+        chosen: Mapping[VehicleActor, LoadedTrajectory],
+        at_s: float,
+        speed_factor: float,
+        *,
+        placed: bool = False,
     ) -> TrajectoryClock | dict[VehicleActor, str]:
         """The started clock of a start, or why it must not be, by vehicle."""
-        found = {actor: actor.offboard.trajectory_refusal(loaded, speed_factor) for actor, loaded in chosen.items()}
+        found = {
+            actor: actor.offboard.trajectory_refusal(loaded, speed_factor, placed=placed)
+            for actor, loaded in chosen.items()
+        }
         refused = {actor: why for actor, why in found.items() if why is not None}
         if refused:
             return refused
@@ -193,7 +201,8 @@ class Trajectories:
     ) -> TrajectoryGroup | dict[VehicleActor, str]:
         """Let all of them begin these trajectories, or none: then why not, by vehicle. ``plan``: the plan it belongs
         to, which reports what becomes of it and alone may let it go on."""
-        now, clock = self._loop.time(), self._clock(chosen, at_s, speed_factor)
+        # the barrier of a plan has measured them, each within its tube of its place
+        now, clock = self._loop.time(), self._clock(chosen, at_s, speed_factor, placed=plan is not None)
         if not isinstance(clock, TrajectoryClock):
             return clock
         flights = {actor: actor.offboard.follow_trajectory(loaded, clock) for actor, loaded in chosen.items()}

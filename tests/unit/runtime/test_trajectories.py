@@ -84,7 +84,7 @@ async def test_a_start_in_the_past_or_never_starts_nothing() -> None:
     alpha = actor("alpha")
     kept = keeping(alpha)
     await kept.load(alpha, line(2), "a")
-    cast(Any, alpha.offboard).trajectory_refusal = lambda loaded, factor: None
+    cast(Any, alpha.offboard).trajectory_refusal = lambda loaded, factor, placed: None
     cast(Any, alpha.offboard).trajectory_limits = lambda: SimpleNamespace(brake_mps2=1.0)
     now = asyncio.get_running_loop().time()
     for at_s in (now - 1.0, now + 1e6, float("inf"), float("nan")):
