@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 LIMIT_S = 60.0
 """A hang, not a measure: a busy machine takes long."""
+
+expect.set_options(timeout=LIMIT_S * 1000)
 
 
 def until(page: Page, expression: str) -> Any:
