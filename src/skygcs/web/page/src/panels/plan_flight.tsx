@@ -32,6 +32,8 @@ interface Report {
   way_there: Certificate | null;
   duration_s: number | null;
   steps: readonly { name: string; duration_s: number | null }[];
+  /** By vehicle: is, offered (m), the parameter. */
+  return_heights: Readonly<Record<string, readonly [number | null, number, string]>>;
 }
 
 type Mode = "position" | "velocity" | "attitude";
@@ -170,10 +172,10 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
     }
     setBusy(false);
   };
-  const run = async (force: boolean): Promise<void> => {
+  const run = async (more: { force?: boolean; set_return_heights?: boolean }): Promise<void> => {
     if (found === null) return;
     const { plan } = found;
-    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, force }, targets };
+    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, ...more }, targets };
     const answer = await orderWith<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) => ({
       ok: started,
       outcomes: {},
@@ -183,6 +185,9 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
   };
   if (checked === null) return <p class="note">{status === null || status.state === "none" ? "Open or make a plan to fly it." : ""}</p>;
   const whom = namesText(targets);
+  const heights = Object.entries(report?.return_heights ?? {})
+    .filter(([, [is, offered]]) => is !== offered)
+    .map(([name, [, offered]]) => `${name} ${offered} m`);
   const insists = report !== null && !report.ok && report.findings.filter((one) => one.severity === "refused").every((one) => one.insist);
   return (
     <>
@@ -196,12 +201,17 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
       <Failure text={error} />
       {report !== null && <ReportView report={report} />}
       {report !== null && report.ok && (
-        <HoldButton what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run(false)}>
+        <HoldButton what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>
           Fly it
         </HoldButton>
       )}
+      {report !== null && !report.ok && heights.length > 0 && (
+        <HoldButton what={`Set the return heights (${heights.join(", ")}) and fly the plan with ${whom}`} act={() => void run({ set_return_heights: true })}>
+          Set return heights and fly
+        </HoldButton>
+      )}
       {insists && (
-        <HoldButton danger what={`Fly the plan with ${whom} in spite of what is refused`} act={() => void run(true)}>
+        <HoldButton danger what={`Fly the plan with ${whom} in spite of what is refused`} act={() => void run({ force: true })}>
           Fly it all the same
         </HoldButton>
       )}
