@@ -21,7 +21,7 @@ import asyncio, sys
 from skygcs.cli import process, serve
 watched = sys.argv[2:]
 loaded = lambda: [m for m in watched if m in sys.modules]
-async def served(daemon):
+async def served(daemon, **_):
     print("before", *loaded())
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
@@ -37,7 +37,7 @@ import asyncio, sys
 from skygcs.cli import process, serve
 from skygcs.rpc.client import Client
 watched = sys.argv[3:]
-async def served(daemon):
+async def served(daemon, **_):
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     async with Client(sys.argv[2]) as gcs:
