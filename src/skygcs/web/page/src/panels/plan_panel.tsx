@@ -180,14 +180,15 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   const [exchange, setExchange] = useState(false);
   const [goals, setGoals] = useState<ReadonlyMap<string, Vec3>>(new Map());
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
-  // who is selected anew begins where it is; who was dragged stays where it was put
+  const placed = useStore(store, (state) => names.filter((name) => state.vehicles.get(name)?.position?.enu_m != null).length);
+  // who is selected anew, or has a position only now, begins where it is; who was dragged stays where it was put
   useEffect(() => {
     const starts = startsOf(store.state, names, height);
     setGoals((before) => new Map(names.flatMap((name) => {
       const place = before.get(name) ?? starts[name];
       return place === undefined ? [] : [[name, place] as const];
     })));
-  }, [store, names, height]);
+  }, [store, names, height, placed]);
   const latest = useRef(goals);
   latest.current = goals;
   useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
