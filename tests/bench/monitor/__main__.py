@@ -14,10 +14,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from bench.monitor.lateness import lateness_rows
-
 from bench.monitor.cost import cost_rows
 from bench.monitor.formation import fly_formation
+from bench.monitor.lateness import lateness_rows
 from bench.monitor.virtual import in_virtual_time
 from support.encounters import Judged, judge, rows
 
