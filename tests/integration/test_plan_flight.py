@@ -10,6 +10,9 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import Conditions
+
+
+from skygcs.errors import RefusedError
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
@@ -243,3 +246,20 @@ async def test_a_barrier_that_was_passed_is_enough_for_the_next_step(tmp_path: P
         await run(gcs, timed(starts, goals))
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 180.0)
         assert state(gcs) == "finished", (await gcs("plan.status"))["reason"]
+
+
+async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_lands_them(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await midway(gcs)
+
+        async def broken(*_: Any) -> Any:
+            raise RefusedError("the planning process is busy")
+
+        plans = gcs.daemon.fleet.plans
+        plans.work = broken
+        await gcs("plan.land")
+        await gcs.until(lambda: state(gcs) == "stopped", 15.0)
+        assert "the planning process is busy" in plans.status()["reason"]
+        await asyncio.sleep(3.0)
+        await gcs("plan.land", force=True)
+        await gcs.until(lambda: state(gcs) == "landed", 120.0)

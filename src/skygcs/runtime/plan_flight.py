@@ -33,7 +33,7 @@ from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.takeoff_watch import TakeoffWatch
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError
+from skygcs.errors import RefusedError, SkygcsError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import Trajectories, TrajectoryGroup
@@ -250,7 +250,13 @@ class FlightOrders:
                     self._tasks.start(work, f"{order.kind.value} {name} for the plan")
 
     async def _certified(self, flight: PlanFlight) -> None:
-        await self._certify_landing(flight)
+        try:
+            await self._certify_landing(flight)
+        except Exception as error:  # whatever kept it from being made: they must not wait for it for ever
+            text = f"no certificate could be made ({error}); `plan land --force` lands all at once"
+            self.carry_out(flight, flight.execution.landing_refused([text]))
+            if not isinstance(error, SkygcsError):
+                raise
 
     def _fly(self, flight: PlanFlight) -> None:
         """Start the step under way on one clock."""
