@@ -9,10 +9,8 @@ from typing import Any
 
 import pytest
 
-from skygcs.sim.conditions import Conditions
-
-
 from skygcs.errors import RefusedError
+from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
