@@ -13,14 +13,13 @@ import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from enum import IntEnum
-from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
 from skygcs.cli.render import outcome_lines, print_json, print_lines, screen_width, wrapped
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
-from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, tcp_address
+from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, client_token, tcp_address
 from skygcs.rpc.client import Client, connect
 
 USAGE_ERRORS = (-32601, -32602)
@@ -120,14 +119,7 @@ def client(socket: str | None = None) -> Client:
         tcp_address(client_address(socket))
     except ValueError as error:
         raise typer.BadParameter(f"--socket: {error}") from None
-    token_file = os.environ.get(TOKEN_FILE_VARIABLE)
-    token = None
-    if token_file:
-        try:
-            token = Path(token_file).read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeError) as error:
-            raise SkygcsError(f"cannot read the token file {token_file}: {error}") from None
-    return connect(socket, token=token)
+    return connect(socket, token=client_token())
 
 
 def _in_commands(text: str) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from skygcs.cli.process import EXIT_OK, configure_logging, run_loop
 from skygcs.config.web import DEFAULT_WEB_PORT
 from skygcs.errors import SkygcsError
-from skygcs.rpc.address import client_address
+from skygcs.rpc.address import client_address, client_token
 
 if TYPE_CHECKING:
     from skygcs.web.web_process import WebOptions
@@ -86,6 +86,7 @@ def _options(args: argparse.Namespace) -> WebOptions:
 
     return WebOptions(
         socket=client_address(args.socket),
+        token=client_token(),
         host=args.host,
         port=DEFAULT_WEB_PORT if args.port is None else args.port,
         names=tuple(args.name),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from skygcs.errors import SkygcsError
+
 SOCKET_VARIABLE = "SKYGCS_SOCKET"
 TOKEN_FILE_VARIABLE = "SKYGCS_TOKEN_FILE"
 
@@ -34,3 +36,17 @@ def client_address(address: str | os.PathLike[str] | None = None) -> str:
     A path, or ``tcp://HOST:PORT`` (a daemon with ``tcp_port``, usually through an SSH tunnel).
     """
     return os.fspath(address) if address else os.environ.get(SOCKET_VARIABLE) or str(default_socket_path())
+
+
+def client_token() -> str | None:
+    """The token for a daemon on TCP, from the file that $SKYGCS_TOKEN_FILE names; None where it names none.
+
+    Raises SkygcsError if the file cannot be read.
+    """
+    token_file = os.environ.get(TOKEN_FILE_VARIABLE)
+    if not token_file:
+        return None
+    try:
+        return Path(token_file).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeError) as error:
+        raise SkygcsError(f"cannot read the token file {token_file}: {error}") from None

@@ -319,7 +319,7 @@ class VehicleParams:
             "complete": self._book.complete,
             "hash": self._book.hash,
             "loading": progress,
-            "under_way": len(self._running),
+            "in_progress": len(self._running),
         }
 
     # -- transfers

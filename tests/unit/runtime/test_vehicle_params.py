@@ -25,6 +25,7 @@ from skygcs.core.mavlink.param_encoding import (
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
+from skygcs.rpc.params import ParamStatus
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.param_transfers import VehicleParams
 from support.hosts import until
@@ -335,6 +336,7 @@ async def test_a_list_ends_when_nobody_waits_for_it_any_more() -> None:
     tasks[0].cancel()
     await asyncio.sleep(0.5)
     assert rig.params.status()["loading"]["received"] > 20
+    assert set(rig.params.status()) == set(ParamStatus.model_fields)
     tasks[1].cancel()
     await asyncio.sleep(1.0)
     sent = len(rig.sent)
