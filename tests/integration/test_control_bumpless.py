@@ -54,14 +54,20 @@ async def test_return_after_a_fall_in_wind(tmp_path: Path, kind: dict[str, int])
         await asyncio.sleep(10.0)
         await gcs.fly("attitude")
         await asyncio.sleep(15.0)
+        goal = gcs.truth[1][-1].pos_m
         gcs.sim().faults.mute = True
         await asyncio.sleep(1.0)
         gcs.sim().faults.mute = False
         assert gcs.control()["control_mode"] != "attitude"
-        await asyncio.sleep(3.0)
-        began = gcs.now
+        # a PX4 begins position control after attitude with an integral of 0 (the wind blows it away a little), so it is
+        # on its way back when it is flown by attitude again: that must not push it away once more
         await gcs.until(lambda: gcs.control()["control_mode"] == "attitude", timeout_s=40.0)
+        returned = gcs.now
         await asyncio.sleep(15.0)
-        plane_m, height_m = moved_m(gcs, began)
-        print("moved", plane_m, height_m)
-        assert plane_m <= 0.25 and height_m <= 0.1
+        x, y, z = goal
+        looks = [t.pos_m for t in gcs.truth[1] if t.at >= returned]
+        off_m = [math.hypot(p[0] - x, p[1] - y) for p in looks]
+        off_z_m = [abs(p[2] - z) for p in looks]
+        print("off at the return and at most", off_m[0], max(off_m), off_z_m[0], max(off_z_m))
+        assert max(off_m) <= off_m[0] + 0.25 and max(off_z_m) <= off_z_m[0] + 0.1
+        assert off_m[-1] <= 0.25

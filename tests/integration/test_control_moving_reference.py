@@ -83,17 +83,16 @@ async def test_a_mixed_climb_does_not_swing_at_two_seconds_of_delay(
         await gcs.fly("position")
         (x, y, z), began = gcs.place(), gcs.now
         goal_m = z + 3.0
-        led_to = z
+        led_to, given_at, up = z, began, 0.0
         while gcs.now < began + 14.0:
             if across:
                 given: dict[str, Any] = {"pos_enu_m": [None, None, goal_m], "vel_enu_mps": [0.5, 0.0, 0.0]}
             else:
+                led_to, given_at = led_to + up * (gcs.now - given_at), gcs.now
                 up = 0.5 if gcs.now < began + 6.0 else 0.0
                 given = {"pos_enu_m": [x, y, None], "vel_enu_mps": [0.0, 0.0, up]}
             await gcs.done("control.setpoint", **given, valid_s=1.0)
             await asyncio.sleep(0.2)
-            if not across:
-                led_to += 0.2 * given["vel_enu_mps"][2]
         if not across:
             goal_m = led_to  # by the velocities and the times of the setpoints
         heights = [look.pos_m[2] for look in gcs.truth[1] if look.at >= began]

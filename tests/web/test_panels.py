@@ -120,7 +120,7 @@ def test_control_shows_who_flies_it_the_error_and_the_gains(station, open_page, 
         expect(panel).to_contain_text("Its autopilot flies it")
         hold(page, panel.get_by_role("button", name=re.compile("by position setpoints")))
         expect(panel).to_contain_text("Setpoints: flying", timeout=60_000)
-        expect(panel.get_by_role("region", name="Gains")).to_contain_text("velocity P")
+        expect(panel.get_by_role("region", name="Gains")).to_contain_text("speed P")
         expect(panel.locator(".plot canvas")).to_be_visible()
         page.wait_for_timeout(3000)
         shot(page, "vehicle-control")

@@ -130,4 +130,5 @@ class Fence:
 
     def _text(self, what: str, axis: str, value_m: float, low_m: float, high_m: float, reference: bool) -> str:
         less = f" less {self.margin_m:g} m of margin" if reference else ""
-        return f"{what} is at {axis} {value_m:.1f} m (limit {low_m:g}..{high_m:g} m, the fence{less})"
+        shown_m = round(value_m, 1) + 0.0  # not -0.0
+        return f"{what} is at {axis} {shown_m:.1f} m (limit {low_m:g}..{high_m:g} m, the fence{less})"
