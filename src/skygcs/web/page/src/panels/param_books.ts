@@ -10,28 +10,39 @@ export interface ParamBook {
   sysid: number;
   compid: number;
   autopilot: string;
+  /** Its list is on its way. */
+  reading: boolean;
+  /** Why the last list did not come. */
+  failure: string | null;
 }
 
-const EMPTY_BOOK: ParamBook = { params: [], edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic" };
+const EMPTY_BOOK: ParamBook = { params: [], edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic", reading: false, failure: null };
 
 /** Vehicles whose parameters are kept: 100 kB each. */
 export const MAX_BOOKS = 20;
 
 export class ParamBooks {
   private readonly byName = new Map<string, ParamBook>();
+  private readonly listeners = new Set<() => void>();
+
+  /** Calls the listener after each change; returns what ends that. */
+  subscribe(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
 
   of(name: string): ParamBook {
     return this.byName.get(name) ?? EMPTY_BOOK;
   }
 
   /** Keeps the changed book, and forgets the one that was changed longest ago. */
-  change(name: string, change: (book: ParamBook) => ParamBook): ParamBook {
+  change(name: string, change: (book: ParamBook) => ParamBook): void {
     const book = change(this.of(name));
     this.byName.delete(name);
     this.byName.set(name, book);
     const [oldest] = this.byName.keys();
     if (this.byName.size > MAX_BOOKS && oldest !== undefined) this.byName.delete(oldest);
-    return book;
+    for (const listener of [...this.listeners]) listener();
   }
 }
 

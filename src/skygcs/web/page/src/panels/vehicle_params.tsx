@@ -1,7 +1,7 @@
 // Parameters of one vehicle: search, edits that wait, a file to compare with. Nothing is set before a person says so,
 // and a list that is on its way blocks nothing.
 
-import { useRef, useState } from "preact/hooks";
+import { useEffect, useReducer, useRef, useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
@@ -41,22 +41,23 @@ export interface ParamsDifference {
 export function VehicleParams(props: VehicleProps) {
   const { store, connection, name } = props;
   const orders = useStore(store, mayOrder);
-  const [book, setBook] = useState<ParamBook>(() => paramBooks.of(name));
+  const book = useBook(name);
   const [search, setSearch] = useState("");
   const [onlyChanged, setOnlyChanged] = useState(false);
-  const keep = (change: (book: ParamBook) => ParamBook): void => setBook(paramBooks.change(name, change));
-  const list = useReading(props, keep);
-  const { answer: status } = usePolled<Record<string, ParamStatus>>(store, connection, "params.status", { targets: [name] }, list.busy ? 500 : 5000);
+  const keep = (change: (book: ParamBook) => ParamBook): void => paramBooks.change(name, change);
+  const read = (): Promise<void> => readList(props, keep);
+  const cancel = (): Promise<void> => cancelList(props, keep);
+  const { answer: status } = usePolled<Record<string, ParamStatus>>(store, connection, "params.status", { targets: [name] }, book.reading ? 500 : 5000);
   const loading = status?.[name]?.loading ?? null;
   const shown = book.params.filter((one) => matches(one.name, search) && (!onlyChanged || book.edits.has(one.name) || book.setHere.has(one.name)));
   return (
     <>
       <div class="row">
-        <button type="button" class={book.params.length === 0 ? "primary" : ""} disabled={!orders || list.busy} onClick={() => void list.read()}>
-          {list.busy ? "Reading …" : book.params.length === 0 ? "Read all" : "Read again"}
+        <button type="button" class={book.params.length === 0 ? "primary" : ""} disabled={!orders || book.reading} onClick={() => void read()}>
+          {book.reading ? "Reading …" : book.params.length === 0 ? "Read all" : "Read again"}
         </button>
-        {list.busy && (
-          <button type="button" onClick={() => void list.cancel()}>
+        {book.reading && (
+          <button type="button" onClick={() => void cancel()}>
             Cancel
           </button>
         )}
@@ -68,7 +69,7 @@ export function VehicleParams(props: VehicleProps) {
         <span class="muted">{progressText(loading, book.params.length)}</span>
       </div>
       {loading !== null && <progress max={100} value={loading.percent ?? 0} aria-label="Parameters read" />}
-      <Failure text={list.error} />
+      <Failure text={book.failure} />
       {!orders && book.params.length === 0 && <p class="note">This address may only look, and parameters are asked for over the radio.</p>}
       {book.params.length > 0 && (
         <>
@@ -93,38 +94,38 @@ function progressText(loading: ParamStatus["loading"], known: number): string {
   return `${loading.received} of ${loading.count ?? "?"}${rest}`;
 }
 
-function useReading({ store, connection, name }: VehicleProps, keep: (change: (book: ParamBook) => ParamBook) => void): {
-  busy: boolean;
-  error: string | null;
-  read: () => Promise<void>;
-  cancel: () => Promise<void>;
-} {
-  const [busy, setBusy] = useState(false);
-  const [error, setError] = useState<string | null>(null);
-  const read = async (): Promise<void> => {
-    setBusy(true);
-    setError(null);
-    try {
-      // the list comes when it is whole: minutes over a slow radio
-      const found = (await ask<ParamList>(store, connection, "params.list", { targets: [name] })).lists[name];
-      if (found === undefined || !found.ok) setError(found?.message ?? "no answer for this vehicle");
-      if (found !== undefined && found.params !== null && found.params.length > 0) {
-        const { params, sysid, compid, autopilot } = found;
-        keep((book) => ({ ...book, params: [...params].sort((a, b) => a.name.localeCompare(b.name)), sysid, compid, autopilot }));
-      }
-    } catch (failed) {
-      setError(refusalText(failed));
+/** The book of a vehicle; the component is drawn again when it changed, by whomever: a list that was asked for before the
+ * panel was closed comes into the book all the same. */
+function useBook(name: string): ParamBook {
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  useEffect(() => paramBooks.subscribe(() => redraw(0)), []);
+  return paramBooks.of(name);
+}
+
+type Keep = (change: (book: ParamBook) => ParamBook) => void;
+
+/** Asks for all parameters; the list comes when it is whole: minutes over a slow radio. */
+async function readList({ store, connection, name }: VehicleProps, keep: Keep): Promise<void> {
+  keep((book) => ({ ...book, reading: true, failure: null }));
+  try {
+    const found = (await ask<ParamList>(store, connection, "params.list", { targets: [name] })).lists[name];
+    const failure = found === undefined || !found.ok ? found?.message ?? "no answer for this vehicle" : null;
+    keep((book) => ({ ...book, reading: false, failure }));
+    if (found !== undefined && found.params !== null && found.params.length > 0) {
+      const { params, sysid, compid, autopilot } = found;
+      keep((book) => ({ ...book, params: [...params].sort((a, b) => a.name.localeCompare(b.name)), sysid, compid, autopilot }));
     }
-    setBusy(false);
-  };
-  const cancel = async (): Promise<void> => {
-    try {
-      await ask(store, connection, "params.cancel", { targets: [name] });
-    } catch (failed) {
-      setError(refusalText(failed));
-    }
-  };
-  return { busy, error, read, cancel };
+  } catch (failed) {
+    keep((book) => ({ ...book, reading: false, failure: refusalText(failed) }));
+  }
+}
+
+async function cancelList({ store, connection, name }: VehicleProps, keep: Keep): Promise<void> {
+  try {
+    await ask(store, connection, "params.cancel", { targets: [name] });
+  } catch (failed) {
+    keep((book) => ({ ...book, failure: refusalText(failed) }));
+  }
 }
 
 // --- edits ------------------------------------------------------------------------------------------------------------
