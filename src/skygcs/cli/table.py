@@ -92,7 +92,7 @@ def table(
 ) -> None:
     """Send vehicles to the initial or final positions of a file; exit 0 when all are there.
 
-    The flight is certified first: positions and straight paths keep every margin, whoever is early or late, also from
+    The flight is certified first: positions and straight paths keep every margin at any timing, also from
     vehicles that take no part. Positions too close are refused, paths too close need --force.
     """
     for option, value, most in (("--arrive", arrive_m, 100), ("--timeout", timeout_s, 86400)):
@@ -169,7 +169,7 @@ async def _prepared(
     flights = [
         TableFlight(found[key][0], spot, math.dist(found[key][1], spot.position_m)) for key, spot in wanted.items()
     ]
-    # their straight ways keep the margins, whoever is early or late
+    # their straight ways keep the margins at any timing
     margin: dict[str, Any] = {} if separation_m is None else {"margin_m": separation_m}
     goals = {flight.name: list(flight.goal.position_m) for flight in flights}
     answer = await gcs.planning("plan.make", goals=goals, kind="direct", **margin)

@@ -60,7 +60,7 @@ def address_problem(host: str, names: Sequence[str], *, tls: bool) -> str | None
         return None
     if not tls:
         return (
-            f"{host}: another address than 127.0.0.1 needs TLS, or whoever listens in could fly the fleet: "
+            f"{host}: another address than 127.0.0.1 needs TLS, or anyone on the network could fly the fleet: "
             "set web.tls_cert and web.tls_key (--tls-cert, --tls-key)"
         )
     if address.is_unspecified and not names:

@@ -209,7 +209,7 @@ class Session(asyncio.Protocol):
         self._hub.feeds.remove(subscription)
 
     def relay_operator(self) -> None:
-        """Its requests come from a program on behalf of a person who may have left: they show nobody's presence."""
+        """Its requests come from a program on behalf of a person who may have left: they do not count as input."""
         self._relays_operator = True
 
     def notify(self, method: str, params: JsonObject) -> None:
@@ -507,7 +507,7 @@ class Session(asyncio.Protocol):
 
 
 def _is_relay(request: object) -> bool:
-    """True for operator.relay, which is the first request of its connection and shows nobody's presence either."""
+    """True for operator.relay, which is the first request of its connection and does not count as input either."""
     return isinstance(request, dict) and request.get("method") == RELAY
 
 

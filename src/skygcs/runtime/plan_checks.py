@@ -25,6 +25,7 @@ from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
 from skygcs.runtime import fleet_margins
 from skygcs.runtime.plan_flight import measured_place
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -150,7 +151,7 @@ def state_findings(
     else:
         try:
             offboard_entry.guided_mode(vehicle)
-        except Exception as error:
+        except RefusedError as error:
             why = str(error)
     if why is not None:
         return [Finding(actor.name, "state", Level.REFUSED, why, "it cannot fly the plan: leave it out")]

@@ -87,7 +87,7 @@ class PlanningQueue:
             if not job.cancelled:
                 raise  # the client has gone
             raise RefusedError(f"planning request {job.number} was cancelled") from None
-        except BaseException:
+        except Exception:
             self.counters.failed += 1
             raise
         finally:

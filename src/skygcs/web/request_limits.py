@@ -19,8 +19,8 @@ ENDING_PER_S, ENDING_BURST = 20.0, 40.0
 MAX_WAITING, MAX_ENDING_WAITING = 16, 16
 """Requests without an answer yet."""
 
-HOPELESS = 2000
-"""Refused requests after which the page is closed: nobody reads the refusals."""
+MAX_REFUSED = 2000
+"""Refused requests after which the page is closed: it does not read the refusals."""
 
 DEADLINE_MAX_S = 30.0
 """An order may not lie about for longer than STOP repeats itself."""
@@ -38,7 +38,7 @@ class PageLimits:
     @property
     def exceeded(self) -> bool:
         """True if the page is to be closed."""
-        return self.refused >= HOPELESS
+        return self.refused >= MAX_REFUSED
 
     def begin(self, now: float, *, ends_flight: bool) -> str | None:
         """Why a request is refused; None: it may go, and `end` is called when it was answered."""

@@ -10,7 +10,7 @@ import pytest
 
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.web.page_clients import EVENTS_WAITING, STUCK_S, PageClient, PageClients
-from skygcs.web.request_limits import HOPELESS, MAX_ENDING_WAITING, MAX_WAITING
+from skygcs.web.request_limits import MAX_ENDING_WAITING, MAX_REFUSED, MAX_WAITING
 from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates
 
@@ -239,7 +239,7 @@ async def test_replies_that_are_not_read_count_as_waiting(bench: Bench) -> None:
 async def test_a_flooding_page_is_closed(bench: Bench) -> None:
     page, socket = bench.page()
     other, other_socket = bench.page()
-    for _ in range(HOPELESS + 1):
+    for _ in range(MAX_REFUSED + 1):
         page.on_message("x")
     await asyncio.sleep(0.01)
     assert socket.aborted and page not in bench.pages.clients

@@ -8,8 +8,8 @@ import pytest
 
 from skygcs.web.request_limits import (
     DEADLINE_MAX_S,
-    HOPELESS,
     MAX_ENDING_WAITING,
+    MAX_REFUSED,
     MAX_WAITING,
     REQUEST_BURST,
     PageLimits,
@@ -25,7 +25,7 @@ def test_a_flood_is_refused_and_stop_is_not_behind_it() -> None:
             granted += 1
             limits.end(ends_flight=False)
     assert granted == REQUEST_BURST
-    assert limits.exceeded and limits.refused >= HOPELESS
+    assert limits.exceeded and limits.refused >= MAX_REFUSED
     assert limits.begin(0.0, ends_flight=True) is None
 
 

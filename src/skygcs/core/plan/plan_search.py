@@ -84,7 +84,6 @@ def make_plan(
     """Search in the order of the table. Raises RefusedError for an invalid task."""
     from skygcs.core.plan.straight_flight import assigned
 
-    space = space or FlightSpace()
     names = list(task.starts)
     if not names:
         raise RefusedError("a plan has one vehicle at least")
@@ -96,91 +95,77 @@ def make_plan(
         order = assigned(starts, goals, rule.downwash_ratio)
         goals = [goals[index] for index in order]
     attempts: list[Attempt] = []
-    from_to = dict(zip(names, starts, strict=True)), dict(zip(names, goals, strict=True))
-    for make in (_ends, *ATTEMPTS[task.kind]):
-        attempt = make(*from_to, rule, limits, space, progress)
-        if attempt is None:
-            continue
+    goal_of = dict(zip(names, goals, strict=True))
+    search = _Search(dict(task.starts), goal_of, rule, limits, space or FlightSpace(), progress)
+    if (ends := _ends(search)) is not None:
+        return Found(None, ends.certificate, (ends,))
+    for make in ATTEMPTS[task.kind]:
+        attempt = make(search)
         attempts.append(attempt)
-        if make is _ends:
-            return Found(None, attempt.certificate, tuple(attempts))
         if attempt.certificate is not None and attempt.certificate.certified:
             return Found(attempt.plan, attempt.certificate, tuple(attempts))
     last = next((a.certificate for a in reversed(attempts) if a.certificate is not None), None)
     return Found(None, last, tuple(attempts))
 
 
-Places = Mapping[str, Vector]
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What every attempt is made from."""
+
+    starts: Mapping[str, Vector]
+    goals: Mapping[str, Vector]
+    rule: MarginRule
+    limits: MotionLimits
+    space: FlightSpace
+    progress: AttemptProgress | None
 
 
-def _ends(
-    starts: Places,
-    goals: Places,
-    rule: MarginRule,
-    limits: MotionLimits,
-    space: FlightSpace,
-    progress: AttemptProgress | None,
-) -> Attempt | None:
+def _ends(search: _Search) -> Attempt | None:
     """Standing at the starts, and at the goals: where that is not safe nothing can be."""
-    for what, places in (("starts", starts), ("goals", goals)):
-        certificate = certify(PhasedPlan(places, (Phase(f"standing at the {what}", {}),)), rule, space)
+    for what, places in (("starts", search.starts), ("goals", search.goals)):
+        certificate = certify(PhasedPlan(places, (Phase(f"standing at the {what}", {}),)), search.rule, search.space)
         if not certificate.certified:
             return Attempt(what, None, certificate)
     return None
 
 
-def _direct(
-    starts: Places,
-    goals: Places,
-    rule: MarginRule,
-    limits: MotionLimits,
-    space: FlightSpace,
-    progress: AttemptProgress | None,
-) -> Attempt:
-    plan = PhasedPlan(starts, (Phase(DIRECT, dict(goals)),))
-    return Attempt("straight, each at its own speed", plan, certify(plan, rule, space))
+def _direct(search: _Search) -> Attempt:
+    plan = PhasedPlan(search.starts, (Phase(DIRECT, dict(search.goals)),))
+    return Attempt("straight, each at its own speed", plan, certify(plan, search.rule, search.space))
 
 
-def _straight(
-    starts: Places,
-    goals: Places,
-    rule: MarginRule,
-    limits: MotionLimits,
-    space: FlightSpace,
-    progress: AttemptProgress | None,
-) -> Attempt:
+def _straight(search: _Search) -> Attempt:
     from skygcs.core.plan.straight_flight import straight_trajectories
 
-    trajectories = straight_trajectories(list(starts.values()), list(goals.values()), limits)
-    plan = TimedPlan(dict(zip(starts, trajectories, strict=True)))
-    report = None if progress is None else partial(progress, "straight, timed")
-    return Attempt("straight, timed", plan, certify(plan, rule, space, progress=report))
+    trajectories = straight_trajectories(list(search.starts.values()), list(search.goals.values()), search.limits)
+    plan = TimedPlan(dict(zip(search.starts, trajectories, strict=True)))
+    report = None if search.progress is None else partial(search.progress, "straight, timed")
+    return Attempt("straight, timed", plan, certify(plan, search.rule, search.space, progress=report))
 
 
-def _layers(
-    starts: Places,
-    goals: Places,
-    rule: MarginRule,
-    limits: MotionLimits,
-    space: FlightSpace,
-    progress: AttemptProgress | None,
-) -> Attempt:
+def _layers(search: _Search) -> Attempt:
     from skygcs.core.plan.layered_flight import layered
 
-    if progress is not None:
-        progress("layers", 0, len(starts))
+    if search.progress is not None:
+        search.progress("layers", 0, len(search.starts))
 
-    half = [rule.half_m(name) for name in starts]
-    standing = max((rule.half_m(name) for name in space.standing), default=0.0)
+    half = [search.rule.half_m(name) for name in search.starts]
+    standing = max((search.rule.half_m(name) for name in search.space.standing), default=0.0)
     found = layered(
-        list(starts), list(starts.values()), list(goals.values()), half, rule.downwash_ratio, space, standing
+        list(search.starts),
+        list(search.starts.values()),
+        list(search.goals.values()),
+        half,
+        search.rule.downwash_ratio,
+        search.space,
+        standing,
     )
     if isinstance(found, str):
         return Attempt("layers", None, None, found)
     plan, layers = found
     rounds = len(set(layers.round))
     what = f"{len(set(layers.layer))} layers" + ("" if rounds == 1 else f", {rounds} rounds")
-    return Attempt(what, plan, certify(plan, rule, space))
+    return Attempt(what, plan, certify(plan, search.rule, search.space))
 
 
 ATTEMPTS = {"auto": (_straight, _layers), "timed": (_straight,), "phased": (_layers,), "direct": (_direct,)}
