@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Awaitable
 from typing import Any, Protocol
 
 import structlog
@@ -85,7 +86,8 @@ class Pages(Protocol):
     def on_states(self) -> None: ...
     def on_event(self, event: dict[str, Any]) -> None: ...
     def on_daemon(self) -> None: ...
-    def notify(self, method: str, params: Any) -> None: ...
+    def notify(self, method: str, params: Any, *, keep: bool = False) -> None: ...
+    def wake_all(self) -> None: ...
     @property
     def wanted(self) -> asyncio.Event:
         """Set when a page has subscribed."""
@@ -182,10 +184,18 @@ class DaemonConnection:
         clients = {}
         for name in ("feed", "reads", "orders", "ending"):
             client = await stack.enter_async_context(connect(self.address, token=self._token))
-            await asyncio.wait_for(client.call("operator.relay"), ALIVE_WITHIN_S)
+            await self._in_time(client.call("operator.relay"))
             clients[name] = client
-        self.info = await asyncio.wait_for(clients["reads"].call("daemon.info"), ALIVE_WITHIN_S)
+        self.info = await self._in_time(clients["reads"].call("daemon.info"))
         self._clients = clients
+
+    async def _in_time(self, answer: Awaitable[Any]) -> Any:
+        """The answer. Raises DaemonUnreachable where a daemon takes connections and does not answer."""
+        try:
+            return await asyncio.wait_for(answer, ALIVE_WITHIN_S)
+        except TimeoutError:
+            reason = f"it has not answered for {ALIVE_WITHIN_S:g} s"
+            raise DaemonUnreachable(self.address, reason) from None
 
     async def _serve(self, pages: Pages) -> None:
         feed = self._clients["feed"]
@@ -206,10 +216,14 @@ class DaemonConnection:
                 await pages.wanted.wait()
                 continue
             subscription = feed.telemetry("all", rate_hz=rate_hz, groups=STATE_KEYS)
+            began_at = self.loop.time()
             reading = self.loop.create_task(self._read_states(subscription, pages), name="telemetry")
             try:
                 while feed_rate_hz(pages.rate_hz()) == rate_hz and not reading.done():
                     await asyncio.wait({reading}, timeout=RATE_EVERY_S)
+                    if not self._states.complete and self.loop.time() - began_at > GONE_AFTER_S:
+                        self._states.settle()  # this daemon has no vehicle
+                        pages.wake_all()
                 if reading.done():
                     reading.result()
             finally:
@@ -236,16 +250,12 @@ class DaemonConnection:
 
     async def _feed_plan(self, plans: Subscription, pages: Pages) -> None:
         async for plan in plans:
-            pages.notify("web.plan", plan)
+            pages.notify("web.plan", plan, keep=True)
 
     async def _keep_alive(self, client: Client) -> None:
         while True:
             await asyncio.sleep(ALIVE_EVERY_S)
-            try:
-                await asyncio.wait_for(client.call("daemon.info"), ALIVE_WITHIN_S)
-            except TimeoutError:
-                reason = f"it has not answered for {ALIVE_WITHIN_S:g} s"
-                raise DaemonUnreachable(self.address, reason) from None
+            await self._in_time(client.call("daemon.info"))
 
     def _change(self, connected: bool, text: str, pages: Pages) -> None:
         if (connected, text) == (self.connected, self.text):

@@ -81,6 +81,8 @@ class PageClients:
         self.counters = {"closed_stuck": 0, "closed_flooding": 0, "events_dropped": 0, "late_orders": 0}
         self.wanted = asyncio.Event()
         """Set when a page has subscribed."""
+        self._kept: dict[str, bytes] = {}
+        """The newest of notices that a page needs which comes later; forgotten with the daemon."""
         self._round: asyncio.TimerHandle | None = None
         self._operator_at = float("-inf")
 
@@ -98,13 +100,21 @@ class PageClients:
 
     def on_daemon(self) -> None:
         """The connection to the daemon has come or gone."""
+        self._kept.clear()
         self.notify("web.daemon", self.daemon_status())
         self.wake_all()
 
-    def notify(self, method: str, params: Any) -> None:
-        """Send something to all pages; of one method only the newest waits."""
+    def notify(self, method: str, params: Any, *, keep: bool = False) -> None:
+        """Send something to all pages; of one method only the newest waits. ``keep``: also to pages that come later."""
         body = b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), _encode(params))
+        if keep:
+            self._kept[method] = body
         for client in tuple(self.clients):
+            client.offer_notice(method, body)
+
+    def offer_kept(self, client: PageClient) -> None:
+        """What a page that has come now has missed."""
+        for method, body in self._kept.items():
             client.offer_notice(method, body)
 
     def wake_all(self) -> None:
@@ -132,7 +142,9 @@ class PageClients:
     def _on_round(self) -> None:
         self._round = None
         due = self.states.round_complete_at()
-        if due is not None and due > self.loop.time() + 0.0005:
+        if due is None:
+            return  # it was forgotten: the daemon is gone
+        if due > self.loop.time() + 0.0005:
             self._arm_round()
             return
         self.states.end_round()
@@ -179,6 +191,7 @@ class PageClient:
         else:
             self.page_states.again(rate_hz)
         self.pages.wanted.set()
+        self.pages.offer_kept(self)
         self.wake()
         return self.page_states.seq
 

@@ -373,6 +373,9 @@ class ReplaySource:
             state = self.fleet.state(vehicle, self.position_s)
             light = {key: state[key] for key in ("name", "sysid", *STATE_KEYS)}
             self._states.put(vehicle.name, to_json(light, inf_nan_mode="null"), now)
+        if not self._states.complete and not self.fleet.vehicles:
+            self._states.settle()  # nothing was heard yet at this time of the recording
+            pages.wake_all()
         pages.on_states()
 
 

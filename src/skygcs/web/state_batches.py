@@ -32,6 +32,8 @@ class LatestStates:
 
     def __init__(self) -> None:
         self.generation = 0
+        self.complete = False
+        """False from `reset` to the end of a round: what the fleet is, is not known, and pages are sent nothing."""
         self.number = 0
         self.heard_at = 0.0
         """When the newest state came."""
@@ -73,8 +75,14 @@ class LatestStates:
         """Forget everything: another daemon, or another place in a recording."""
         self._entries.clear()
         self._removed.clear()
+        self._round_began = None
+        self.complete = False
         self.generation += 1
         self.number += 1
+
+    def settle(self) -> None:
+        """There are no other vehicles than those that are known, be it none."""
+        self.complete = True
 
     def round_complete_at(self) -> float | None:
         """When what came may be sent; None: nothing has come since `end_round`."""
@@ -85,6 +93,7 @@ class LatestStates:
     def end_round(self) -> None:
         """What came so far is a round."""
         self._round_began = None
+        self.settle()
 
     def since(self, number: int) -> tuple[list[bytes], list[str]]:
         """(states, names that are gone) after ``number``, the oldest state first."""
@@ -114,7 +123,10 @@ class PageStates:
         self._generation = None
 
     def due_at(self) -> float | None:
-        """When the next batch may be sent; None: there is nothing to send. A new generation waits for nothing."""
+        """When the next batch may be sent; None: there is nothing to send. A new generation waits only until its fleet
+        is known."""
+        if not self._states.complete:
+            return None
         if self._generation != self._states.generation:
             return float("-inf")
         if self._states.number == self._number:

@@ -298,3 +298,35 @@ async def test_pages_of_different_rates(bench: Bench) -> None:
     assert bench.pages.rate_hz() == 20
     count = [sum(m["method"] == "web.state" for m in socket.sent) for socket in (slow, quick)]
     assert 5 <= count[0] <= 12 and count[1] >= 95
+
+
+async def test_of_a_daemon_that_is_away_no_fleet_is_sent(bench: Bench) -> None:
+    """An empty one would be shown as a fleet without vehicles."""
+    _, socket = bench.page(rate_hz=10)
+    bench.states.put("a", b'{"name":"a"}', asyncio.get_running_loop().time())
+    bench.pages.on_states()
+    bench.states.reset()  # lost before the round was sent
+    bench.source.connected = False
+    bench.pages.on_daemon()
+    await asyncio.sleep(5.0)
+    assert [m["method"] for m in socket.sent] == ["web.daemon"]
+    bench.source.connected = True
+    bench.pages.on_daemon()
+    bench.states.put("a", b'{"name":"a"}', asyncio.get_running_loop().time())
+    bench.pages.on_states()
+    await asyncio.sleep(0.2)
+    assert [m["method"] for m in socket.sent] == ["web.daemon", "web.daemon", "web.state"]
+    assert socket.sent[-1]["params"]["full"] is True
+
+
+async def test_a_page_that_comes_later_gets_the_newest_plan_until_the_daemon_is_gone(bench: Bench) -> None:
+    for state in ("loaded", "flying"):
+        bench.pages.notify("web.plan", {"state": state}, keep=True)
+    bench.pages.notify("web.other", {})
+    _, socket = bench.page(rate_hz=10)
+    await asyncio.sleep(0.1)
+    assert [(m["method"], m["params"]) for m in socket.sent] == [("web.plan", {"state": "flying"})]
+    bench.pages.on_daemon()
+    _, later = bench.page(rate_hz=10)
+    await asyncio.sleep(0.1)
+    assert later.sent == []

@@ -12,6 +12,7 @@ def test_a_page_begins_with_the_whole_fleet_and_then_gets_what_changed() -> None
     states = LatestStates()
     states.put("a", b"a1", 0.0)
     states.put("b", b"b1", 0.0)
+    states.end_round()
     page = PageStates(states, 10.0)
     assert page.batch(0.0) == (True, [b"a1", b"b1"], ())
     assert page.due_at() is None
@@ -51,15 +52,35 @@ def test_what_the_daemon_no_longer_sends_is_forgotten() -> None:
     assert PageStates(states, 1.0).batch(5.0) == (True, [b"n"], ())
 
 
-def test_after_a_reset_a_page_gets_the_whole_fleet_at_once() -> None:
+def test_after_a_reset_nothing_is_sent_until_the_fleet_is_known_and_then_all_of_it_at_once() -> None:
     states = LatestStates()
     page = PageStates(states, 0.2)
     states.put("a", b"a", 0.0)
+    states.end_round()
     page.batch(0.0)
     states.reset()
-    assert page.due_at() == float("-inf")
+    assert page.due_at() is None
     states.put("b", b"b", 0.0)
+    assert page.due_at() is None
+    states.end_round()
+    assert page.due_at() == float("-inf")
     assert page.batch(0.0) == (True, [b"b"], ())
+
+
+def test_a_fleet_without_a_vehicle_is_sent_when_that_is_known() -> None:
+    states = LatestStates()
+    page = PageStates(states, 0.2)
+    assert page.due_at() is None
+    states.settle()
+    assert page.due_at() == float("-inf")
+    assert page.batch(0.0) == (True, [], ())
+
+
+def test_a_round_that_was_forgotten_completes_nothing() -> None:
+    states = LatestStates()
+    states.put("a", b"a", 1.0)
+    states.reset()
+    assert states.round_complete_at() is None
 
 
 def test_the_list_of_forgotten_vehicles_is_bounded() -> None:
@@ -75,6 +96,7 @@ def test_the_list_of_forgotten_vehicles_is_bounded() -> None:
 
 def test_a_page_gets_no_more_batches_than_it_wants() -> None:
     states = LatestStates()
+    states.settle()
     page = PageStates(states, 2.0)
     page.batch(0.0)
     states.put("a", b"a", 0.1)

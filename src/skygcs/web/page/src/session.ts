@@ -58,8 +58,6 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
       return;
     }
     seq = batch.seq;
-    // without a daemon nothing is known of the fleet, which is not the same as that it is empty: it stays, and turns grey
-    if (store.state.daemon?.connected === false && batch.vehicles.length === 0) return;
     store.dispatch({ type: "batch", batch, atMs: nowMs() });
     const generation = batch.vehicles.find((v) => v.position?.origin_generation != null)?.position?.origin_generation;
     if (generation !== undefined && generation !== null && generation !== originGeneration) {
