@@ -30,9 +30,8 @@ START_S = 150.0
 NEAR_STAND_M = 1.5
 """How far from its place a vehicle may be when a scenario begins: the noise of PX4's simulated GPS is half of it."""
 
-STAND_S, SEND_AGAIN_S = 180.0, 5.0
-"""Until all stand at their places (a wait, and no measurement), and from one order to one that stands elsewhere to the
-next."""
+STAND_S = 180.0
+"""Until all stand at their places: a wait, and no measurement."""
 
 TELEMETRY_HZ = 10
 RECENTLY_S = 3.5
@@ -399,17 +398,12 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
                     self.wait(lambda n=name: not self.truth(n).armed, 60, f"{name} has landed")  # type: ignore[misc]
                     self.wait_idle(name)
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
-        began = time.monotonic()
-        asked = dict.fromkeys(names, began)
-        up_s = self.wait(
-            lambda: all([self._is_up(n, height_m) or self._at_stand(n, height_m, asked) for n in names]),
-            STAND_S,
-            f"{names} are up",
-        )
+        up_s = self.wait(lambda: all(self._is_up(n, height_m) for n in names), STAND_S, f"{names} are up")
+        for name in names:
+            if math.dist(self.enu(name)[:2], self.stand(name)) > NEAR_STAND_M:  # a takeoff elsewhere
+                self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
         self.wait(
-            lambda: all([self._at_stand(name, height_m, asked) for name in names]),
-            STAND_S,
-            f"{names} stand at their places",
+            lambda: all(self._at_stand(name, height_m) for name in names), STAND_S, f"{names} stand at their places"
         )
         return up_s
 
@@ -418,15 +412,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         truth = self.truth(name)
         return abs(truth.alt_rel_m - height_m) < 1.5 and truth.mode != "TAKEOFF"
 
-    def _at_stand(self, name: str, height_m: float, asked: dict[str, float]) -> bool:
-        """Whether it stands at its place. One that stands elsewhere is sent there again: an ArduCopter 4.6.3 that got
-        DO_REPOSITION 0.1 s after BRAKE and GUIDED was seen to accept it and not to move for 240 s, four times in 20."""
+    def _at_stand(self, name: str, height_m: float) -> bool:
         near = self._is_up(name, height_m) and math.dist(self.enu(name)[:2], self.stand(name)) < NEAR_STAND_M
-        steady, now = self.steady(name), time.monotonic()
-        if steady and not near and now > asked[name] + SEND_AGAIN_S:
-            self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
-            asked[name] = now
-        return near and steady
+        return near and self.steady(name)
 
     def stand(self, name: str) -> tuple[float, float]:
         """Where it took off from, in metres east and north."""

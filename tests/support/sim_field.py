@@ -73,10 +73,11 @@ class SimField:
         self._seq += 1
         self.on_send(info.name, values)
         raw = encode(info, values, sysid=255, compid=25, seq=self._seq & 0xFF)
-        self.loop.call_later(self.delay_s, self._arrive, raw)
+        self.loop.call_later(self.delay_s, self.deliver, raw)
         return True
 
-    def _arrive(self, raw: bytes) -> None:
+    def deliver(self, raw: bytes) -> None:
+        """The vehicles hear these bytes now."""
         for frame in self._up.feed_datagram(raw):
             self.sim.on_frame(frame, self.loop.time())
 

@@ -139,6 +139,8 @@ class ScriptedVehicle(Voice):
         self.status = 3
         self.flying = False
         self.place = HOME[:2]
+        self.target: tuple[int, int, float] | None = None
+        """What an ArduCopter reports that it flies to: latitude and longitude (1e-7 degrees), altitude."""
         self.delay_s = delay_s
         self.booted_at = asyncio.get_running_loop().time() - 60.0
         self.silent = False
@@ -222,6 +224,11 @@ def accept_everything(vehicle: ScriptedVehicle, sent: Sent) -> None:
         vehicle.mode = PX4_RTL if vehicle.autopilot == PX4 else 6
     elif sent.command == 192:
         vehicle.mode = PX4_LOITER if vehicle.autopilot == PX4 else 4
+        if sent.name == "COMMAND_INT":
+            vehicle.target = (sent.x, sent.y, HOME[2] + sent.z)
+    elif sent.name == "COMMAND_LONG" and sent.command == 512 and vehicle.target is not None:
+        target = mav.MAVLink_position_target_global_int_message(1, 0, 0xFFF8, *vehicle.target, *[0.0] * 8)
+        vehicle.tell(vehicle.say(target), 0.01)
     if sent.name.startswith("COMMAND_"):
         vehicle.reply(sent)
 

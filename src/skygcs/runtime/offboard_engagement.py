@@ -622,6 +622,7 @@ class OffboardEngagement:
         self._trace.write(tick)
         if not self.controller.active and self.clock.running:
             self.clock.stop()
+            self._orders.sent_before_at = self._loop.time()
             self._displace()
             self._trace.end()
             self._streams.restore()

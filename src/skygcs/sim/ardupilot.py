@@ -19,6 +19,7 @@ from skygcs.core.mission.item import MissionItem
 from skygcs.sim import failsafe
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER, CopterMode, Reaction
+from skygcs.sim.body import Vector
 from skygcs.sim.command_message import Command
 from skygcs.sim.copter_files import FileServer
 from skygcs.sim.copter_guided import GuidedTargets
@@ -360,6 +361,14 @@ class CopterVehicle(SimVehicle):
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
         self.guided.take(self, name, fields, now)
 
+    def reported_target_enu_m(self) -> Vector | None:
+        if self.mode == CopterMode.GUIDED:
+            return self.guided.place_enu_m
+        leg = self.plan.leg
+        if self.mode not in (CopterMode.AUTO, CopterMode.RTL) or not isinstance(leg, GoTo):
+            return None
+        return leg.east_m, leg.north_m, leg.up_m
+
     # -- streams
 
     def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
@@ -473,8 +482,7 @@ class CopterVehicle(SimVehicle):
             return m.MAV_RESULT_FAILED
         if not self.landed:
             self.taking_off = False
-            self.guided.forget()
-            self.plan.fly(GoTo(east, north, up))
+            self.guided.go_to(self, east, north, up)
         return m.MAV_RESULT_ACCEPTED
 
     def inside_fence(self, east_m: float, north_m: float, up_m: float) -> bool:
@@ -491,8 +499,7 @@ class CopterVehicle(SimVehicle):
             return False
         if not self.landed:
             self.taking_off = False
-            self.guided.forget()
-            self.plan.fly(GoTo(east, north, up))
+            self.guided.go_to(self, east, north, up)
         return True
 
     def _command_yaw(self, c: Command) -> int:

@@ -8,12 +8,12 @@ from typing import Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
 from skygcs.sim.behaviours import CopterMode
-from skygcs.sim.body import AttitudeSetpoint
+from skygcs.sim.body import AttitudeSetpoint, Vector
 from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.failsafe import FENCE_CIRCLE
 from skygcs.sim.kinematics import approach_speed
-from skygcs.sim.legs import Follow
-from skygcs.sim.position_control import PositionTarget
+from skygcs.sim.legs import Follow, GoTo
+from skygcs.sim.position_control import NO_AXES, PositionTarget
 from skygcs.sim.position_targets import copter_target
 from skygcs.sim.vehicle_state import VehicleState
 
@@ -36,10 +36,17 @@ class GuidedTargets:
     def __init__(self) -> None:
         self.velocity: PositionTarget | None = None
         """The target as it came, if it is one without a position: the fence bounds it."""
+        self.place_enu_m: Vector | None = None
+        """The place that it flies to and reports (SubMode::Pos), if its target is nothing but a place."""
 
     def forget(self) -> None:
-        """Another mode, or a place to fly to, has come instead."""
-        self.velocity = None
+        """Another mode has come instead (ModeGuided::init)."""
+        self.velocity = self.place_enu_m = None
+
+    def go_to(self, v: VehicleState, east_m: float, north_m: float, up_m: float) -> None:
+        """Fly to a place (DO_REPOSITION, or a waypoint outside a mission), until another target or mode comes."""
+        self.velocity, self.place_enu_m = None, (east_m, north_m, up_m)
+        v.plan.fly(GoTo(east_m, north_m, up_m))
 
     def take(self, v: VehicleState, name: str, fields: dict[str, Any], now: float) -> None:
         """A SET_ATTITUDE_TARGET or SET_POSITION_TARGET_*; nothing interrupts a take-off."""
@@ -59,7 +66,7 @@ class GuidedTargets:
         if isinstance(target, PositionTarget) and not _within_fence(v, target):
             return
         v.setpoint_at = now
-        self.velocity = None
+        self.velocity, self.place_enu_m = None, _place_alone(target)
         if isinstance(target, PositionTarget) and target.pos_enu_m[0] is None:
             self.velocity = target
             target = _before_the_fence(v, target)
@@ -87,6 +94,14 @@ class GuidedTargets:
     def _stop(self, v: VehicleState) -> None:
         self.forget()
         v.hold_here()
+
+
+def _place_alone(target: PositionTarget | AttitudeSetpoint) -> Vector | None:
+    """The place of a target without velocity and acceleration (ModeGuided::set_destination)."""
+    if isinstance(target, AttitudeSetpoint) or (target.vel_enu_mps, target.acc_enu_mps2) != (NO_AXES, NO_AXES):
+        return None
+    east_m, north_m, up_m = target.pos_enu_m
+    return None if east_m is None or north_m is None or up_m is None else (east_m, north_m, up_m)
 
 
 def _before_the_fence(v: VehicleState, setpoint: PositionTarget) -> PositionTarget:

@@ -96,7 +96,8 @@ STREAM_GROUPS: Mapping[int, tuple[str, tuple[str, ...]]] = {
 """MAV_DATA_STREAM -> (its rate's parameter, its messages).
 
 EXTENDED_SYS_STATE is in no group of the real firmware, which sends it on request only; here it is, so that a ground
-station that asks for nothing still sees a landing.
+station that asks for nothing still sees a landing. POSITION_TARGET_GLOBAL_INT, which the real firmware sends with
+SYS_STATUS, comes on request only.
 """
 
 

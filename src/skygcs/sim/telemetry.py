@@ -24,6 +24,8 @@ HOVER_THROTTLE_PERCENT = 42
 
 MAV_FRAME_LOCAL_NED, MAV_FRAME_BODY_FRD = 1, 12
 MAV_ESTIMATOR_TYPE_AUTOPILOT = 8
+ONLY_THE_PLACE = 0xFFF8
+"""send_position_target_global_int: all of the type mask, also its unused bits, but for the place."""
 
 _HEALTHY_SENSORS = (
     m.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -231,6 +233,22 @@ def home_position(v: VehicleState, now: float) -> Fields | None:
     }
 
 
+def position_target_global_int(v: VehicleState, now: float) -> Fields | None:
+    target = v.reported_target_enu_m()
+    if target is None:
+        return None
+    east_m, north_m, up_m = target
+    lat, lon = v.where.to_geodetic(east_m, north_m)
+    return {
+        "time_boot_ms": v.boot_ms,
+        "coordinate_frame": m.MAV_FRAME_GLOBAL,
+        "type_mask": ONLY_THE_PLACE,
+        "lat_int": round(lat * 1e7),
+        "lon_int": round(lon * 1e7),
+        "alt": v.where.alt_amsl_m + up_m,
+    }
+
+
 def gps_global_origin(v: VehicleState, now: float) -> Fields | None:
     if v.home is None and v.local_zero is None:
         return None
@@ -424,6 +442,7 @@ _COPTER: Mapping[str, Builder] = {
     "RAW_IMU": raw_imu,
     "EKF_STATUS_REPORT": ekf_status_report,
     "FENCE_STATUS": fence_status,
+    "POSITION_TARGET_GLOBAL_INT": position_target_global_int,
 }
 
 

@@ -16,7 +16,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.sim import protocol as m
 from skygcs.sim.battery import Battery
 from skygcs.sim.behaviours import Firmware, ModeRule, Reaction
-from skygcs.sim.body import Body
+from skygcs.sim.body import Body, Vector
 from skygcs.sim.command_message import Calibration, Command
 from skygcs.sim.conditions import CALM, Conditions, body_of
 from skygcs.sim.failsafe_timers import Failsafes
@@ -387,6 +387,10 @@ class VehicleState(ABC):
         self.armed = False
         self.taking_off = False
         self.plan.fly()
+
+    def reported_target_enu_m(self) -> Vector | None:
+        """The place it reports as its target (POSITION_TARGET_GLOBAL_INT, which only ArduCopter has here)."""
+        return None
 
     def hold_here(self) -> None:
         """Stop and stay where it comes to a stop; on the ground: stay there."""

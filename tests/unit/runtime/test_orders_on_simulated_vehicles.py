@@ -8,6 +8,7 @@ import math
 
 import pytest
 
+from skygcs.core.mavlink.frame import encode
 from skygcs.core.protocols.command import Outcome
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.sim_field import SimField
@@ -86,6 +87,36 @@ async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -
         place = {"enu_m": [0.0, 30.0, 10.0], "yaw_deg": 90.0}
         assert done(await fleet.command_all("all", VehicleActor.goto, same_place=True, **place))
         await asyncio.sleep(40)
+        for actor in fleet.resolve("all"):
+            assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
+
+
+async def test_a_setpoint_that_arrives_after_a_goto_does_not_end_it() -> None:
+    """It was sent before, over a slower link; an ArduCopter flies back to it, a PX4 in LOITER does not obey it."""
+    async with Field(px4=1, ardupilot=1) as field:
+        fleet = field.fleet
+        await field.ready()
+        assert done(await fleet.command_all("all", VehicleActor.takeoff, 10.0))
+        await asyncio.sleep(25)
+        assert done(await fleet.command_all("all", VehicleActor.hold))
+        for actor in fleet.resolve("all"):
+            here = actor.vehicle.telemetry("position")
+            assert here is not None
+            values = {
+                "target_system": actor.sysid,
+                "target_component": 1,
+                "coordinate_frame": 6,
+                "type_mask": 0xDF8,
+                "lat_int": round(here["lat_deg"] * 1e7),
+                "lon_int": round(here["lon_deg"] * 1e7),
+                "alt": 10.0,
+            }
+            stale = encode(field.dialect.by_name["SET_POSITION_TARGET_GLOBAL_INT"], values, sysid=255, compid=25, seq=0)
+            field.loop.call_later(1.2, field.deliver, stale)
+        outcomes = await fleet.command_all("all", VehicleActor.goto, enu_m=[0.0, 30.0, 10.0], same_place=True)
+        assert done(outcomes)
+        assert [o.attempts for o in outcomes.values()] == [1, 2]
+        await asyncio.sleep(30)
         for actor in fleet.resolve("all"):
             assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
 

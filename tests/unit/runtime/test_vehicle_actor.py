@@ -534,6 +534,8 @@ async def test_a_hold_that_is_refused_says_what_it_does_instead(refused: float, 
 
 
 NEAR = {"lat_deg": HOME[0] + 1e-4, "lon_deg": HOME[1] - 1e-4}
+TARGET = (512, 87.0)
+"""REQUEST_MESSAGE of POSITION_TARGET_GLOBAL_INT."""
 
 
 async def test_px4_goes_somewhere_by_one_reposition_to_an_amsl_altitude() -> None:
@@ -552,16 +554,99 @@ async def test_arducopter_goes_somewhere_by_one_reposition_to_a_relative_height(
     async with Ground() as ground:
         vehicle, actor = await flying(ground, ARDUPILOT)
         assert (await actor.goto(**NEAR, height_m=25.0)).ok
-        (sent,) = vehicle.got
+        sent, asked = vehicle.got
         assert (sent.name, sent.command, sent.frame, sent.z) == ("COMMAND_INT", REPOSITION, 3, 25.0)
+        assert (asked.command, asked.param1) == TARGET
+
+
+def another_target(vehicle: ScriptedVehicle, sent: Sent) -> None:
+    """A setpoint that was on its way took the place of each but the last goto: then it reports no target."""
+    accept_everything(vehicle, sent)
+    gotos = [s for s in vehicle.got if s.command == REPOSITION]
+    if sent.command == REPOSITION and len(gotos) < 3:
+        vehicle.target = None
+
+
+async def test_a_goto_that_an_arducopter_accepted_and_does_not_fly_is_sent_again() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+        vehicle.script = another_target
+        outcome = await actor.goto(**NEAR, height_m=25.0)
+        assert (outcome.ok, outcome.attempts) == (True, 3), outcome.message
+        assert [c for c, _ in vehicle.commands()] == [REPOSITION, TARGET[0]] * 3
+
+
+async def test_a_goto_that_an_arducopter_never_flies_has_failed_after_two_repeats() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+
+        def stays(v: ScriptedVehicle, sent: Sent) -> None:
+            accept_everything(v, sent)
+            v.target = (round(HOME[0] * 1e7), round(HOME[1] * 1e7), HOME[2] + 25.0)  # of another program
+
+        vehicle.script = stays
+        outcome = await actor.goto(**NEAR, height_m=25.0)
+        assert (outcome.result, outcome.attempts) == ("timeout", 3)
+        assert "accepted, but it does not report that it flies there" in outcome.message
+        assert len([s for s in vehicle.got if s.command == REPOSITION]) == 3
+
+
+async def test_a_goto_without_a_reported_target_is_believed_when_the_vehicle_comes_nearer() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+
+        def unreported(v: ScriptedVehicle, sent: Sent) -> None:
+            accept_everything(v, sent)
+            v.target = None
+            if sent.command == REPOSITION:
+                v.place = (HOME[0] + 2e-5, HOME[1])  # 2 m of the 11
+
+        vehicle.script = unreported
+        outcome = await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)
+        assert (outcome.ok, outcome.attempts) == (True, 1), outcome.message
+
+
+async def test_after_a_hold_the_target_is_asked_for_when_its_repeats_can_come_no_more() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+        assert (await actor.hold()).ok
+        vehicle.got.clear()
+        held_at = asyncio.get_running_loop().time()
+        asked_at = []
+
+        def late(v: ScriptedVehicle, sent: Sent) -> None:
+            accept_everything(v, sent)
+            if sent.command == TARGET[0]:
+                asked_at.append(asyncio.get_running_loop().time() - held_at)
+
+        vehicle.script = late
+        assert (await actor.goto(**NEAR, height_m=25.0)).ok
+        assert asked_at == [pytest.approx(1.5, abs=0.3)]
+
+
+async def test_a_newer_order_ends_the_proof_of_a_goto_that_was_accepted() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+
+        def silent(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command != TARGET[0]:
+                accept_everything(v, sent)
+
+        vehicle.script = silent
+        goto = asyncio.create_task(actor.goto(**NEAR, height_m=25.0))
+        await asyncio.sleep(0.5)
+        assert (await actor.rtl()).ok
+        outcome = await goto
+        assert (outcome.ok, outcome.attempts) == (True, 1), outcome.message
+        assert len([s for s in vehicle.got if s.command == REPOSITION]) == 1
 
 
 async def test_arducopter_turns_by_a_command_of_its_own() -> None:
     async with Ground() as ground:
         vehicle, actor = await flying(ground, ARDUPILOT)
         assert (await actor.goto(**NEAR, height_m=25.0, yaw_deg=-90.0)).ok
-        assert [c for c, _ in vehicle.commands()] == [REPOSITION, 115]
-        assert vehicle.got[1].param1 == 270.0
+        assert [c for c, _ in vehicle.commands()] == [REPOSITION, TARGET[0], 115]
+        assert vehicle.got[2].param1 == 270.0
 
 
 async def test_a_goto_keeps_the_height_it_is_at_unless_told() -> None:

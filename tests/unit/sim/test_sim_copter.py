@@ -188,6 +188,46 @@ def test_reposition_needs_guided_or_the_flag_and_a_place() -> None:
     assert pilot.vehicles[0].motion.distance_m(15, 15, 12) < 0.2
 
 
+def target_enu_m(pilot: Pilot) -> tuple[float, float, float] | None:
+    """What it reports on request; None: nothing comes."""
+    pilot.forget()
+    assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT) == ACCEPTED
+    pilot.run(0.5)
+    if not pilot.all("POSITION_TARGET_GLOBAL_INT"):
+        return None
+    target, where = pilot.last("POSITION_TARGET_GLOBAL_INT"), pilot.vehicles[0].where
+    assert (target.coordinate_frame, target.type_mask) == (mav.MAV_FRAME_GLOBAL, 0xFFF8)
+    east_m, north_m = where.to_local(target.lat_int / 1e7, target.lon_int / 1e7)
+    return round(east_m, 1), round(north_m, 1), round(target.alt - where.alt_amsl_m, 1)
+
+
+def test_a_place_is_reported_until_another_target_or_guided_anew_discards_it() -> None:
+    pilot = Pilot(copter())
+    pilot.hovering()
+    lat, lon = pilot.vehicles[0].where.to_geodetic(60.0, 15.0)
+    place = {"x": round(lat * 1e7), "y": round(lon * 1e7), "z": 12, "frame": RELATIVE}
+    set_mode(pilot, CopterMode.BRAKE)
+    assert set_mode(pilot, COPTER_GUIDED) == ACCEPTED
+    assert target_enu_m(pilot) is None, "GUIDED begins with no velocity, and with no place"
+    for discards in (
+        lambda: pilot.send(global_target(pilot, 0, 0, 0, mask=VELOCITY_ONLY)),
+        lambda: pilot.send(global_target(pilot, 0, 0, 10, mask=VELOCITY_ONLY & POSITION_ONLY)),
+        lambda: (set_mode(pilot, CopterMode.BRAKE), set_mode(pilot, COPTER_GUIDED)),
+    ):
+        assert pilot.command_int(mav.MAV_CMD_DO_REPOSITION, -1, 1, **place) == ACCEPTED
+        assert target_enu_m(pilot) == (60.0, 15.0, 12.0)
+        set_mode(pilot, COPTER_GUIDED)
+        assert target_enu_m(pilot) == (60.0, 15.0, 12.0), "it is in GUIDED already"
+        discards()
+        assert target_enu_m(pilot) is None
+    pilot.send(global_target(pilot, 5, 6, 14.0))
+    assert target_enu_m(pilot) == (5.0, 6.0, 14.0)
+    assert set_mode(pilot, CopterMode.RTL) == ACCEPTED
+    assert target_enu_m(pilot) is not None
+    assert set_mode(pilot, CopterMode.LAND) == ACCEPTED
+    assert target_enu_m(pilot) is None
+
+
 def test_condition_yaw_turns_it_in_guided() -> None:
     pilot = Pilot(copter())
     pilot.hovering()

@@ -32,6 +32,8 @@ The messages of each order, and why:
   flight: 25 m). DO_REPOSITION without position, height and yaw is its "pause vehicle" (navigator_main.cpp): it enters
   AUTO.LOITER from any mode, brakes, and stays where it stops. QGroundControl pauses with the same command.
 - DO_REPOSITION is acknowledged by both; ArduCopter ignores its yaw (GCS_MAVLink_Copter.cpp, 4.1 to 4.7).
+- A setpoint that was sent before a goto and arrives after it takes the goto's place in GUIDED, while PX4 ignores it in
+  AUTO.LOITER: the target of an ArduCopter is requested after the acknowledgement (`order_plan.TargetProof`).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
 """
 
@@ -43,7 +45,7 @@ from dataclasses import dataclass, replace
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
 from skygcs.core.protocols.command import CommandSpec, Location
-from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetNear
+from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
 
@@ -52,6 +54,9 @@ FORCE_ARM_MAGIC = 21196.0
 
 FORCE_REBOOT_MAGIC = 20190226.0
 """param6 of PREFLIGHT_REBOOT_SHUTDOWN: ArduPilot reboots even when armed. PX4 refuses it."""
+
+POSITION_TARGET_GLOBAL_INT = 87.0
+"""Its msgid, as a parameter of REQUEST_MESSAGE."""
 
 FRAME_GLOBAL = 0
 FRAME_GLOBAL_RELATIVE_ALT = 3
@@ -196,6 +201,7 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
         CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
         expect=ModeIn(frozenset({guided})),
         instead=_guided_target(vehicle, guided, to),
+        proof=_target_proof(to) if modes.is_copter(vehicle.type) else None,
     )
     if to.yaw_deg is None:
         return Plan("goto", (reposition,), done)
@@ -282,8 +288,13 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None
     )
 
 
+def _target_proof(to: Destination) -> TargetProof:
+    request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (POSITION_TARGET_GLOBAL_INT,))
+    return TargetProof(to.lat_deg, to.lon_deg, to.alt_amsl_m, request)
+
+
 def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step, ...]:
-    """For firmware without DO_REPOSITION. The message has no acknowledgement: the vehicle's target is requested."""
+    """For firmware without DO_REPOSITION. The message has no acknowledgement."""
     yaw = to.yaw_deg
     values = {
         "coordinate_frame": FRAME_GLOBAL_RELATIVE_ALT_INT,
@@ -293,13 +304,8 @@ def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step
         "alt": to.height_m,
         "yaw": 0.0 if yaw is None else math.radians(yaw),
     }
-    position_target = 87.0
+    message = ("SET_POSITION_TARGET_GLOBAL_INT", values)
     return (
         mode_step(vehicle, guided, skip_if_met=True),
-        Step("goto", message=("SET_POSITION_TARGET_GLOBAL_INT", values), expect_s=0),
-        Step(
-            "target",
-            CommandSpec(mav_cmd.REQUEST_MESSAGE, (position_target,)),
-            expect=TargetNear(to.lat_deg, to.lon_deg),
-        ),
+        Step("goto", message=message, expect_s=0, proof=_target_proof(to)),
     )

@@ -6,8 +6,9 @@ the next one begins when the step was accepted and, if ``expect_s`` is not 0, it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from skygcs.core.geo import distance_m
@@ -140,23 +141,70 @@ class ParamKnown:
 TARGET_TOLERANCE_M = 2.0
 """POSITION_TARGET_GLOBAL_INT repeats the target but for rounding; a difference of metres is another target."""
 
+NEARER_M = 1.0
+"""More than the position of a vehicle that stands changes in seconds."""
+
+ALTITUDE_FRAMES = (0, 5)
+"""MAV_FRAME_GLOBAL and GLOBAL_INT, in which an altitude is one above mean sea level."""
+
 
 @dataclass(frozen=True, slots=True)
-class TargetNear:
-    """The vehicle reports (POSITION_TARGET_GLOBAL_INT) that it flies to this place."""
+class GoesThere:
+    """Since a time it has reported (POSITION_TARGET_GLOBAL_INT) that it flies to this place, or is there, or has come
+    nearer than ``from_m``."""
 
     lat_deg: float
     lon_deg: float
+    alt_amsl_m: float
+    since: float
+    from_m: float
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        target = vehicle.telemetry("target_global")
-        if target is None or target["lat_deg"] is None:
-            return False
-        off = distance_m(self.lat_deg, self.lon_deg, target["lat_deg"], target["lon_deg"])
-        return off <= TARGET_TOLERANCE_M
+        target, at = vehicle.telemetry("target_global"), vehicle.telemetry_at("target_global")
+        if target is not None and at is not None and at > self.since and target["lat_deg"] is not None:
+            alt_m = target["alt_m"] if target["frame"] in ALTITUDE_FRAMES else None
+            return self._off_m(target["lat_deg"], target["lon_deg"], alt_m) <= TARGET_TOLERANCE_M
+        left_m = self._left_m(vehicle)
+        return left_m is not None and left_m <= max(TARGET_TOLERANCE_M, self.from_m - NEARER_M)
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        return "it does not report that it flies there"
+        return "it does not report that it flies there, and does not come nearer"
+
+    def _left_m(self, vehicle: Vehicle) -> float | None:
+        """Its distance from the place by a position that came since the time; None: no such position."""
+        position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
+        if position is None or at is None or at <= self.since or position["lat_deg"] is None:
+            return None
+        return self._off_m(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+
+    def _off_m(self, lat_deg: float, lon_deg: float, alt_amsl_m: float | None) -> float:
+        up_m = 0.0 if alt_amsl_m is None else alt_amsl_m - self.alt_amsl_m
+        return math.hypot(distance_m(self.lat_deg, self.lon_deg, lat_deg, lon_deg), up_m)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetProof:
+    """A place that a vehicle accepted as its target, and the request for the message that shows whether it still is.
+
+    An ArduCopter forgets it as soon as it gets another target or enters GUIDED from another mode (ModeGuided::init,
+    set_velaccel, set_pos_vel_accel): a setpoint, or the repeat of an order, that was sent before it and arrives after
+    it (over a slower link, or because the link has become faster) leaves the vehicle where it is. While it flies to a
+    place it reports it; with any other target it answers the request with nothing (ModeGuided::get_wp).
+    """
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    request: CommandSpec
+
+    def begin(self, vehicle: Vehicle, now: float) -> GoesThere:
+        """What it has to show from now on."""
+        there = GoesThere(self.lat_deg, self.lon_deg, self.alt_amsl_m, now, math.inf)
+        position = vehicle.telemetry("position")
+        if position is None or position["lat_deg"] is None:
+            return replace(there, from_m=0.0)
+        here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+        return replace(there, from_m=there._off_m(*here))
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +217,8 @@ class Step:
     ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` explains a
     refusal of a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
     ``with_repeats`` is a message sent right after each repeat of the command, for a vehicle that receives us while its
-    answers are lost, so that the next step never begins.
+    answers are lost, so that the next step never begins. With a ``proof`` the vehicle is asked after the step whether
+    it still does what it accepted, and the step is repeated if not.
     """
 
     name: str
@@ -183,6 +232,7 @@ class Step:
     refused: str = ""
     optional: bool = False
     with_repeats: tuple[str, Mapping[str, Any]] | None = None
+    proof: TargetProof | None = None
 
 
 @dataclass(frozen=True, slots=True)
