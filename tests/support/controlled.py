@@ -143,8 +143,8 @@ class ControlledVehicle(FakeVehicle):
             self.on_setpoint()
         return TAKEN
 
-    def state(self, now: float) -> dict[str, Any]:
-        state = super().state(now)
+    def whole_state(self, now: float) -> dict[str, Any]:
+        state = super().whole_state(now)
         if self.goal_m is not None and self.position_m is not None:
             self.position_m = [p + (g - p) * 0.75 for p, g in zip(self.position_m, self.goal_m, strict=True)]
         enu_m = None if self.no_frame else self.position_m

@@ -219,7 +219,11 @@ class FakeVehicle:
             "count": 7,
         }
 
-    def state(self, now: float) -> dict[str, Any]:
+    def state(self, now: float, names: frozenset[str] | None = None) -> dict[str, Any]:
+        state = self.whole_state(now)
+        return state if names is None else {key: value for key, value in state.items() if key in names}
+
+    def whole_state(self, now: float) -> dict[str, Any]:
         self.states_made += 1
         if self.state_fails is not None:
             raise self.state_fails

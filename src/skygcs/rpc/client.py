@@ -23,6 +23,7 @@ import json
 import math
 import os
 import pwd
+import re
 import socket
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +47,12 @@ CONNECT_AGAIN_S = 0.01
 
 INBOX = 1000
 """Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
+
+MAX_NUMBER_CHARS = 20
+"""Of a subscription's number."""
+
+_TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
+_STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
 
 PROGRESS = "plan.progress"
 """The notification that belongs to no subscription."""
@@ -295,6 +302,14 @@ class Client:
         params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
         return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Latest())
 
+    def encoded_telemetry(
+        self, targets: Targets = "all", *, rate_hz: float = 2.0, groups: Sequence[str] | None = None
+    ) -> Subscription:
+        """As `telemetry`, for a program that passes states on: what came together, as the daemon encoded it. Each item
+        has ``states`` (JSON by name) and ``complete``: True if no more of this round is on its way."""
+        params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
+        return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Encoded())
+
     def events(self, targets: Targets = "all", *, kinds: Sequence[str] | None = None) -> Subscription:
         """Events from now on; ``event["dropped"]`` is there if so many before it were lost to slowness."""
         params = {"topic": "events", "targets": _plain(targets), "names": _listed(kinds)}
@@ -400,6 +415,33 @@ class Latest(Inbox):
 
     def _take(self) -> dict[str, Any]:
         return self._by_name.pop(next(iter(self._by_name)))
+
+
+class Encoded(Inbox):
+    """The newest state of each vehicle as the daemon encoded it: nothing is read but the name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._by_name: dict[str, bytes] = {}
+        self._complete = False
+
+    def __bool__(self) -> bool:
+        return bool(self._by_name)
+
+    def put_encoded(self, state: bytes, last: bool) -> None:
+        """One state. ``last``: it is the last of its round."""
+        begin = _STATE_NAME.match(state)
+        name = json.loads(state)["name"] if begin is None else json.loads(begin[1])
+        self._by_name[name] = state
+        self._complete = last
+        self._arrived.set()
+
+    def _keep(self, params: dict[str, Any]) -> None:
+        self.put_encoded(json.dumps(params["state"]).encode(), bool(params.get("last")))
+
+    def _take(self) -> dict[str, Any]:
+        states, self._by_name = self._by_name, {}
+        return {"states": states, "complete": self._complete}
 
 
 class Newest(Inbox):
@@ -528,8 +570,20 @@ class _Wire(asyncio.Protocol):
         *lines, rest = b"".join([*self._partial, data]).split(b"\n")
         self._partial = [rest]
         for line in lines:
-            if line:
+            if line and not self._on_encoded(line):
                 self._on_answer(json.loads(line))
+
+    def _on_encoded(self, line: bytes) -> bool:
+        """True for a state that goes on as it is. Anything written otherwise than here expected is read as JSON."""
+        if not line.startswith(_TELEMETRY):
+            return False
+        state, _, tail = line.rpartition(b',"subscription":')
+        number, comma, last = tail.removesuffix(b"}}").partition(b",")
+        inbox = self.inboxes.get(int(number)) if number.isdigit() and len(number) < MAX_NUMBER_CHARS else None
+        if not isinstance(inbox, Encoded) or not state.endswith(b"}") or (comma and last != b'"last":true'):
+            return False
+        inbox.put_encoded(state[len(_TELEMETRY) :], bool(comma))
+        return True
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.lose("it closed the connection")

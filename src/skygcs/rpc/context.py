@@ -123,9 +123,11 @@ def one_vehicle(services: Services, target: str) -> VehicleActor:
     return vehicles[0]
 
 
-def state_of(services: Services, vehicle: VehicleActor) -> JsonObject:
-    """A vehicle's state with the quality of the links it is heard on."""
-    state = vehicle.state(services.now())
-    state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
-    state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
+def state_of(services: Services, vehicle: VehicleActor, names: frozenset[str] | None = None) -> JsonObject:
+    """A vehicle's state with the quality of the links it is heard on: all keys, or those in ``names``."""
+    state = vehicle.state(services.now(), names)
+    if "links" in state:
+        state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
+    if "separation" in state:
+        state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
     return state

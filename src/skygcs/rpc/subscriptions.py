@@ -35,6 +35,10 @@ SLICE_S = 0.002
 """Telemetry yields to everything else in the loop after this long: routing must not wait for 250 snapshots."""
 
 
+ALWAYS = frozenset({"name", "sysid"})
+"""Keys that every update has."""
+
+
 VEHICLES_PER_WRITE = 16
 """Then the client's buffer is looked at again."""
 
@@ -70,6 +74,7 @@ class TelemetrySubscription:
         self.rate_hz = rate_hz
         self.names = names
         self.tail = b',"subscription":%d}}\n' % number
+        self.last_tail = b',"subscription":%d,"last":true}}\n' % number
         self.pending: dict[int, VehicleActor] = {}
         self.vehicles: dict[int, VehicleActor] = {}
         self.known: list[VehicleActor] = []
@@ -195,7 +200,7 @@ class TelemetryFeed:
             body = self._encode(key, vehicle, subscription.names)
             if body:
                 pieces.append(body)
-                pieces.append(subscription.tail)
+                pieces.append(subscription.tail if pending else subscription.last_tail)
         if pieces:
             subscription.sink.write(b"".join(pieces))
 
@@ -203,9 +208,7 @@ class TelemetryFeed:
         body = self._encoded.get((key, names))
         if body is None:
             try:
-                state = state_of(self._services, vehicle)
-                if names:
-                    state = {k: v for k, v in state.items() if k in names or k in ("name", "sysid")}
+                state = state_of(self._services, vehicle, names | ALWAYS if names else None)
                 body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + to_json(state, inf_nan_mode="null")
                 self._failed.discard(key)
             except Exception as error:  # one vehicle's fault is not the others'

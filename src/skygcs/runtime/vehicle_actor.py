@@ -139,14 +139,16 @@ class VehicleActor:
 
     # -- state
 
-    def state(self, now: float) -> dict[str, Any]:
-        """Snapshot for people and programs (`core.vehicle.state`)."""
-        state = dict(take_snapshot(self.vehicle, now, time.time()))
-        if self.offboard.controller.state is not OffboardState.OFF:
+    def state(self, now: float, names: frozenset[str] | None = None) -> dict[str, Any]:
+        """Snapshot for people and programs (`core.vehicle.state`): all keys, or those in ``names``."""
+        state = dict(take_snapshot(self.vehicle, now, time.time(), names))
+        if "control" in state and self.offboard.controller.state is not OffboardState.OFF:
             state["control"] = self.control_state(now)
-        state["calibration"] = self.calibration.status()
-        self.streams.add_to(state)
-        if self._probes and self.uplink.answered_at is not None:
+        if "calibration" in state:
+            state["calibration"] = self.calibration.status()
+        if "messages" in state:
+            self.streams.add_to(state)
+        if "uplink" in state and self._probes and self.uplink.answered_at is not None:
             trip_s = self.uplink.trip_s
             state["uplink"] = {
                 "heard": not self.uplink.lost,

@@ -17,7 +17,6 @@ from collections.abc import Awaitable
 from typing import Any, Protocol
 
 import structlog
-from pydantic_core import to_json
 
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.client import Client, Subscription, connect
@@ -215,7 +214,7 @@ class DaemonConnection:
                 pages.wanted.clear()
                 await pages.wanted.wait()
                 continue
-            subscription = feed.telemetry("all", rate_hz=rate_hz, groups=STATE_KEYS)
+            subscription = feed.encoded_telemetry("all", rate_hz=rate_hz, groups=STATE_KEYS)
             began_at = self.loop.time()
             reading = self.loop.create_task(self._read_states(subscription, pages), name="telemetry")
             try:
@@ -233,9 +232,12 @@ class DaemonConnection:
     async def _read_states(self, subscription: Subscription, pages: Pages) -> None:
         states = self._states
         checked_at = self.loop.time()
-        async for state in subscription:
+        async for update in subscription:
             now = self.loop.time()
-            states.put(state["name"], to_json(state, inf_nan_mode="null"), now)
+            for name, state in update["states"].items():
+                states.put(name, state, now)
+            if update["complete"]:
+                states.complete_round()
             pages.on_states()
             if now - checked_at > GONE_AFTER_S:
                 states.remove_older(min(checked_at, now - GONE_AFTER_S))

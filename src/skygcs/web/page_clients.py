@@ -90,7 +90,12 @@ class PageClients:
 
     def on_states(self) -> None:
         """A state has come: pages get it when the round is complete."""
-        if self._round is None:
+        due = self.states.round_complete_at()
+        if due is not None and due <= self.loop.time():
+            if self._round is not None:
+                self._round.cancel()
+            self._on_round()
+        elif self._round is None:
             self._arm_round()
 
     def on_event(self, event: dict[str, Any]) -> None:

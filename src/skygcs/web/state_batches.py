@@ -14,10 +14,12 @@ MAX_REMOVED = 1024
 """Vehicles forgotten and not yet reported to every page; beyond, pages get the whole fleet anew."""
 
 SETTLE_S = 0.004
-"""A round of states comes from the daemon in several pieces. Quiet for so long, it is complete ..."""
+"""A round of states comes from the daemon in several pieces, and the daemon marks the last one. From a source that
+marks none, it is complete when it was quiet for so long."""
 
 MAX_ROUND_S = 0.03
-"""... and it is sent at the latest so long after its first piece."""
+"""It is sent at the latest so long after its first piece. What comes then waits for half a period: with 50 vehicles a
+round takes 5 ms, with 200 on a busy machine 20 ms."""
 
 
 @dataclass(slots=True)
@@ -42,6 +44,9 @@ class LatestStates:
         self._entries: dict[str, _Entry] = {}
         self._removed: dict[str, int] = {}
         self._round_began: float | None = None
+        self._round_over = False
+        self._marked = False
+        """Whether the source marks the end of a round."""
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -50,6 +55,7 @@ class LatestStates:
         """A newer state of this vehicle, encoded."""
         self.number += 1
         self.heard_at = now
+        self._round_over = False
         if self._round_began is None:
             self._round_began = self.began_at = now
         self._entries.pop(name, None)
@@ -76,7 +82,7 @@ class LatestStates:
         self._entries.clear()
         self._removed.clear()
         self._round_began = None
-        self.complete = False
+        self._marked = self.complete = False
         self.generation += 1
         self.number += 1
 
@@ -88,11 +94,19 @@ class LatestStates:
         """When what came may be sent; None: nothing has come since `end_round`."""
         if self._round_began is None:
             return None
-        return min(self.heard_at + SETTLE_S, self._round_began + MAX_ROUND_S)
+        if self._round_over:
+            return self.heard_at
+        latest = self._round_began + MAX_ROUND_S
+        return latest if self._marked else min(self.heard_at + SETTLE_S, latest)
+
+    def complete_round(self) -> None:
+        """The source says that no more of this round is on its way."""
+        self._round_over = self._marked = True
 
     def end_round(self) -> None:
         """What came so far is a round."""
         self._round_began = None
+        self._round_over = False
         self.settle()
 
     def since(self, number: int) -> tuple[list[bytes], list[str]]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import pwd
 import subprocess
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -99,6 +101,39 @@ async def test_telemetry_comes_until_it_is_left(served: Served, gcs: Client) -> 
     made = served.daemon.vehicle("alpha").states_made
     await asyncio.sleep(0.15)
     assert served.daemon.vehicle("alpha").states_made == made
+
+
+async def test_encoded_telemetry_is_passed_on_as_it_came_and_a_round_has_an_end(served: Served, gcs: Client) -> None:
+    served.daemon.vehicle("alpha").name = 'al"pha\\'
+    encoded = gcs.encoded_telemetry("all", rate_hz=5, groups=["name", "mode", "battery"])
+    first: dict[str, Any] = {}
+    async for update in encoded:
+        first |= {name: json.loads(state) for name, state in update["states"].items()}
+        if update["complete"]:
+            break
+    assert set(first) == {'al"pha\\', "bravo", "carol"}
+    assert all(name == state["name"] for name, state in first.items())
+    assert first["bravo"].keys() == {"name", "sysid", "mode", "battery"}
+    plain = {state["name"]: state for state in await gcs.vehicles()}
+    assert first["bravo"]["battery"] == plain["bravo"]["battery"]
+    encoded.close()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":{"sysid":1,"name":"a"},"subscription":7}}',
+        b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":{"name":"a"},"last":true,"subscription":7}}',
+        b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":{"name":"a"},"subscription":7,"more":1}}',
+        b'{"jsonrpc": "2.0", "method": "telemetry", "params": {"state": {"name": "a"}, "subscription": 7}}',
+    ],
+)
+def test_a_state_that_is_written_otherwise_is_read_as_json(line: bytes) -> None:
+    wire = client._Wire("a socket")
+    inbox = wire.inboxes[7] = client.Encoded()
+    wire.data_received(line + b"\n")
+    state = json.loads(inbox._take()["states"]["a"])
+    assert state["name"] == "a"
 
 
 async def test_who_iterates_slowly_gets_the_newest_state_only(served: Served, gcs: Client) -> None:

@@ -103,6 +103,22 @@ def test_a_page_gets_no_more_batches_than_it_wants() -> None:
     assert page.due_at() == 0.25
 
 
+def test_a_round_whose_end_is_marked_is_sent_then_and_not_when_it_is_quiet() -> None:
+    states = LatestStates()
+    states.put("a", b"a", 1.0)
+    states.complete_round()
+    assert states.round_complete_at() == 1.0
+    states.end_round()
+    states.put("a", b"a", 2.0)
+    assert states.round_complete_at() == 2.0 + MAX_ROUND_S
+    states.put("b", b"b", 2.001)
+    states.complete_round()
+    assert states.round_complete_at() == 2.001
+    states.reset()  # another daemon may mark none
+    states.put("a", b"a", 3.0)
+    assert states.round_complete_at() == 3.0 + SETTLE_S
+
+
 def test_a_round_is_sent_when_it_is_complete_and_no_later_than_its_limit() -> None:
     states = LatestStates()
     assert states.round_complete_at() is None

@@ -81,13 +81,10 @@ class MessageCache:
         it."""
         return self._group_values(_BY_NAME[name])
 
-    def telemetry_groups(self, now: float) -> dict[str, dict[str, Any] | None]:
-        """All telemetry groups, each with its age; the result belongs to the caller."""
-        result: dict[str, dict[str, Any] | None] = {}
-        for group in GROUPS:
-            group_values, at = self._group_values(group)
-            result[group.name] = None if group_values is None else {**group_values, "age_s": round(now - at, 3)}
-        return result
+    def telemetry_group(self, name: str, now: float) -> dict[str, Any] | None:
+        """One telemetry group with its age; None: no message of it has come. The result belongs to the caller."""
+        group_values, at = self._group_values(_BY_NAME[name])
+        return None if group_values is None else {**group_values, "age_s": round(now - at, 3)}
 
     def rates(self, now: float) -> dict[str, dict[str, Any]]:
         return {

@@ -55,6 +55,14 @@ def test_the_state_has_exactly_the_keys_it_promises() -> None:
     assert set(reported(vehicle, voice.beat())) == set(typing.get_type_hints(VehicleState))
 
 
+def test_some_keys_of_the_state_are_as_in_the_whole_of_it() -> None:
+    vehicle, voice = new()
+    whole = reported(vehicle, voice.beat(), voice.position())
+    for key, value in whole.items():
+        assert take_snapshot(vehicle, 10.0, names=frozenset({key, "no such key"})) == {key: value}
+    assert take_snapshot(vehicle, 10.0, 1.7e9, frozenset({"name", "position"})).keys() == {"name", "position"}
+
+
 def test_a_heartbeat_tells_identity_mode_and_arming() -> None:
     vehicle, voice = new()
     state = reported(vehicle, voice.beat(PX4, PX4_TAKEOFF, armed=True, status=4))

@@ -6,12 +6,16 @@ import type { Frame } from "./frame.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body, Meeting } from "./scene.ts";
+import { angleOf, directionOf, type Sprites } from "./sprites.ts";
 import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
 
 export type Pen = CanvasRenderingContext2D;
 
 const GRID_PX = 96;
 const GLYPH_PX = 9;
+/** How far the pictures of a vehicle and of a home reach from their middles. */
+const BODY_PX = 14;
+const HOME_PX = 8;
 
 export function drawGrid(pen: Pen, camera: Camera, palette: Palette): void {
   const major = niceLengthM(camera.pxPerM, GRID_PX * 2);
@@ -301,22 +305,30 @@ function homePath(pen: Pen, x: number, y: number, r: number): void {
 }
 
 /** Homes of all vehicles, those at one place once. */
-export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Iterable<readonly [number, number]>): void {
-  const seen = new Set<string>();
-  pen.strokeStyle = palette.muted;
-  pen.lineWidth = 1.25;
-  pen.beginPath();
+export function drawHomes(
+  pen: Pen,
+  camera: Camera,
+  palette: Palette,
+  homes: Iterable<readonly [number, number]>,
+  sprites: Sprites,
+): void {
+  const seen = new Set<number>();
   for (const [x, y] of homes) {
     const px = toScreenX(camera, x);
     const py = toScreenY(camera, y);
-    const key = `${Math.round(px / 14)},${Math.round(py / 14)}`;
+    if (px < -HOME_PX || py < -HOME_PX || px > camera.widthPx + HOME_PX || py > camera.heightPx + HOME_PX) continue;
+    const key = Math.round(px / 14) * 100_003 + Math.round(py / 14);
     if (seen.has(key)) continue;
     seen.add(key);
-    homePath(pen, px, py, 4);
+    sprites.draw(pen, "home", HOME_PX, px, py, (on) => {
+      on.strokeStyle = palette.muted;
+      on.lineWidth = 1.25;
+      on.globalAlpha = 0.7;
+      on.beginPath();
+      homePath(on, 0, 0, 4);
+      on.stroke();
+    });
   }
-  pen.globalAlpha = 0.7;
-  pen.stroke();
-  pen.globalAlpha = 1;
 }
 
 /** The origin of the frame: a small cross of its two axes. */
@@ -414,49 +426,41 @@ export function drawBodies(
   palette: Palette,
   bodies: readonly Body[],
   colourOf: (body: Body) => string,
+  sprites: Sprites,
 ): void {
   rings(pen, camera, palette, bodies);
-  const filled = new Map<string, Path2D>();
-  const hollow = new Map<string, Path2D>();
-  for (const body of bodies) {
-    const kind = body.armed && body.heard ? filled : hollow;
-    const colour = colourOf(body);
-    let path = kind.get(colour);
-    if (path === undefined) {
-      path = new Path2D();
-      kind.set(colour, path);
-    }
-    const x = toScreenX(camera, body.x);
-    const y = toScreenY(camera, body.y);
-    if (body.yawRad === null) {
-      path.moveTo(x + 6, y);
-      path.arc(x, y, 6, 0, 7);
-    } else {
-      dart(path, x, y, body.yawRad, GLYPH_PX);
+  for (const filled of [true, false]) {
+    for (const body of bodies) {
+      if ((body.armed && body.heard) !== filled) continue;
+      const colour = colourOf(body);
+      const direction = body.yawRad === null ? -1 : directionOf(body.yawRad);
+      const key = `${filled ? "f" : "h"}${colour}${direction}`;
+      sprites.draw(pen, key, BODY_PX, toScreenX(camera, body.x), toScreenY(camera, body.y), (on) => {
+        drawBody(on, palette, direction, colour, filled);
+      });
     }
   }
+}
+
+function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
   pen.lineJoin = "round";
-  for (const [colour, path] of filled) {
-    pen.strokeStyle = palette.ground;
-    pen.lineWidth = 2.5;
-    pen.stroke(path);
-    pen.fillStyle = colour;
-    pen.fill(path);
-  }
-  for (const [colour, path] of hollow) {
-    pen.fillStyle = palette.ground;
-    pen.fill(path);
-    pen.strokeStyle = colour;
-    pen.lineWidth = 1.75;
-    pen.stroke(path);
-  }
+  pen.beginPath();
+  if (direction < 0) pen.arc(0, 0, 6, 0, 7);
+  else dart(pen, 0, 0, angleOf(direction), GLYPH_PX);
+  pen.fillStyle = filled ? colour : palette.ground;
+  pen.strokeStyle = filled ? palette.ground : colour;
+  pen.lineWidth = filled ? 2.5 : 1.75;
+  if (filled) pen.stroke(); // beneath: it only parts the vehicle from what is behind it
+  pen.fill();
+  if (!filled) pen.stroke();
 }
 
 function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[]): void {
   const circles = (wanted: (body: Body) => boolean, radius: number, width: number, colour: string): void => {
+    const ringed = bodies.filter(wanted);
+    if (ringed.length === 0) return;
     pen.beginPath();
-    for (const body of bodies) {
-      if (!wanted(body)) continue;
+    for (const body of ringed) {
       const x = toScreenX(camera, body.x);
       const y = toScreenY(camera, body.y);
       pen.moveTo(x + radius, y);

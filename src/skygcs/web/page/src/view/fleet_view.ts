@@ -9,6 +9,7 @@ import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePl
 import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, type Placement } from "./labels.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
+import { Sprites } from "./sprites.ts";
 import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
 import { drawSide, SIDE_PX, topOf } from "./side_view.ts";
 
@@ -61,7 +62,8 @@ export class FleetView {
   private moved = false;
   private sideTopM = 0;
   private readonly overlays = new Map<string, Overlay>();
-  private readonly sprites = new LabelSprites();
+  private readonly labels = new LabelSprites();
+  private readonly sprites = new Sprites();
   private placements = new Map<string, Placement>();
   private placedMs = 0;
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
@@ -242,6 +244,7 @@ export class FleetView {
     this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? SIDE_PX : 0), 1) };
     this.trailsDrawn = null;
     this.fittedTo = 0;
+    this.labels.clear(this.ratio);
     this.sprites.clear(this.ratio);
     this.redraw();
   }
@@ -281,6 +284,7 @@ export class FleetView {
     if (canvas === null || pen === null || this.camera.widthPx === 0) return;
     if (this.palette === null) {
       this.palette = readPalette(canvas);
+      this.labels.clear(this.ratio);
       this.sprites.clear(this.ratio);
       this.trailsDrawn = null;
     }
@@ -299,12 +303,12 @@ export class FleetView {
     draw.drawGrid(pen, camera, palette);
     draw.drawOrigin(pen, camera, palette);
     draw.drawOverlays(pen, camera, palette, this.overlays.values());
-    draw.drawHomes(pen, camera, palette, this.homes(state));
+    draw.drawHomes(pen, camera, palette, this.homes(state), this.sprites);
     if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
     if (this.options.trails) draw.drawTrailEnds(pen, camera, this.store.trails, shown, colourOf);
     draw.drawGoals(pen, camera, shown, colourOf);
     draw.drawMeetings(pen, camera, palette, meetingsOf(this.scene, this.frame));
-    draw.drawBodies(pen, camera, palette, shown, colourOf);
+    draw.drawBodies(pen, camera, palette, shown, colourOf, this.sprites);
     if (this.options.labels) this.drawLabels(pen, camera, palette, shown, nowMs);
     draw.drawScale(pen, camera, palette, this.frame);
     if (this.options.side) {
@@ -362,10 +366,14 @@ export class FleetView {
 
   /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
   private drawTrails(pen: draw.Pen, camera: Camera, palette: Palette, colourOf: (body: Body) => string, nowMs: number): void {
+    const { trails } = this.store;
+    if (trails.byName.size === 0) {
+      this.trailsDrawn = null;
+      return;
+    }
     const layer = this.trailLayer.getContext("2d");
     if (layer === null) return;
     const drawn = this.trailsDrawn;
-    const { trails } = this.store;
     const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
     const same = drawn !== null && sameCamera(drawn.camera, camera);
     const pauseMs = same ? TRAILS_ANEW_MS : Math.max(TRAILS_EVERY_MS, (drawn?.tookMs ?? 0) * TRAILS_SHARE);
@@ -382,14 +390,16 @@ export class FleetView {
     const scale = camera.pxPerM / from.pxPerM;
     const left = toScreenX(camera, from.x) - (from.widthPx / 2) * scale;
     const top = toScreenY(camera, from.y) - (from.heightPx / 2) * scale;
+    pen.imageSmoothingEnabled = false; // six times as quick, and seen only while the view moves
     pen.drawImage(this.trailLayer, left, top, camera.widthPx * scale, this.heightPx * scale);
+    pen.imageSmoothingEnabled = true;
   }
 
   private drawLabels(pen: draw.Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
     const now_s = serverNowS(this.store.state, nowMs);
-    this.sprites.beginFrame();
+    this.labels.beginFrame();
     const sprites = shown.map((body) =>
-      this.sprites.get(body.name, body.name, labelLine(body, now_s), !body.heard, palette, nowMs),
+      this.labels.get(body.name, body.name, labelLine(body, now_s), !body.heard, palette, nowMs),
     );
     if (nowMs - this.placedMs > LABELS_EVERY_MS) {
       this.placedMs = nowMs;
@@ -403,6 +413,7 @@ export class FleetView {
       requests.sort((a, b) => b.urgency - a.urgency);
       this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx);
     }
+    pen.imageSmoothingEnabled = false; // they lie on whole pixels
     shown.forEach((body, i) => {
       const at = this.placements.get(body.name);
       const sprite = sprites[i];
@@ -413,6 +424,7 @@ export class FleetView {
       const rows = at.full ? sprite.canvas.height : sprite.canvas.height / 2;
       pen.drawImage(sprite.canvas, 0, 0, sprite.canvas.width, rows, x, y, LABEL_WIDTH_PX, height);
     });
+    pen.imageSmoothingEnabled = true;
   }
 }
 
