@@ -5,8 +5,9 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEMO   := $(VENV)/.installed-demo
 TEST   := $(VENV)/.installed-test
+DOCS   := $(VENV)/.installed-docs
 
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -36,9 +37,10 @@ test-clients: $(STAMP)
 test-package: $(STAMP)
 	PYTHONPATH=tests $(BIN)/pytest tests/package -s
 
-# The page in a real browser: the system's Chromium. Pictures: build/web-screens
+# The page and the documentation in a real browser: the system's Chromium. Pictures: build/web-screens
 test-web: $(STAMP)
 	$(BIN)/python build_page.py --check
+	$(MAKE) docs
 	$(BIN)/pytest tests/web
 
 # The pictures of README and docs, from the real page with simulated vehicles: docs/images/web-*.png
@@ -60,6 +62,10 @@ check: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	@if command -v npm >/dev/null; then $(BIN)/python build_page.py --check; else echo "no npm in PATH: make test-web checks the page"; fi
+
+# The documentation as a site: build/site/index.html, to be opened as a file. A broken link ends it
+docs: $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(STAMP)
 	$(BIN)/python -m pytest tests/bench -s --timeout 600
@@ -97,11 +103,15 @@ INSTALL = test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); $(BIN)/python -m p
 
 $(STAMP): $(BUILT_FROM)
 	$(INSTALL) '.[dev]'
-	touch $@ $(TEST) $(DEMO)
+	touch $@ $(TEST) $(DEMO) $(DOCS)
 
 $(TEST): $(BUILT_FROM)
 	$(INSTALL) '.[test]'
 	touch $@ $(DEMO)
+
+$(DOCS): $(BUILT_FROM)
+	$(INSTALL) '.[docs]'
+	touch $@
 
 $(DEMO): $(BUILT_FROM)
 	$(INSTALL) '.[web]'

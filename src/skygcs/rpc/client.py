@@ -36,9 +36,9 @@ from skygcs.rpc.address import client_address, tcp_address
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
 Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]
+"""By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
 
 TrajectoryOrder = Literal["start", "pause", "resume", "speed", "abort", "unload"]
-"""By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
 
 
 CONNECT_WITHIN_S = 10.0
@@ -201,12 +201,15 @@ class Client:
         return await self._order("takeoff", targets, height_m=height_m, arm=arm, wait_s=wait_s, force=force)
 
     async def land(self, targets: Targets) -> Outcomes:
+        """Land where each of them is."""
         return await self._order("land", targets)
 
     async def rtl(self, targets: Targets) -> Outcomes:
+        """Return to the place of take-off and land there, as the autopilot is set."""
         return await self._order("rtl", targets)
 
     async def hold(self, targets: Targets) -> Outcomes:
+        """Stop, and stay there."""
         return await self._order("hold", targets)
 
     async def mode(self, targets: Targets, mode: str) -> Outcomes:

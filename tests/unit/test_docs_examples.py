@@ -1,0 +1,182 @@
+"""Every example of the pages is read by what it is for: commands by the command line's own parser, programs by Python.
+
+TOML is read by `skygcs check` in tests/unit/config/test_reference_docs.py; tests/system/test_docs_programs.py runs what
+can be run.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from skygcs.cli.main import app, hoisted, json_last
+from skygcs.cli.serve import _parser
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [*sorted(ROOT.glob("docs/**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+BLOCK = re.compile(r"^```([\w ]*)\n(.*?)^```$", re.M | re.S)
+CODE_SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
+ROOT_COMMAND = typer.main.get_command(app)
+ARGPARSE = _parser()
+SHELL = ("", "sh", "bash")
+MANUAL = re.compile(r" {3,}[a-z]")
+"""Within a line of plain text: a synopsis with an explanation behind it."""
+
+
+def label(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(page: Path, *languages: str) -> Iterator[str]:
+    return (text for language, text in BLOCK.findall(page.read_text(encoding="utf-8")) if language in languages)
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """The words of each call of skygcs and skygcs-cli in the page's shell examples."""
+    for text in blocks(page, *SHELL):
+        for line in text.replace("\\\n", " ").splitlines():
+            line = line.strip().removeprefix("$ ")
+            if not re.search(r"(^|[|&;] *|sudo )skygcs(-cli)? ", line):
+                continue
+            if "|FILE" in line or "FILE…" in line or (MANUAL.search(line) and "#" not in line):
+                line = MANUAL.split(line)[0].replace("[", "").replace("]", "")  # a synopsis
+            yield from calls(line)
+
+
+def calls(line: str) -> Iterator[list[str]]:
+    """The words of each of our programs in one line of shell."""
+    lexer = shlex.shlex(line, posix=True, punctuation_chars="|&;<>")
+    lexer.whitespace_split = True
+    words: list[str] = []
+    skip = False
+    for word in [*lexer, ";"]:
+        if word in (">", ">>", "<"):
+            skip = True
+        elif skip:
+            skip = False
+        elif set(word) <= set("|&;"):
+            words = words[1:] if words[:1] == ["sudo"] else words
+            if words[:1] in (["skygcs"], ["skygcs-cli"]):
+                yield words
+            words = []
+        else:
+            words.append(word)
+
+
+def parse(words: list[str]) -> None:
+    """Fails as the program itself would, with its words; runs nothing."""
+    program, *args = words
+    if program == "skygcs":
+        try:
+            ARGPARSE.parse_args(args)
+        except SystemExit as end:
+            assert end.code == 0, f"skygcs refuses: {' '.join(words)}"
+        return
+    command, rest, parent = ROOT_COMMAND, hoisted(json_last(args)), None
+    try:
+        while True:
+            context = command.make_context(command.name, rest, parent=parent)
+            words_left = [*getattr(context, "_protected_args", ()), *context.args]
+            if not hasattr(command, "resolve_command") or not words_left:
+                return
+            _, command, rest = command.resolve_command(context, words_left)
+            parent = context
+    except Exception as error:  # click's and typer's, of which there are two trees
+        raise AssertionError(f"{' '.join(words)}: {type(error).__name__}: {error}") from None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_every_command_is_one(page: Path) -> None:
+    for words in commands(page):
+        parse(words)
+
+
+def test_most_commands_are_found_in_the_pages() -> None:
+    """That the test above reads something: the pages show some two hundred calls."""
+    assert sum(1 for page in PAGES for _ in commands(page)) > 150
+
+
+@pytest.mark.parametrize(
+    "line", ["skygcs-cli takeof all", "skygcs-cli goto alpha --enuu 1,2,3", "skygcs-cli status a b c", "skygcs runn f"]
+)
+def test_a_wrong_command_is_found(line: str) -> None:
+    (words,) = calls(line)
+    with pytest.raises(AssertionError, match=re.escape(line)):
+        parse(words)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_commands_named_in_the_text_and_their_options_exist(page: Path) -> None:
+    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for span in CODE_SPAN.findall(prose):
+        if not span.startswith("skygcs-cli "):
+            continue
+        command, context, words = ROOT_COMMAND, None, span.replace("\\|", " ").split()[1:]
+        while words and hasattr(command, "resolve_command") and re.fullmatch(r"[a-z][a-z-]*", words[0]):
+            context = command.make_context(command.name, [], parent=context, resilient_parsing=True)
+            inner = command.get_command(context, words[0])
+            assert inner is not None, f"no command in `{span}`"
+            command, words = inner, words[1:]
+        options = {name for param in command.params for name in (*param.opts, *param.secondary_opts)}
+        options |= {"--help", "-h", *(name for param in ROOT_COMMAND.params for name in param.opts)}
+        unknown = [w for w in words if re.fullmatch(r"--[a-z][a-z-]*", w) and w not in options]
+        if not hasattr(command, "resolve_command"):
+            assert unknown == [], f"no such option in `{span}`"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_programs_compile_and_import_what_is_there(page: Path) -> None:
+    for program in blocks(page, "python"):
+        for node in ast.walk(ast.parse(program, label(page))):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("skygcs"):
+                module = importlib.import_module(node.module)
+                assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_json_is_json(page: Path) -> None:
+    for text in blocks(page, "json"):
+        for line in text.splitlines():
+            json.loads(line)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_targets_of_make_exist(page: Path) -> None:
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"`make ([\w-]+)[^`]*`", text)
+    named += [t for block in blocks(page, *SHELL) for t in re.findall(r"^make ([\w-]+)", block, re.M)]
+    assert set(named) - targets - {"px4_sitl_default", "px4_fmu-v2_default"} == set()  # PX4's own
+
+
+def anchors(page: Path) -> set[str]:
+    """As GitHub makes them of headings."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    found = set()
+    for heading in re.findall(r"^#+ (.*)$", text, re.M):
+        plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
+        found.add(re.sub(r"[^\w\- ]", "", plain).strip().replace(" ", "-"))
+    return found
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=label)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    """`make docs` checks those within docs/ too; this one those of the pages beside it, and without MkDocs."""
+    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for link, picture in LINK.findall(text):
+        path, _, anchor = (link or picture).partition("#")
+        if re.match(r"[a-z]+:", path):
+            continue
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{link or picture} in {label(page)}"
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target), f"{link} in {label(page)}"
