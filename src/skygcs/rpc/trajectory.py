@@ -68,6 +68,19 @@ class TrajectoryStatus(Result):
     )
 
 
+class TrajectoryPathsParams(ListParams):
+    known: Annotated[str, Field(max_length=64)] | None = Field(
+        None, description="key of an earlier answer: paths is null if nothing has changed."
+    )
+
+
+class TrajectoryPaths(Result):
+    key: str = Field(description="Another one when a trajectory is loaded, begun, ended or unloaded.")
+    paths: list[dict[str, Any]] | None = Field(
+        description="Of each vehicle that has one: vehicle, name, flown, points_enu_m at equal times; for pictures."
+    )
+
+
 async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> JsonObject:
     """Keep a trajectory for a vehicle, in place of the one before; nothing moves.
 
@@ -141,6 +154,13 @@ def trajectory_status(context: Context, params: ListParams) -> JsonObject:
     }
 
 
+async def trajectory_paths(context: Context, params: TrajectoryPathsParams) -> JsonObject:
+    """The paths that are loaded and flown, as points; also the step of a plan that is under way."""
+    actors = resolve(context.services, params.targets)
+    key, paths = await context.services.fleet.trajectories.paths(actors, params.known)
+    return {"key": key, "paths": paths}
+
+
 _TARGET = (dispatch.TARGET_ERROR,)
 _REFUSED = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
@@ -152,5 +172,6 @@ METHODS: tuple[Method[Context], ...] = (
     Method("trajectory.speed", TrajectorySpeedParams, trajectory_speed, Outcomes, _TARGET),
     Method("trajectory.abort", TargetsParams, trajectory_abort, Outcomes, _TARGET),
     Method("trajectory.unload", TargetsParams, trajectory_unload, Outcomes, _TARGET),
+    Method("trajectory.paths", TrajectoryPathsParams, trajectory_paths, TrajectoryPaths, _TARGET),
     Method("trajectory.status", ListParams, trajectory_status, TrajectoryStatus, _TARGET),
 )

@@ -11,10 +11,13 @@ others on their paths: what is planned for them does not know that one stands st
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState, Trajectory, TrajectoryClock
@@ -40,6 +43,19 @@ LARGE_PIECES = 4
 """From here on bounds are computed in a thread: control ticks on the event loop, 50 times a second."""
 
 LATEST_START_S = 3600.0
+
+MOST_PATH_POINTS, LEAST_PATH_POINTS, POINTS_EACH_PIECE = 400, 32, 4
+"""Of one trajectory in a picture."""
+
+MOST_POINTS_OF_ALL = 20_000
+"""Of all trajectories in one answer: some 400 kB."""
+
+
+class DrawnPath(NamedTuple):
+    """Points of a trajectory for a picture; ``number`` is never given twice."""
+
+    number: int
+    points_enu_m: tuple[tuple[float, float, float], ...]
 
 
 @dataclass(eq=False)
@@ -76,6 +92,8 @@ class Trajectories:
         self._on_event = on_event
         self._loaded: dict[VehicleActor, LoadedTrajectory] = {}
         self._groups: list[TrajectoryGroup] = []
+        self._drawn: WeakKeyDictionary[LoadedTrajectory, DrawnPath] = WeakKeyDictionary()
+        self._numbers = itertools.count(1)
 
     # -- what is loaded
 
@@ -325,6 +343,29 @@ class Trajectories:
 
     # -- what is shown
 
+    async def paths(self, actors: Sequence[VehicleActor], known: str | None) -> tuple[str, list[dict[str, Any]] | None]:
+        """(key, paths) of what is loaded or flown, as points at equal times; None for the paths if ``known`` is the
+        key. Points are computed once for each trajectory, in a thread."""
+        shown = []
+        for actor in actors:
+            flight = actor.offboard.controller.flight
+            loaded = self._loaded.get(actor) if flight is None else flight.loaded
+            if loaded is not None:
+                shown.append((actor.name, loaded, flight is not None))
+        for _, loaded, _ in shown:
+            if loaded not in self._drawn:
+                points = await asyncio.to_thread(path_points, loaded.trajectory)
+                self._drawn[loaded] = DrawnPath(next(self._numbers), points)
+        listed = [(name, self._drawn[loaded].number, flown) for name, loaded, flown in shown]
+        key = hashlib.blake2s(repr(listed).encode(), digest_size=8).hexdigest()
+        if key == known:
+            return key, None
+        step = max(1, math.ceil(sum(len(self._drawn[one].points_enu_m) for _, one, _ in shown) / MOST_POINTS_OF_ALL))
+        return key, [
+            {"vehicle": name, "name": loaded.name, "flown": flown, "points_enu_m": _thinned(self._drawn[loaded], step)}
+            for name, loaded, flown in shown
+        ]
+
     def status(self, actors: Sequence[VehicleActor]) -> list[dict[str, Any]]:
         """What is loaded and flown, by vehicle; those without either are left out."""
         now, found = self._loop.time(), []
@@ -351,6 +392,19 @@ class Trajectories:
                 }
             )
         return found
+
+
+def path_points(trajectory: Trajectory) -> tuple[tuple[float, float, float], ...]:
+    """Places at equal times, to the centimetre."""
+    count = min(MOST_PATH_POINTS, max(LEAST_PATH_POINTS, POINTS_EACH_PIECE * len(trajectory.pieces)))
+    places = (trajectory.at(trajectory.duration_s * k / (count - 1)).pos_enu_m for k in range(count))
+    return tuple((round(x, 2), round(y, 2), round(up, 2)) for x, y, up in places)
+
+
+def _thinned(drawn: DrawnPath, step: int) -> list[tuple[float, float, float]]:
+    """Every ``step``th point, and the last."""
+    points = drawn.points_enu_m
+    return [*points[:-1:step], points[-1]]
 
 
 def _require_no_plan(group: TrajectoryGroup) -> None:

@@ -35,6 +35,7 @@ READ = frozenset(
         "router.stats",
         "rpc.discover",
         "signing.status",
+        "trajectory.paths",
         "trajectory.status",
         "undo.list",
         "vehicles.get",

@@ -6,6 +6,8 @@ import asyncio
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
+
 from skygcs.config.separation import MonitorConfig
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.runtime import trajectories
@@ -90,3 +92,38 @@ async def test_a_start_in_the_past_or_never_starts_nothing() -> None:
     for at_s in (now - 1.0, now + 1e6, float("inf"), float("nan")):
         outcome = kept.start([alpha], at_s, 1.0)["alpha"]
         assert not outcome.ok and "the start is" in outcome.message
+
+
+async def test_paths_are_points_of_what_is_loaded_or_flown_and_come_again_only_after_a_change() -> None:
+    alpha, bravo, idle = actor("alpha"), actor("bravo"), actor("idle")
+    both = [alpha, bravo, idle]
+    kept = keeping(*both)
+    await kept.load(alpha, line(2), "a")
+    key, paths = await kept.paths(both, None)
+    assert paths is not None
+    [path] = paths
+    assert (path["vehicle"], path["name"], path["flown"]) == ("alpha", "a", False)
+    points = path["points_enu_m"]
+    assert points[0] == (0.0, 0.0, 5.0) and points[-1] == (2.0, 0.0, 5.0)
+    assert points[len(points) // 2][0] == pytest.approx(1.0, abs=0.05)
+    assert await kept.paths(both, key) == (key, None)
+    await kept.load(bravo, line(1), "b")
+    second, paths = await kept.paths(both, key)
+    assert second != key and paths is not None and [path["vehicle"] for path in paths] == ["alpha", "bravo"]
+    cast(Any, alpha.offboard.controller).flight = SimpleNamespace(loaded=kept._loaded[alpha])
+    third, paths = await kept.paths(both, second)
+    assert third != second and paths is not None and [path["flown"] for path in paths] == [True, False]
+    cast(Any, alpha.offboard.controller).flight = None
+    await kept.load(alpha, line(2), "a")  # the same again is another one
+    assert (await kept.paths(both, second))[1] is not None
+
+
+async def test_the_points_of_all_paths_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectories, "MOST_POINTS_OF_ALL", 40)
+    alpha, bravo = actor("alpha"), actor("bravo")
+    kept = keeping(alpha, bravo)
+    for one in (alpha, bravo):
+        await kept.load(one, line(30), "long")
+    _, paths = await kept.paths([alpha, bravo], None)
+    assert paths is not None and sum(len(path["points_enu_m"]) for path in paths) <= 42
+    assert paths[0]["points_enu_m"][-1] == (30.0, 0.0, 5.0)

@@ -106,7 +106,7 @@ function withUnit(text: string | null, unit: string): string | null {
 function armedCell(v: Vehicle): Cell {
   if (v.replayed) return cell("replay", "muted");
   if (v.armed === null) return UNKNOWN;
-  if (v.separation !== null && v.separation.level !== "notice") return cell(`NEAR ${v.separation.with}`, "danger");
+  if (v.separation !== null && v.separation.level !== "notice") return cell(`${v.armed ? "armed, " : ""}NEAR ${v.separation.with}`, "danger");
   if (v.uplink?.heard === false) return cell(v.armed ? "ARMED, DEAF" : "deaf", "danger", "It does not answer: it hears nothing of us");
   if (!v.armed) return cell("no", "muted");
   return cell(v.separation === null ? "armed" : `armed, near ${v.separation.with}`, v.separation === null ? "good" : "warning");

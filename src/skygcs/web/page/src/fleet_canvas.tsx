@@ -4,6 +4,7 @@ import { useEffect, useReducer, useRef, useState } from "preact/hooks";
 import { hideFences, showFences } from "./fences.ts";
 import { useStore } from "./hooks.ts";
 import type { PanelProps } from "./panels/registry.ts";
+import { beginPlannedPaths } from "./planned_paths.ts";
 import { beginInput } from "./view/input.ts";
 
 export function FleetCanvas({ store, connection, view }: PanelProps) {
@@ -12,6 +13,7 @@ export function FleetCanvas({ store, connection, view }: PanelProps) {
   const band = useRef<HTMLDivElement>(null);
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   useEffect(() => view.onChange(() => redraw(0)), [view]);
+  useEffect(() => beginPlannedPaths(store, connection, view), [store, connection, view]);
   useEffect(() => {
     const element = canvas.current;
     if (element === null) return;

@@ -2,7 +2,7 @@
 
 import type { Connection } from "./connection.ts";
 import type { Store } from "./store.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, StateBatch } from "./types.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
 
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
@@ -78,6 +78,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     }),
     connection.on<StateBatch>("web.state", onBatch),
     connection.on<DaemonLink>("web.daemon", onDaemon),
+    connection.on<PlanStatus>("web.plan", (plan) => store.dispatch({ type: "plan", plan })),
     connection.on<{ event: FleetEvent }>("event", ({ event }) => store.dispatch({ type: "event", event })),
   ];
   connection.begin();

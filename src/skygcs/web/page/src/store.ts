@@ -1,7 +1,7 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, StateBatch, Vec3, VehicleState } from "./types.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, StateBatch, Vec3, VehicleState } from "./types.ts";
 import { Trails } from "./trails.ts";
 
 /** A vehicle of which nothing came for so long is shown as not heard, whatever was last said of it. */
@@ -45,6 +45,8 @@ export interface State {
   hello: Hello | null;
   daemon: DaemonLink | null;
   origin: Origin | null;
+  /** The daemon's plan; null: not known. */
+  plan: PlanStatus | null;
   clock: ClockSample | null;
   vehicles: ReadonlyMap<string, Vehicle>;
   /** Names by system id. */
@@ -66,6 +68,7 @@ export const EMPTY: State = {
   hello: null,
   daemon: null,
   origin: null,
+  plan: null,
   clock: null,
   vehicles: new Map(),
   names: [],
@@ -84,6 +87,7 @@ export type Action =
   | { type: "slept"; ms: number }
   | { type: "daemon"; daemon: DaemonLink }
   | { type: "origin"; origin: Origin | null }
+  | { type: "plan"; plan: PlanStatus }
   | { type: "batch"; batch: StateBatch; atMs: number }
   | { type: "select"; names: readonly string[]; how: "only" | "add" | "toggle" }
   | { type: "event"; event: FleetEvent }
@@ -109,14 +113,17 @@ export function reduce(state: State, action: Action): State {
         ...state,
         hello: action.hello,
         daemon: action.hello.daemon,
+        plan: null,
         clock: { now_s: action.hello.now_s, atMs: action.atMs },
       };
     case "slept": // the page's clock stood still meanwhile, and the vehicles did not
       return state.clock === null ? state : { ...state, clock: { ...state.clock, atMs: state.clock.atMs - action.ms } };
-    case "daemon":
-      return { ...state, daemon: action.daemon };
+    case "daemon": // what a daemon said of its plan is not true of the next one
+      return { ...state, daemon: action.daemon, plan: action.daemon.connected ? state.plan : null };
     case "origin":
       return { ...state, origin: action.origin };
+    case "plan":
+      return { ...state, plan: action.plan };
     case "batch":
       return applyBatch(state, action.batch, action.atMs);
     case "select":

@@ -175,3 +175,19 @@ export interface Outcome {
   elapsed_s?: number;
   status_texts?: readonly string[];
 }
+
+/** The answer of plan.status; web.plan brings each change. */
+export interface PlanStatus {
+  plan: string | null;
+  name: string | null;
+  kind: string | null;
+  state: string;
+  phase: string | null;
+  step: number | null;
+  steps: number | null;
+  reason: string | null;
+  speed: number | null;
+  clock: { trajectory_s: number; duration_s: number; finishes_in_s: number | null } | null;
+  waits_for: readonly string[];
+  vehicles: readonly { vehicle: string; state: string; error_m: number | null; tube_m: number | null; left: string | null }[];
+}

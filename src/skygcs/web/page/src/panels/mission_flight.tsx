@@ -63,7 +63,7 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
       </table>
       {orders && (
         <div class="row wrap">
-          <HoldButton what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
+          <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
             Start
           </HoldButton>
           <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
@@ -76,10 +76,10 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
           <button type="button" disabled={item === null} onClick={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
             Go to it
           </button>
-          <HoldButton danger what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
+          <HoldButton danger targets={targets} what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
             Delete mission
           </HoldButton>
-          <HoldButton danger what={`Delete the fence of ${whom}`} act={() => order("Delete fence", "missions.clear", { lists: ["fence"] })}>
+          <HoldButton danger targets={targets} what={`Delete the fence of ${whom}`} act={() => order("Delete fence", "missions.clear", { lists: ["fence"] })}>
             Delete fence
           </HoldButton>
         </div>

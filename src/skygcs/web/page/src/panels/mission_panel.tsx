@@ -10,6 +10,7 @@ import type { Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
 import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
+import { HomeFencePanel } from "./home_fence.tsx";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
 import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
@@ -18,13 +19,14 @@ const OVERLAY = "mission";
 /** Between the last change of a drawing and its check. */
 const CHECK_AFTER_MS = 350;
 
-type What = "file" | "mission" | "polygon" | "circle";
+type What = "file" | "mission" | "polygon" | "circle" | "home";
 
 const TABS: readonly { id: What; title: string }[] = [
   { id: "file", title: "File" },
   { id: "mission", title: "Waypoints" },
   { id: "polygon", title: "Fence" },
   { id: "circle", title: "Round fence" },
+  { id: "home", title: "About home" },
 ];
 
 type Ending = "return" | "land" | "hold";
@@ -74,7 +76,9 @@ export default function MissionPanel(props: PanelProps) {
   return (
     <div class="panel missionpanel">
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
-      {tab === "file" ? <FromFile {...props} targets={targets} setChecked={setChecked} /> : <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} setChecked={setChecked} targets={targets} />}
+      {tab === "file" && <FromFile {...props} targets={targets} setChecked={setChecked} />}
+      {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
+      {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} setChecked={setChecked} targets={targets} />}
       {checked !== null && <Checked {...props} checked={checked} targets={targets} fenceOnly={tab === "polygon" || tab === "circle"} />}
       <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
     </div>
@@ -303,7 +307,7 @@ function Checked({ store, connection, checked, targets, fenceOnly }: PanelProps 
             Upload to {targets.length === 0 ? "selected vehicles" : namesText(targets)}
           </button>
           {!checked.ok && text !== null && targets.length > 0 && (
-            <HoldButton danger what={`Upload ${checked.name} to ${namesText(targets)} in spite of its errors`} act={() => upload(true)}>
+            <HoldButton danger targets={targets} what={`Upload ${checked.name} to ${namesText(targets)} in spite of its errors`} act={() => upload(true)}>
               Upload all the same
             </HoldButton>
           )}

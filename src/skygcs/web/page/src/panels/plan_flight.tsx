@@ -6,24 +6,10 @@ import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
-import { Choice, Failure, NumberField, usePolled } from "./parts.tsx";
+import { Choice, Failure, NumberField } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
 import type { PanelProps } from "./registry.ts";
-
-interface PlanStatus {
-  plan: string | null;
-  name: string | null;
-  kind: string | null;
-  state: string;
-  phase: string | null;
-  step: number | null;
-  steps: number | null;
-  reason: string | null;
-  speed: number | null;
-  clock: { trajectory_s: number; duration_s: number; finishes_in_s: number | null } | null;
-  waits_for: readonly string[];
-  vehicles: readonly { vehicle: string; state: string; error_m: number | null; tube_m: number | null; left: string | null }[];
-}
+import type { PlanStatus } from "../types.ts";
 
 interface Report {
   ok: boolean;
@@ -44,11 +30,10 @@ const AT_REST = new Set(["none", "loaded", "checked", "aborted", "landed", "fini
 const MAX_PLAN_CHARS = 1_000_000;
 
 export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; follow: (t_s: number) => void }) {
-  const { store, connection, checked, follow } = props;
+  const { store, checked, follow } = props;
   const orders = useStore(store, mayOrder);
   const replay = useStore(store, (state) => state.hello?.replay ?? false);
-  const polled = usePolled<PlanStatus>(store, connection, replay ? null : "plan.status", {}, 500);
-  const status = polled.answer;
+  const status = useStore(store, (state) => state.plan);
   const flies = status !== null && !AT_REST.has(status.state);
   const follower = useRef(follow);
   follower.current = follow;
@@ -60,7 +45,6 @@ export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; fo
   return (
     <section class="card" aria-label="Flight of the plan">
       <h3>Flight</h3>
-      <Failure text={polled.error} />
       {status !== null && status.state !== "none" && <StatusView status={status} />}
       {orders && (flies ? <Running {...props} status={status} /> : <Before {...props} checked={checked} status={status} />)}
     </section>
@@ -114,7 +98,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
     <>
       <div class="row wrap">
         {status.state === "paused" || status.state === "stopped" ? (
-          <HoldButton what={`Resume the plan of ${whom}`} act={() => order("Resume plan", "plan.resume")}>
+          <HoldButton targets={targets} what={`Resume the plan of ${whom}`} act={() => order("Resume plan", "plan.resume")}>
             Resume
           </HoldButton>
         ) : (
@@ -125,7 +109,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
         <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>
           Land
         </button>
-        <HoldButton danger what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort")}>
+        <HoldButton danger targets={targets} what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort")}>
           Abort
         </HoldButton>
       </div>
@@ -201,17 +185,17 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
       <Failure text={error} />
       {report !== null && <ReportView report={report} />}
       {report !== null && report.ok && (
-        <HoldButton what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>
+        <HoldButton targets={targets} what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>
           Fly it
         </HoldButton>
       )}
       {report !== null && !report.ok && heights.length > 0 && (
-        <HoldButton what={`Set the return heights (${heights.join(", ")}) and fly the plan with ${whom}`} act={() => void run({ set_return_heights: true })}>
+        <HoldButton targets={targets} what={`Set the return heights (${heights.join(", ")}) and fly the plan with ${whom}`} act={() => void run({ set_return_heights: true })}>
           Set return heights and fly
         </HoldButton>
       )}
       {insists && (
-        <HoldButton danger what={`Fly the plan with ${whom} in spite of what is refused`} act={() => void run({ force: true })}>
+        <HoldButton danger targets={targets} what={`Fly the plan with ${whom} in spite of what is refused`} act={() => void run({ force: true })}>
           Fly it all the same
         </HoldButton>
       )}

@@ -38,7 +38,7 @@ export function VehicleControl(props: VehicleProps) {
       {orders && (
         <div class="row">
           {MODES.map(([mode, title]) => (
-            <HoldButton key={mode} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>
+            <HoldButton key={mode} targets={[name]} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>
               {title}
             </HoldButton>
           ))}
@@ -186,7 +186,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
         onValue={(typed) => setChanges((before) => ({ ...before, hover_thrust: typed }))}
       />
       <div class="row">
-        <HoldButton what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0 || invalid} act={() => void apply()}>
+        <HoldButton targets={[name]} what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0 || invalid} act={() => void apply()}>
           Set gains
         </HoldButton>
         <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>

@@ -1,5 +1,6 @@
 // The messages that a vehicle sends, with rates; one of them with its fields; and the rate at which it is wanted.
 
+import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
 import { useStore } from "../hooks.ts";
 import { sendOrder } from "../orders.ts";
@@ -42,7 +43,7 @@ export function VehicleMessages(props: VehicleProps) {
             <tr key={name} aria-selected={name === open}>
               <td>
                 <button type="button" class="link" onClick={() => setOpen(name === open ? null : name)}>
-                  {name}
+                  {breakable(name)}
                 </button>
               </td>
               <td class="number">{rate.rate_hz.toFixed(1)}</td>
@@ -57,6 +58,11 @@ export function VehicleMessages(props: VehicleProps) {
       {rows.length === 0 && <p class="note">No message of that name.</p>}
     </>
   );
+}
+
+/** A long name is broken after an underscore, not within a word. */
+function breakable(name: string): ComponentChildren {
+  return name.split(/(?<=_)/).flatMap((part, i) => (i === 0 ? [part] : [<wbr key={i} />, part]));
 }
 
 function Message({ store, connection, name, message, close }: VehicleProps & { message: string; close: () => void }) {

@@ -161,7 +161,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
         ))}
       </ul>
       <div class="row">
-        <HoldButton what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
+        <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
           {busy ? "Setting …" : `Set ${book.edits.size}`}
         </HoldButton>
         <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>

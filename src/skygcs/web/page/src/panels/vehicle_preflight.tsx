@@ -85,7 +85,7 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
           {report.unfixed !== "" && <p class="failure">{report.unfixed}</p>}
           <Fixes fixes={report.fixes} left={left} setLeft={setLeft} />
           {chosen.length > 0 && orders && (
-            <HoldButton what={`Set ${chosen.length} parameters of ${name}`} act={() => void fix()}>
+            <HoldButton targets={[name]} what={`Set ${chosen.length} parameters of ${name}`} act={() => void fix()}>
               Set {chosen.length} {chosen.length === 1 ? "parameter" : "parameters"}
             </HoldButton>
           )}

@@ -1,0 +1,167 @@
+// The fence about home that an autopilot's parameters make: read, and set on the selected vehicles.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { namesText } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import { refusalText } from "../orders.ts";
+import type { Outcome } from "../types.ts";
+import { ask, mayOrder, orderWith } from "./calls.ts";
+import { Choice, Failure, NumberField } from "./parts.tsx";
+import type { PanelProps } from "./registry.ts";
+
+export interface HomeFence {
+  enabled: boolean | null;
+  action: string | null;
+  radius_m: number | null;
+  height_m: number | null;
+  follows_list: boolean;
+}
+
+type Outcomes = Readonly<Record<string, Outcome & { fence: HomeFence | null }>>;
+
+type Action = "leave" | "none" | "warn" | "hold" | "return" | "land" | "terminate";
+
+const ACTIONS: readonly (readonly [Action, string])[] = [
+  ["leave", "as it is"],
+  ["none", "no fence"],
+  ["warn", "warn"],
+  ["hold", "hold"],
+  ["return", "return"],
+  ["land", "land"],
+  ["terminate", "stop the motors: it falls"],
+];
+
+interface Form {
+  radiusM: number | null;
+  heightM: number | null;
+  action: Action;
+}
+
+/** It outlives the panel. */
+let lastForm: Form = { radiusM: null, heightM: null, action: "leave" };
+
+/** The parameters of fence.set: what is left empty stays as it is; null: nothing would be set. */
+export function fenceParams({ radiusM, heightM, action }: Form): object | null {
+  const params = {
+    ...(radiusM === null ? {} : { radius_m: radiusM }),
+    ...(heightM === null ? {} : { height_m: heightM }),
+    ...(action === "leave" ? {} : { action }),
+  };
+  return Object.keys(params).length === 0 ? null : params;
+}
+
+/** What a person reads of it: "radius 100 m, height 50 m, then return". */
+export function fenceText({ radiusM, heightM, action }: Form): string {
+  const parts = [
+    radiusM === null ? null : radiusM === 0 ? "no radius" : `radius ${radiusM} m`,
+    heightM === null ? null : heightM === 0 ? "no height" : `height ${heightM} m`,
+    action === "leave" ? null : action === "none" ? "off" : `then ${action === "terminate" ? "stop the motors" : action}`,
+  ];
+  return parts.filter((part) => part !== null).join(", ");
+}
+
+export function HomeFencePanel({ store, connection, targets }: PanelProps & { targets: readonly string[] }) {
+  const orders = useStore(store, mayOrder);
+  const [form, setForm] = useState(lastForm);
+  const [found, setFound] = useState<Outcomes | null>(null);
+  const [busy, setBusy] = useState(false);
+  const [error, setError] = useState<string | null>(null);
+  const wanted = useRef(0);
+  const about = targets.join("\n");
+  useEffect(() => { // what was read of others is not shown
+    wanted.current++;
+    setFound(null);
+    setError(null);
+    setBusy(false);
+  }, [about]);
+  const keep = (next: Form): void => {
+    lastForm = next;
+    setForm(next);
+  };
+  const read = async (): Promise<void> => {
+    const mine = ++wanted.current;
+    setBusy(true);
+    setError(null);
+    try {
+      const { outcomes } = await ask<{ outcomes: Outcomes }>(store, connection, "fence.status", { targets });
+      if (mine === wanted.current) setFound(outcomes);
+    } catch (failed) {
+      if (mine === wanted.current) setError(refusalText(failed));
+    }
+    if (mine === wanted.current) setBusy(false);
+  };
+  const params = fenceParams(form);
+  const set = async (): Promise<void> => {
+    if (params === null) return;
+    const mine = ++wanted.current;
+    setBusy(false);
+    const request = { label: `Fence about home: ${fenceText(form)}`, method: "fence.set", params: { targets, ...params }, targets };
+    const answer = await orderWith<{ outcomes: Outcomes }>(store, connection, request, ({ outcomes }) => ({
+      ok: Object.values(outcomes).every(({ ok }) => ok),
+      outcomes,
+      text: null,
+    }));
+    if (answer !== null && mine === wanted.current) setFound(answer.outcomes);
+  };
+  if (targets.length === 0) return <p class="note">Select the vehicles whose fence it is.</p>;
+  const whom = namesText(targets);
+  return (
+    <>
+      <p class="muted">A cylinder about home, made by parameters (PX4 GF_*, ArduCopter FENCE_*). An empty field stays as it is; 0 removes a limit.</p>
+      {orders && (
+        <>
+          <div class="row wrap">
+            <NumberField label="Radius" unit="m" value={form.radiusM} least={0} most={100_000} placeholder="as it is" onValue={(radiusM) => keep({ ...form, radiusM })} />
+            <NumberField label="Height" unit="m" value={form.heightM} least={0} most={10_000} placeholder="as it is" onValue={(heightM) => keep({ ...form, heightM })} />
+            <Choice label="Outside of it" value={form.action} options={ACTIONS} onValue={(action) => keep({ ...form, action })} />
+          </div>
+          <div class="row wrap">
+            <HoldButton danger={form.action === "none" || form.action === "terminate"} targets={targets} disabled={params === null}
+              what={`Set the fence of ${whom}: ${fenceText(form)}`} act={() => void set()}>
+              Set fence
+            </HoldButton>
+            <button type="button" disabled={busy} onClick={() => void read()}>
+              {busy ? "Reading …" : "Read from the vehicles"}
+            </button>
+          </div>
+        </>
+      )}
+      <Failure text={error} />
+      {found !== null && <Fences outcomes={found} />}
+    </>
+  );
+}
+
+function Fences({ outcomes }: { outcomes: Outcomes }) {
+  return (
+    <table class="plain" aria-label="Fences about home">
+      <thead>
+        <tr>
+          <th>vehicle</th>
+          <th class="number">radius</th>
+          <th class="number">height</th>
+          <th>outside of it</th>
+        </tr>
+      </thead>
+      <tbody>
+        {Object.entries(outcomes).map(([name, { ok, message, fence }]) => (
+          <tr key={name}>
+            <td>{name}</td>
+            {fence === null ? <td colSpan={3} class={ok ? "" : "failure"}>{message}</td> : (
+              <>
+                <td class="number">{limitText(fence.radius_m)}</td>
+                <td class="number">{limitText(fence.height_m)}</td>
+                <td>{fence.enabled === false ? "off" : (fence.action ?? "?")}{ok ? "" : `: ${message}`}</td>
+              </>
+            )}
+          </tr>
+        ))}
+      </tbody>
+    </table>
+  );
+}
+
+function limitText(limitM: number | null): string {
+  return limitM === null ? "none" : `${limitM} m`;
+}
