@@ -78,12 +78,15 @@ class PlanFlight:
         actors: Mapping[str, VehicleActor],
         loaded: Sequence[Loaded],
         origin: Origin,
+        known: Callable[[VehicleActor], bool] = lambda actor: True,
     ) -> None:
-        """``loaded``: the trajectories of each step, with their bounds."""
+        """``loaded``: the trajectories of each step, with their bounds; ``known``: whether the fleet still has a
+        vehicle."""
         self.settings = settings
         self.execution = execution
         self.actors = dict(actors)
         self.origin = origin
+        self.known = known
         self.frame = EnuFrame(origin)
         self.group: TrajectoryGroup | None = None
         """Of the step under way."""
@@ -130,6 +133,7 @@ class PlanFlight:
             reported,
             age_s + delay_s,
             holds=vehicle.mode in HOLD_MODES,
+            forgotten=not self.known(actor),
         )
 
     def _left(self, name: str, actor: VehicleActor, now: float) -> Left | None:
@@ -137,6 +141,8 @@ class PlanFlight:
         if self.execution.over or self.execution.state in (PlanState.ABORTING, PlanState.LANDING):
             return None
         vehicle, controller = actor.vehicle, actor.offboard.controller
+        if not self.known(actor):
+            return Left(Why.LOST, "it was forgotten, and no order reaches it any more")
         if not vehicle.connected:
             return Left(Why.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
         if name not in self.engaged:

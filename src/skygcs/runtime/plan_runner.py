@@ -81,6 +81,8 @@ class World(Protocol):
     def resolve(self, expression: str) -> list[VehicleActor]: ...
     def everybody(self) -> list[VehicleActor]: ...
     @property
+    def vehicles(self) -> Mapping[int, VehicleActor]: ...
+    @property
     def origin(self) -> Origin | None: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
 
@@ -250,7 +252,7 @@ class PlanRunner:
         settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
         actors = {actor.name: actor for actor in checked.actors}
         self._request = request
-        self.flight = PlanFlight(settings, checked.execution, actors, checked.loaded, checked.origin)
+        self.flight = PlanFlight(settings, checked.execution, actors, checked.loaded, checked.origin, self._knows)
         self.flight.look(self._loop.time())
         self._orders.carry_out(self.flight, checked.execution.begin())
         return True, report
@@ -436,7 +438,7 @@ class PlanRunner:
         if flight.group is not None:
             flight.group.clock.abort(self._loop.time())
         again = Execution(prepared.steps, (), prepared.tubes)
-        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, flight.origin)
+        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, flight.origin, self._knows)
         self.flight = later
         later.look(self._loop.time())
         self._orders.carry_out(later, again.begin())
@@ -500,6 +502,9 @@ class PlanRunner:
     ) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
         prepared, loaded = await self.work(_prepared_and_loaded, situation, rest)
         return prepared, loaded
+
+    def _knows(self, actor: VehicleActor) -> bool:
+        return self._fleet.vehicles.get(actor.vehicle.key) is actor
 
     def _flying(self) -> PlanFlight:
         if self.flight is None:
@@ -683,7 +688,10 @@ def _returning(
     for name in execution.names:
         sight, left = sights[name], sights[name].left or execution.left.get(name)
         silent = sight.place_m is None or sight.age_s > SILENT_S
-        if silent:
+        if sight.forgotten and not sight.on_ground:
+            out.append(name)
+            reasons.append(f"{name} was forgotten: abort, and run it again from where they are, or insist with force")
+        elif silent:
             out.append(name)
             reasons.append(f"{name} is silent: it may be anywhere; wait for it, or insist with force")
         elif left is None:

@@ -2,9 +2,10 @@
 
     state        what is done                                        what ends it
     ----------   -------------------------------------------------   --------------------------------------------------
-    arming       vehicles on the ground arm; nobody moves            all armed → takeoff; one is not → aborted (disarm)
-    takeoff      they climb vertically, each to its layer            all there → engaging; one is not → stopped, and who
-                                                                     still stands is disarmed
+    arming       vehicles on the ground arm; nobody moves            all armed → takeoff; one is not, is lost or
+                                                                     forgotten → aborted (disarm)
+    takeoff      they climb vertically, each to its layer            all there → engaging; one is not, is lost or
+                                                                     forgotten → stopped, who still stands is disarmed
     engaging     each is taken under control and stands at its place all there → to_starts, returning or flying
     to_starts    way there, step by step                             the last barrier → flying
     returning    way back after a stop                               the barrier → the interrupted step
@@ -13,7 +14,8 @@
     stopped      the clock stops: one is late, lost, held or taken   resume (by a new certificate, or where nobody left
                                                                      its place) → the step; abort, land
     aborting     the clock stops for good                            all stand → each is ordered to hold → aborted
-    landing      the clock stops, the landing is certified           refused → stopped; all on the ground → landed
+    landing      the clock stops, the landing is certified           refused, or one is forgotten before the last
+                                                                     round → stopped; all on the ground → landed
     finished     all were at their goals: each was ordered to hold   land
     aborted      each was ordered to hold, or is on the ground       land
     landed       all are on the ground                               –
@@ -156,6 +158,8 @@ class Sight(NamedTuple):
     before_s: float = 0.0
     holds: bool = False
     """Its autopilot holds it where it is, and needs nobody for that."""
+    forgotten: bool = False
+    """The fleet has it no more: no order reaches it, and no outcome comes."""
 
 
 class Pair(NamedTuple):
@@ -391,6 +395,8 @@ class Execution:
             if not sights[name].on_ground or not sights[name].armed:
                 self._armed.discard(name)
         match self.state:
+            case PlanState.ARMING:
+                return self._tick_arming(sights)
             case PlanState.TAKEOFF:
                 return self._tick_takeoff(sights)
             case PlanState.ENGAGING:
@@ -399,7 +405,8 @@ class Execution:
                 return self._tick_standing(now, trajectory_s, sights)
             case PlanState.ABORTING:
                 still = clock in (None, ClockState.ABORTED, ClockState.FINISHED)
-                return self._hold_now() if still and not self._asked else []
+                orders = self._hold_now() if still and not self._asked else []
+                return [*orders, *self._tick_holding(sights)]
             case PlanState.LANDING:
                 return self._tick_landing(clock, sights)
         if self.state in STEPPING:
@@ -407,6 +414,14 @@ class Execution:
         return []
 
     # -- before the flight
+
+    def _tick_arming(self, sights: Mapping[str, Sight]) -> list[Order]:
+        """The outcome of an order to arm may never come from a vehicle that is gone."""
+        for name in self.names:
+            if (left := sights[name].left) is not None:
+                self._enter(PlanState.ABORTED, f"nobody takes off: {name} left: {left.text}", name)
+                return self._disarm()
+        return []
 
     def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
         if self.state is not PlanState.ARMING:  # it came too late
@@ -443,6 +458,10 @@ class Execution:
 
     def _tick_takeoff(self, sights: Mapping[str, Sight]) -> list[Order]:
         waits = []
+        for name in self.names:
+            if (left := sights[name].left) is not None:
+                self.left[name] = left
+                return self._stop(name, f"{name} left: {left.text}")
         for name in self.grounded:
             seen = sights[name].takeoff
             if seen in ("climbs", None):
@@ -458,8 +477,9 @@ class Execution:
         return [Order(OrderKind.ENGAGE, self.names)]
 
     def _tick_engaging(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
-        for name in self._done:
-            if (left := sights[name].left) is not None:
+        for name in self.names:
+            left = sights[name].left
+            if left is not None and (name in self._done or left.why is Why.LOST):
                 self.left[name] = left
                 return self._stop(name, f"{name} left: {left.text}")
         starts = self.step.starts()
@@ -607,6 +627,14 @@ class Execution:
             return standing
         return [*standing, Order(OrderKind.HOLD, staying)]
 
+    def _tick_holding(self, sights: Mapping[str, Sight]) -> list[Order]:
+        """Not wait for the hold of a vehicle that is forgotten."""
+        if self.state is PlanState.ABORTING and self._asked:
+            for name in self.names:
+                if sights[name].forgotten and name not in self._done:
+                    self._on_held(name, False, "it was forgotten")
+        return []
+
     def _on_held(self, name: str, ok: bool, text: str) -> list[Order]:
         if not ok:
             self._report(f"{name} was ordered to hold, but: {text}", name)
@@ -624,7 +652,17 @@ class Execution:
                 return [Order(OrderKind.CERTIFY_LANDING)]
             return []
         self.waits_for = tuple(n for names in self._rounds for n in names if not sights[n].on_ground)
-        if self._rounds and all(sights[n].on_ground for n in self._rounds[0]):
+        if not self._rounds:
+            return []
+        gone = [n for n in self._rounds[0] if sights[n].forgotten and not sights[n].on_ground]
+        if gone and len(self._rounds) > 1:
+            self._rounds = None
+            text = (
+                f"{_named(gone)} was forgotten while it landed: the others stay; `plan land` certifies a landing anew"
+            )
+            self._enter(PlanState.STOPPED, text, gone[0])
+            return []
+        if all(sights[n].on_ground or n in gone for n in self._rounds[0]):
             del self._rounds[0]
             return self._next_round()
         return []

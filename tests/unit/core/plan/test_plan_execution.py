@@ -449,3 +449,65 @@ def test_a_step_of_one_vehicle_that_stands_has_no_pairs() -> None:
     step = replace(steps()[0], trajectories={"alpha": steps()[0].trajectories["alpha"]})
     execution = Execution([step], (), tubes(("alpha",)))
     assert execution.pairs_near("alpha", {"alpha": Sight((0.0, 0.0, 10.0))}) == ()
+
+
+# --- a vehicle that is gone -------------------------------------------------------------------------------------------
+
+GONE = Left(Why.LOST, "it was forgotten")
+
+
+def test_one_that_is_gone_while_they_arm_keeps_all_on_the_ground() -> None:
+    told = Told()
+    told.done(OrderKind.ARM, "alpha")
+    told.see("alpha", armed=True)
+    told.see("bravo", left=GONE, forgotten=True)
+    assert told.tick() == [Order(OrderKind.DISARM, ("alpha",))]
+    assert told.state is PlanState.ABORTED and "bravo left: it was forgotten" in told.execution.reason
+
+
+def test_one_that_is_gone_while_they_take_off_stops_and_who_stands_is_disarmed() -> None:
+    told = Told()
+    told.done(OrderKind.ARM)
+    told.see("alpha", armed=True, on_ground=False, takeoff="climbs")
+    told.see("bravo", armed=True, left=GONE, forgotten=True)
+    assert told.tick() == [Order(OrderKind.DISARM, ("bravo",))]
+    assert told.state is PlanState.STOPPED and "bravo" in told.execution.left
+
+
+def test_one_that_is_gone_before_it_was_taken_under_control_is_not_waited_for() -> None:
+    told = Told(grounded=())
+    told.done(OrderKind.ENGAGE, "alpha")
+    told.see("bravo", left=GONE, forgotten=True)
+    told.tick()
+    assert told.state is PlanState.STOPPED and "bravo left" in told.execution.reason
+
+
+def test_an_abort_does_not_wait_for_the_hold_of_one_that_is_forgotten() -> None:
+    told = Told()
+    told.to_flying()
+    told.take(told.execution.abort())
+    told.see("bravo", forgotten=True)
+    told.tick()
+    told.done(OrderKind.HOLD, "alpha")
+    told.tick()
+    assert told.state is PlanState.ABORTED
+    assert any("bravo was ordered to hold, but: it was forgotten" in change.text for change in told.execution.changes)
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_a_landing_goes_on_below_nobody_that_is_forgotten(last: bool) -> None:
+    told = Told()
+    told.to_flying()
+    told.take(told.execution.land())
+    told.tick()
+    told.take(told.execution.landing([["alpha"], ["bravo"]]))
+    if last:
+        told.see("alpha", on_ground=True)
+        told.tick()
+    told.see("bravo" if last else "alpha", forgotten=True)
+    orders = told.tick()
+    assert not orders
+    assert told.state is (PlanState.LANDED if last else PlanState.STOPPED), told.execution.reason
+    if not last:
+        assert "alpha was forgotten" in told.execution.reason
+        assert told.take(told.execution.land()) == [] and told.tick() == [Order(OrderKind.CERTIFY_LANDING)]
