@@ -117,7 +117,7 @@ class Daemon:
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
-        self.planning = PlanningQueue(self.loop)
+        self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
         token = _read_token("daemon", own.token_file)
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
@@ -199,6 +199,7 @@ class Daemon:
                 self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
+                await self.fleet.plans.processes.close()
             await self.links.close()
             signing.cancel()  # after the last message that was signed
 

@@ -115,6 +115,34 @@ def test_a_plan_is_flown_by_the_command_line_and_lands(field: Field) -> None:
     assert field.state() == "landed"
 
 
+def test_a_plan_that_no_request_holds_is_checked_and_loaded_in_parts(field: Field) -> None:
+    """A hundred vehicles with two hundred pieces each, of which two are there."""
+    plan = field.folder / "large.json"
+    plan.write_text(large_plan(100, 200))
+    assert plan.stat().st_size > 1 << 20
+    checked = field.json("plan", "check", str(plan), "--fleet", "--margin", "2.5")
+    assert checked["certified"] and checked["vehicles"] == 100, checked
+    run = ("plan", "run", str(plan), "v1,v2", "--margin", "2.5", "--force", "--dry-run")
+    field.until(lambda: field.json(*run)["certificate"] is not None)
+    report = field.json(*run)
+    assert report["certificate"]["certified"] and report["certificate"]["vehicles"] == 2, report
+    status = field.json("plan", "status")
+    assert (status["name"], status["state"]) == ("large", "loaded")
+
+
+def large_plan(count: int, pieces: int) -> str:
+    """Each vehicle flies 0.17 m to and fro, by cubics that begin and end at rest, 12 m from its neighbours; the first
+    two as far apart as they stand."""
+    vehicles = {}
+    for i in range(count):
+        east_m, north_m = (5.0 * i, 0.0) if i < 2 else (12.0 * (i % 10), 12.0 * (1 + i // 10))
+        there_m = east_m + 4.0 * 0.123456789012 - 8.0 * 0.041152263004
+        there = [2.0, [east_m, 0.0, 0.123456789012, -0.041152263004], [north_m], [10.0], None]
+        back = [2.0, [there_m, 0.0, -0.123456789012, 0.041152263004], [north_m], [10.0], None]
+        vehicles[f"v{i + 1}"] = [there, back] * (pieces // 2)
+    return json.dumps({"format": "skygcs-plan", "version": 1, "kind": "timed", "vehicles": vehicles})
+
+
 def test_ctrl_c_without_a_terminal_aborts_and_the_vehicles_hold(field: Field) -> None:
     run = ("plan", "run", written(field.folder), "--margin", "2.5", "--force")
     field.until(lambda: field.code(*run, "--dry-run") == 0)

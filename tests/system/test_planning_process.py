@@ -6,6 +6,8 @@ import asyncio
 import json
 import os
 import random
+import resource
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import RefusedError
-from skygcs.planning.process import PlanningFailed, ProcessLimits, call, compute
+from skygcs.planning.process import PlanningFailed, PlanningProcesses, ProcessLimits, call, compute
 from skygcs.planning.request import WrittenPath, make_request, paths_request
 
 pytestmark = pytest.mark.system
@@ -115,6 +117,34 @@ async def test_a_function_is_called_there_with_pickled_arguments() -> None:
         await call(divmod, 1, 0)
     with pytest.raises(RefusedError, match="too many"):
         await call(bytes, 1_000_000, limits=ProcessLimits(answer_bytes=100_000))
+
+
+async def test_one_waits_for_the_next_request_and_a_killed_one_is_replaced() -> None:
+    before = children()
+    processes = PlanningProcesses()
+    assert json.loads(await processes.compute(crossing(3)))["certificate"]["certified"]
+    (kept,) = children() - before
+    assert await processes.call(divmod, 7, 2) == (3, 1)
+    with pytest.raises(RefusedError, match="the most is 1,000"):
+        await processes.compute(crossing(20), None, ProcessLimits(answer_bytes=1000))
+    assert children() == before, "one that refused is not used again"
+    both = await asyncio.gather(processes.call(divmod, 7, 2), processes.compute(crossing(3)))
+    assert both[0] == (3, 1) and len(children() - before) == 1, "two at a time, and one is kept"
+    (kept,) = children() - before
+    os.kill(kept, signal.SIGKILL)
+    await asyncio.sleep(0.3)
+    assert await processes.call(divmod, 9, 2) == (4, 1)
+    await processes.close()
+    assert children() == before
+
+
+async def test_each_request_has_its_own_time_of_the_processor() -> None:
+    processes = PlanningProcesses()
+    before, _ = await processes.call(resource.getrlimit, resource.RLIMIT_CPU)
+    await processes.call(sum, range(60_000_000))  # more than a second
+    after, _ = await processes.call(resource.getrlimit, resource.RLIMIT_CPU)
+    assert after > before
+    await processes.close()
 
 
 PLAN: dict[str, Any] = {

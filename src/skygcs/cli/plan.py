@@ -321,8 +321,13 @@ async def _made_by_daemon(
     if goals is None:
         found = _read([question.file], question.limits, None)
         content = plan_content(found.plan, FlightSpace())
-        more = {"within_limits": question.within_limits, "keep": True}
-        return await asked(gcs, "plan.certify", json_output, plan=content, **more, **common)
+        more = {"within_limits": question.within_limits}
+        answer = await asked(gcs, "plan.certify", json_output, plan=content, **more, **common)
+        if not answer["certificate"]["certified"]:
+            return answer
+        certified_in = space_content(space)
+        certified_in["standing"] |= answer["standing"]
+        return {**answer, "plan": content | {"space": certified_in, "certificate": answer["certificate"]}}
     kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
     return await asked(gcs, "plan.make", json_output, goals=goals, **kind, **common)
 

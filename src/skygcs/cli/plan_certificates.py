@@ -13,11 +13,7 @@ import typer
 
 from skygcs.cli.connection import Exit, fail
 from skygcs.cli.render import console, print_json, table
-from skygcs.errors import RefusedError
 from skygcs.rpc.client import Client
-
-LARGEST_REQUEST = 1_000_000
-"""Bytes; the daemon's limit of a line is 1 MiB."""
 
 Answer = Mapping[str, Any]
 
@@ -32,9 +28,8 @@ def computed(request: dict[str, Any], json_output: bool) -> Answer:
 
 async def asked(gcs: Client, method: str, json_output: bool, **params: Any) -> Answer:
     """The daemon's answer to plan.make or plan.certify. Raises SkygcsError; Ctrl-C ends the request."""
-    size = len(json.dumps(params))
-    if size > LARGEST_REQUEST:
-        raise RefusedError(f"the plan has {size:,} bytes as a request to the daemon; the most is {LARGEST_REQUEST:,}")
+    if "plan" in params:
+        params |= await gcs.given_plan(json.dumps(params.pop("plan")))
     with _bar(json_output) as report:
         return await gcs.planning(method, on_progress=report, **params)
 

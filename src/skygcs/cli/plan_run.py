@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -27,9 +26,6 @@ from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-LARGEST_REQUEST = 1_000_000
-"""Bytes; the daemon's limit of a line is 1 MiB."""
 
 OVER = frozenset({"finished", "aborted", "landed", "loaded", "none"})
 GOOD = frozenset({"finished", "landed"})
@@ -112,11 +108,8 @@ async def _load(gcs: Client, file: Path) -> dict[str, Any]:
     known = (await gcs.call("origin.get"))["origin"]
     origin = None if known is None else Origin(**known)
     found = await asyncio.to_thread(_read, file, origin)
-    content = json.loads(write_plan_json(found.plan, found.space))
-    size = len(json.dumps(content))
-    if size > LARGEST_REQUEST:
-        raise PlanFileError(str(file), "", f"{size:,} bytes as a request; the most is {LARGEST_REQUEST:,}")
-    kept: dict[str, Any] = await gcs.call("plan.load", plan=content, name=file.stem[:64] or "plan")
+    text = await asyncio.to_thread(write_plan_json, found.plan, found.space)
+    kept: dict[str, Any] = await gcs.call("plan.load", **await gcs.given_plan(text), name=file.stem[:64] or "plan")
     return kept
 
 

@@ -13,10 +13,12 @@ object:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from skygcs.core.plan.file_reading import json_of
 from skygcs.core.plan.fleet_plan import FlightSpace, Plan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.plan.plan_json import plan_content, space_content
@@ -60,7 +62,7 @@ def make_request(
 
 
 def check_request(
-    plan: Plan | Mapping[str, Any],
+    plan: Plan | Mapping[str, Any] | None,
     rule: MarginRule,
     limits: MotionLimits,
     space: FlightSpace,
@@ -68,15 +70,35 @@ def check_request(
     within_limits: bool = False,
     keep: bool = False,
 ) -> JsonObject:
-    """Certify a plan, or the content of a file of one; ``within_limits``: its speeds and accelerations as well;
-    ``keep``: the answer has the plan with its certificate."""
+    """Certify a plan, or the content of a file of one, or (None) the text that follows (`with_text`);
+    ``within_limits``: its speeds and accelerations as well; ``keep``: the answer has the plan with its certificate."""
     return {
         "do": "check",
         "keep": keep,
-        "plan": dict(plan) if isinstance(plan, Mapping) else plan_content(plan, FlightSpace()),
+        "plan": _content_of(plan),
         "within_limits": within_limits,
         **_common(rule, limits, space),
     }
+
+
+def with_text(request: bytes, text: bytes) -> bytes:
+    """A request in JSON, without line breaks, and the text of its plan: a large one is decoded in the process only."""
+    return request + b"\n" + text
+
+
+def without_text(request: bytes) -> JsonObject:
+    """What `with_text` made, or a request without it, decoded. Raises PlanFileError for the text, ValueError."""
+    head, _, text = request.partition(b"\n")
+    found: JsonObject = json.loads(head)
+    if text:
+        found["plan"] = json_of("the plan", text)
+    return found
+
+
+def _content_of(plan: Plan | Mapping[str, Any] | None) -> JsonObject | None:
+    if plan is None:
+        return None
+    return dict(plan) if isinstance(plan, Mapping) else plan_content(plan, FlightSpace())
 
 
 def paths_request(

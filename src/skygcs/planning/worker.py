@@ -1,10 +1,12 @@
-"""The planning process: `python -P -m skygcs.planning.worker request|call MEMORY_MB CPU_S ANSWER_BYTES`.
+"""The planning process: `python -P -m skygcs.planning.worker`.
 
-Reads one request (`request.py`) from standard input up to its end, writes lines of JSON: {"progress": …} now and then,
-and last the answer. Or (call) a pickled function and its arguments: the answer is pickled, too, in base64.
+Reads requests from standard input, one after the other: a line `request|call MEMORY_MB CPU_S ANSWER_BYTES LENGTH` and
+so many bytes. A request is JSON (`request.py`); it writes lines of JSON, {"progress": …} now and then, and last the
+answer. A call is a pickled function and its arguments: the answer is pickled, too, in base64. The limits are of one
+request.
 
 It is started by `process.py`, which ends it when nobody waits for the answer any more; should that one be killed, the
-limit of CPU time ends this one.
+limit of CPU time ends this one, or the end of its input.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import math
 import os
 import pickle
 import resource
@@ -19,19 +22,24 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, Plan, TimedPlan
+from skygcs.core.plan.flight_steps import starts_of
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_of
 from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
 from skygcs.planning.process import CALL
-from skygcs.planning.request import JsonObject, path_of, rule_of
+from skygcs.planning.request import JsonObject, path_of, rule_of, without_text
 
 NICENESS = 10
 """A control loop on the same computer goes first."""
+
+HEADER_BYTES = 200
+"""A line of five words."""
 
 PROGRESS_S = 0.1
 """From one report to the next: a bar that moves ten times a second looks smooth."""
@@ -40,32 +48,42 @@ Report = Callable[[str, int, int], None]
 
 
 def main() -> None:
-    """Answer the one request. Refusals are answers; anything else ends with a traceback on standard error."""
-    kind = sys.argv[1]
-    memory_mb, cpu_s, answer_bytes = (int(argument) for argument in sys.argv[2:5])
+    """Answer requests up to the end of the input. Refusals are answers; anything else ends it with a traceback on
+    standard error."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal: the one that waits decides
-    for what, limit in ((resource.RLIMIT_AS, memory_mb << 20), (resource.RLIMIT_CPU, cpu_s)):
-        with contextlib.suppress(ValueError):  # a lower one is in force already
-            resource.setrlimit(what, (limit, limit))
     with contextlib.suppress(OSError):
         os.nice(NICENESS)
+    while header := sys.stdin.buffer.readline(HEADER_BYTES):
+        kind, *numbers = header.decode().split()
+        memory_mb, cpu_s, answer_bytes, length = (int(number) for number in numbers)
+        spent = resource.getrusage(resource.RUSAGE_SELF)
+        cpu_s += math.ceil(spent.ru_utime + spent.ru_stime)
+        for what, limit in ((resource.RLIMIT_AS, memory_mb << 20), (resource.RLIMIT_CPU, cpu_s)):
+            hard = resource.getrlimit(what)[1]
+            resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+        try:
+            request = sys.stdin.buffer.read(length)
+            text = _called(request, answer_bytes) if kind == CALL else _answered(request, answer_bytes)
+        except MemoryError:
+            sys.stdout.write(json.dumps({"refused": f"it needs more than {memory_mb:,} MiB of memory"}) + "\n")
+            return
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+
+
+def _answered(request: bytes, answer_bytes: int) -> str:
+    """The answer to a request as JSON, or why it refused."""
     try:
-        if kind == CALL:
-            return _called(sys.stdin.buffer.read(), answer_bytes)
-        answer = answered(json.load(sys.stdin.buffer), _reporter())
-        text = json.dumps(answer)
-        if len(text) > answer_bytes:
-            text = json.dumps({"refused": f"the plan has {len(text):,} bytes; the most is {answer_bytes:,}"})
+        text = json.dumps(answered(without_text(request), _reporter()))
     except SkygcsError as error:
         text = json.dumps({"refused": str(error)})
-    except MemoryError:
-        text = json.dumps({"refused": f"it needs more than {memory_mb:,} MiB of memory"})
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    if len(text) > answer_bytes:
+        text = json.dumps({"refused": f"the plan has {len(text):,} bytes; the most is {answer_bytes:,}"})
+    return text
 
 
-def _called(request: bytes, answer_bytes: int) -> None:
-    """Call a function, and write (None, its result) or (why it refused, None)."""
+def _called(request: bytes, answer_bytes: int) -> str:
+    """Call a function: (None, its result) or (why it refused, None), pickled, in base64."""
     try:
         function, arguments = pickle.loads(request)
         answer = pickle.dumps((None, function(*arguments)), pickle.HIGHEST_PROTOCOL)
@@ -73,8 +91,7 @@ def _called(request: bytes, answer_bytes: int) -> None:
         answer = pickle.dumps((str(error), None))
     if 4 * len(answer) > 3 * answer_bytes:
         answer = pickle.dumps((f"the answer has {len(answer):,} bytes, too many", None))
-    sys.stdout.buffer.write(base64.b64encode(answer) + b"\n")
-    sys.stdout.buffer.flush()
+    return base64.b64encode(answer).decode()
 
 
 def answered(request: JsonObject, report: Report) -> JsonObject:
@@ -88,6 +105,10 @@ def answered(request: JsonObject, report: Report) -> JsonObject:
         plan: Plan = TimedPlan({name: path_of(name, path, limits) for name, path in request["paths"].items()})
     else:
         plan, own = plan_from_json("the plan", request["plan"])
+        heard: JsonObject = notes.get("standing", {})
+        for name in starts_of(plan).keys() & heard.keys():  # it takes part: where it was heard it is no obstacle
+            del heard[name]
+            space = replace(space, standing={n: place for n, place in space.standing.items() if n != name})
         space = own.joined(space)
     certificate = certify(
         plan,

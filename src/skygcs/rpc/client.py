@@ -54,6 +54,12 @@ MAX_NUMBER_CHARS = 20
 _TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
 _STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
 
+UPLOAD_ABOVE_CHARS = 900_000
+"""Of a plan's text: a line of the socket has 1 MiB, with the rest of the request."""
+
+PART_CHARS = 400_000
+"""Of plan.upload."""
+
 PROGRESS = "plan.progress"
 """The notification that belongs to no subscription."""
 
@@ -256,6 +262,16 @@ class Client:
         answer = await self.call(f"trajectory.{order}", targets=_plain(targets), **params)
         outcomes: Outcomes = answer["outcomes"]
         return outcomes
+
+    async def given_plan(self, text: str) -> dict[str, Any]:
+        """The parameter of plan.load and plan.certify for the text of a plan's file: the plan, or, if a request cannot
+        hold it, the number under which the daemon took it in parts."""
+        if len(text) <= UPLOAD_ABOVE_CHARS:
+            return {"plan": json.loads(text)}
+        number: int | None = None
+        for at in range(0, len(text), PART_CHARS):
+            number = (await self.call("plan.upload", part=text[at : at + PART_CHARS], upload=number))["upload"]
+        return {"upload": number}
 
     async def planning(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -129,12 +129,29 @@ class PlanMakeParams(CertifyParams):
         return self
 
 
+M = TypeVar("M")
+
+
+def one_plan(model: M, plan: object, upload: object) -> M:
+    """For models that have both. Raises ValueError."""
+    if (plan is None) == (upload is None):
+        raise ValueError("give either plan or upload")
+    return model
+
+
 class GivenPlan(MethodParams):
-    plan: dict[str, Any] = Field(description="A plan of skygcs: the content of its JSON file.")
+    plan: dict[str, Any] | None = Field(None, description="A plan of skygcs: the content of its JSON file.")
 
 
 class PlanCertifyParams(CertifyParams, GivenPlan):  # the last base comes first by position
     keep: bool = Field(False, description="The answer has the plan, with its certificate.")
+    upload: int | None = Field(
+        None, description="Instead of plan: the number of one that plan.upload took in parts; it is used up by that."
+    )
+
+    @model_validator(mode="after")
+    def _one_plan(self) -> Self:
+        return one_plan(self, self.plan, self.upload)
 
 
 class PlanCancelParams(MethodParams):
@@ -203,12 +220,12 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
 async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
     """Certify a plan or refuse it, with the fleet's margins and its other vehicles as obstacles. Nothing moves."""
     facts = _Facts(context.services, params)
-    taking_part = params.plan.get("vehicles") or params.plan.get("starts")  # it is checked by the process
-    space = facts.space(taking_part if isinstance(taking_part, dict) else ())
+    space = facts.space(())  # those that take part are taken out by the process, which reads the plan
+    text = b"" if params.upload is None else context.services.fleet.plans.uploads.take(params.upload, facts.now())
     request = check_request(
         params.plan, facts.rule(), _limits(params.limits), space, within_limits=params.within_limits, keep=params.keep
     )
-    return await _run(context, "certify", request, facts, params.progress)
+    return await _run(context, "certify", request, facts, params.progress, text)
 
 
 def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
@@ -230,12 +247,15 @@ def plan_jobs(context: Context, _: NoParams) -> JsonObject:
     }
 
 
-async def _run(context: Context, what: str, request: JsonObject, facts: _Facts, progress: bool) -> Encoded:
+async def _run(
+    context: Context, what: str, request: JsonObject, facts: _Facts, progress: bool, text: bytes = b""
+) -> Encoded:
     def note(done: JsonObject) -> None:
         context.notify("plan.progress", done)
 
     request["notes"] = facts.notes()
-    return Encoded(await context.services.planning.run(id(context), what, request, note if progress else None))
+    on_progress = note if progress else None
+    return Encoded(await context.services.planning.run(id(context), what, request, on_progress, text))
 
 
 # --- what the daemon knows --------------------------------------------------------------------------------------------
@@ -255,6 +275,9 @@ class _Facts:
     def name(self, key: str) -> str:
         """Raises TargetError."""
         return one_vehicle(self._services, key).name
+
+    def now(self) -> float:
+        return self._services.now()
 
     def require_each_once(self, keys: Iterable[str]) -> None:
         """Raise InvalidParams for a vehicle by its name and by its system id."""

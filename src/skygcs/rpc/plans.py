@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
@@ -12,16 +12,41 @@ from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, Target
+from skygcs.rpc.planning import one_plan
 from skygcs.runtime.plan_runner import FlightRequest
+from skygcs.runtime.plan_uploads import MAX_PART_CHARS
 
 SpeedFactor = Annotated[float, Field(ge=MIN_SPEED_FACTOR, le=MAX_SPEED_FACTOR)]
 
 
+class PlanUploadParams(MethodParams):
+    part: Annotated[str, Field(min_length=1, max_length=MAX_PART_CHARS)] = Field(
+        description="The next part of the text of a plan's JSON file, of any length up to 400,000 characters."
+    )
+    upload: int | None = Field(None, description="What the first part answered; null: this is the first.")
+
+
+class PlanUploaded(Result):
+    upload: int = Field(description="Its number, for further parts, plan.load and plan.certify.")
+    bytes: int = Field(description="What it has by now; 32 MiB at most.")
+
+
 class PlanLoadParams(MethodParams):
-    plan: dict[str, Any] = Field(description="A plan in skygcs' own JSON format (docs/explanation/plans.md).")
+    """One of plan and upload."""
+
+    plan: dict[str, Any] | None = Field(
+        None, description="A plan in skygcs' own JSON format (docs/explanation/plans.md)."
+    )
     name: Annotated[str, Field(min_length=1, max_length=64)] = Field(
         "plan", description="For people: in texts and status."
     )
+    upload: int | None = Field(
+        None, description="Or the number of one that plan.upload took in parts; it is used up by that."
+    )
+
+    @model_validator(mode="after")
+    def _one_plan(self) -> Self:
+        return one_plan(self, self.plan, self.upload)
 
 
 class PlanFlightParams(MethodParams):
@@ -117,10 +142,22 @@ class PlanStatus(Result):
     )
 
 
+def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
+    """Take a plan in parts, as a request has at most 1 MiB; it is not read before plan.load or plan.certify.
+
+    Four at a time, of all clients; one without a further part for a minute is dropped.
+    """
+    services = context.services
+    number, size = services.fleet.plans.uploads.add(params.upload, params.part, services.now())
+    return {"upload": number, "bytes": size}
+
+
 async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
     """Keep a plan, in place of the one before; nothing moves. Refused while one is flown."""
+    content = params.upload if params.plan is None else params.plan
+    assert content is not None
     try:
-        return await context.services.fleet.plans.load(params.plan, params.name)
+        return await context.services.fleet.plans.load(content, params.name)
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
 
@@ -202,6 +239,7 @@ _REFUSED = (dispatch.REFUSED,)
 _BOTH = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
+    Method("plan.upload", PlanUploadParams, plan_upload, PlanUploaded, _REFUSED),
     Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED),
     Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH),
     Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH),

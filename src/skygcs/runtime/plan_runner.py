@@ -39,13 +39,13 @@ from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.plan.flight_situation import Prepared, Situation
 from skygcs.core.plan.flight_steps import FlightStep, plan_of, renamed, rest_of, starts_of
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.plan.plan_json import plan_from_json
+from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
 from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, SkygcsError, TargetError
 from skygcs.events import Event
-from skygcs.planning.process import call
+from skygcs.planning.process import PlanningProcesses
 from skygcs.runtime.plan_checks import (
     Measured,
     battery_findings,
@@ -56,6 +56,7 @@ from skygcs.runtime.plan_checks import (
     state_findings,
 )
 from skygcs.runtime.plan_flight import KIND, FlightOrders, FlightSettings, PlanFlight
+from skygcs.runtime.plan_uploads import PlanUploads
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -183,7 +184,9 @@ class PlanRunner:
     ) -> None:
         self.kept: KeptPlan | None = None
         self.flight: PlanFlight | None = None
-        self.work: Heavy = call
+        self.processes = PlanningProcesses()
+        self.uploads = PlanUploads()
+        self.work: Heavy = self.processes.call
         """Runs what is heavy: a function and its arguments."""
         self.observers: set[Callable[[], None]] = set()
         self._fleet = fleet
@@ -203,10 +206,15 @@ class PlanRunner:
 
     # -- what is kept
 
-    async def load(self, content: Mapping[str, Any], name: str) -> dict[str, Any]:
-        """Keep a plan in our JSON format, in place of the one before. Raises RefusedError, PlanFileError."""
+    async def load(self, content: Mapping[str, Any] | int, name: str) -> dict[str, Any]:
+        """Keep a plan in our JSON format, in place of the one before; ``content``: of its file, or the number of an
+        upload. Raises RefusedError, PlanFileError."""
         self._require_idle("another plan cannot be loaded")
-        plan, space = await self.work(plan_from_json, name, content)
+        if isinstance(content, int):
+            data = self.uploads.take(content, self._loop.time())
+            plan, space = await self.work(read_plan_json, name, data)
+        else:
+            plan, space = await self.work(plan_from_json, name, content)
         self._require_idle("another plan cannot be loaded")
         self.kept, self.flight = KeptPlan(str(next(self._numbers)), name, plan, space), None
         self._changed()

@@ -14,6 +14,7 @@ from pydantic_core import to_json
 
 from skygcs.errors import RefusedError
 from skygcs.planning.process import OnProgress, ProcessLimits, compute
+from skygcs.planning.request import with_text
 
 MAX_WAITING = 8
 """Requests that wait for the one that is computed; each takes seconds, two minutes at most."""
@@ -63,9 +64,14 @@ class PlanningQueue:
         self._last = 0
 
     async def run(
-        self, client: Hashable, what: str, request: dict[str, Any], on_progress: OnProgress | None = None
+        self,
+        client: Hashable,
+        what: str,
+        request: dict[str, Any],
+        on_progress: OnProgress | None = None,
+        text: bytes = b"",
     ) -> bytes:
-        """The answer as JSON (`planning/request.py`). It ends with the task that awaits it.
+        """The answer as JSON (`planning/request.py`); ``text``: of its plan. It ends with the task that awaits it.
 
         Raises RefusedError: another request of this client, a full queue, cancelled, too long; PlanningFailed.
         """
@@ -78,7 +84,7 @@ class PlanningQueue:
         self._last += 1
         job = PlanningJob(self._last, what, client, self._loop.time())
         self._jobs[job.number] = job
-        encoded = to_json(request)
+        encoded = with_text(to_json(request), text) if text else to_json(request)
         job.work = self._loop.create_task(self._in_turn(job, encoded, on_progress), name=f"planning {job.number}")
         try:
             answer = await job.work

@@ -99,6 +99,7 @@ ORDERS = frozenset(
         "plan.run",
         "plan.speed",
         "plan.unload",
+        "plan.upload",
         "preflight.run",
         "signing.off",
         "signing.reset_clock",

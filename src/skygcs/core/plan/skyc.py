@@ -5,8 +5,9 @@
     drones/NAME/trajectory.json     {"version": 1, "takeoffTime": s, "points": [[t, [x, y, z], [control points]], …]}
 
 Each point ends a Bézier segment that began at the point before; the control points lie between them; t counts from
-take-off. A fourth number of a point is the yaw in radians (a dialect of laboratories); Skybrush's own yaw control,
-lights and pyrotechnics are not read. Source: skybrush-server, `show/trajectory.py`.
+take-off. A fourth number of a point is the yaw in radians (a dialect of laboratories); Skybrush's own yaw control
+(degrees clockwise from the show's x axis), lights and pyrotechnics are not read. Source: skybrush-server,
+`show/trajectory.py`.
 
 A Bézier segment is a polynomial in Bernstein form: nothing is approximated in either direction.
 """

@@ -8,6 +8,7 @@ import { refusalText } from "../orders.ts";
 import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
 import { Choice, Failure, NumberField } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
+import { givenPlan } from "./plan_upload.ts";
 import type { PanelProps } from "./registry.ts";
 import type { PlanStatus } from "../types.ts";
 
@@ -26,8 +27,6 @@ type Mode = "position" | "velocity" | "attitude";
 
 /** Nothing is being flown. */
 const AT_REST = new Set(["none", "loaded", "checked", "aborted", "landed", "finished"]);
-/** A line of the daemon's socket has 1 MiB; the text is inside JSON. */
-const MAX_PLAN_CHARS = 1_000_000;
 
 export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; follow: (t_s: number) => void }) {
   const { store, checked, follow } = props;
@@ -147,8 +146,8 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
     setBusy(true);
     setError(null);
     try {
-      if (text.length > MAX_PLAN_CHARS) throw new Error(`the plan has ${(text.length / 1e6).toFixed(1)} MB; the daemon takes 1 MB in one request`);
-      const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { plan: JSON.parse(text) as object, name: checked.name.slice(0, 64) });
+      const given = await givenPlan(text, (part) => ask<{ upload: number }>(store, connection, "plan.upload", part));
+      const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { ...given, name: checked.name.slice(0, 64) });
       const answer = await ask<Report>(store, connection, "plan.check", { plan, ...params });
       if (mine === wanted.current) setFound({ plan, report: answer });
     } catch (failed) {
