@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,3 +210,26 @@ async def test_without_the_monitor_no_trajectory_is_checked(tmp_path: Path) -> N
     async with flown(tmp_path, px4=2, tables={"monitor": {"mode": "off"}}) as gcs:
         await ready_on(gcs, "v1", 10.0, 12.0)
         await gcs.done("trajectory.start", targets="v1")
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["moved", "removed"])
+async def test_a_change_of_origin_in_mid_conflict_changes_no_level_and_no_distance(tmp_path: Path, known: bool) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+        there = gcs.sim("v2").true_position()
+        await gcs.done("vehicles.goto", targets="v1", lat_deg=there[0], lon_deg=there[1], force=True)
+        await gcs.until(lambda: levels(gcs)[-1:] == ["action"], 10.0)
+        before = (await gcs("vehicles.get", target="v1"))["separation"]
+        count = len(levels(gcs))
+        origin = gcs.daemon.fleet.origin
+        assert origin is not None
+        # 5 km away and turned, or none
+        other = replace(origin, lat_deg=origin.lat_deg + 0.045, x_heading_deg=33.0) if known else None
+        gcs.daemon.fleet.set_origin(other, force=True)
+        await asyncio.sleep(1.0)
+        after = (await gcs("vehicles.get", target="v1"))["separation"]
+        assert after["with"] == before["with"] == "v2" and after["level"] == "action"
+        assert abs(after["distance_m"] - before["distance_m"]) < 3.0, "no more than it flew meanwhile"
+        assert levels(gcs)[count:] in ([], ["warning"]), "no level was begun anew"
+        # and an order into the other one is refused as before
+        order = {"targets": "v1", "lat_deg": there[0], "lon_deg": there[1]}
+        assert refused_for((await gcs("vehicles.goto", **order))["outcomes"], "v1", "v2")

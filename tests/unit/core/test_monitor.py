@@ -556,3 +556,43 @@ def test_all_system_ids_at_once_are_watched() -> None:
     fleet.run(3.0, *places, standing(-50.0, 0.0, 20.0), standing(-51.0, 0.0, 20.0))
     assert len(fleet.monitor.tracks.tracks) == 255
     assert [pair.level for pair in fleet.monitor.conflicts()] == [Level.WARNING]
+
+
+def test_two_holds_that_cross_are_one_hold_of_each_and_both_stand_apart() -> None:
+    """Three conflicts at one place: the orders of one pair are on their way while the next evaluations see all of them
+    still flying, and order holds for the other pairs."""
+    fleet = Watched(*(WatchedVehicle(i, name) for i, name in enumerate(("alpha", "bravo", "charlie"), 1)), acting=True)
+    a = flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0))
+    b = flying((0.0, -20.0, 20.0), (0.0, 2.0, 0.0))
+    c = flying((20.0, 0.0, 20.0), (-2.0, 0.0, 0.0))
+    while not fleet.holds:
+        fleet.run(STEP_S, a, b, c)
+        assert fleet.now - fleet.begun < 10.0
+    fleet.run(1.0, a, b, c)  # a busy radio: none of the holds has arrived
+    ordered = [hold.name for _, hold in fleet.holds]
+    assert {"bravo", "charlie"} <= set(ordered), ordered  # alpha meets charlie head-on: there both have to hold
+    pairs = [(hold.name, hold.pair) for _, hold in fleet.holds]
+    assert len(pairs) == len(set(pairs)), "a hold is ordered once for a pair"
+    at = fleet.now - fleet.begun
+
+    def stands(motion: Where) -> Where:
+        place, _ = motion(at)
+        return standing(*place)
+
+    fleet.run(8.0, stands(a), stands(b), stands(c))
+    assert fleet.monitor.pairs == {} or all(pair.level <= Level.NOTICE for pair in fleet.monitor.pairs.values())
+    assert [hold.name for _, hold in fleet.holds] == ordered, "who stands is not held again"
+
+
+def test_the_pair_that_holds_each_for_the_other_is_released_by_nobody_twice() -> None:
+    """Head-on: the lower one's hold does not suffice, so both hold; a hold that fails is repeated for that one only."""
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), acting=True)
+    west, east = flying((-16.0, 0.0, 20.0), (4.0, 0.0, 0.0)), flying((16.0, 0.0, 20.0), (-4.0, 0.0, 0.0))
+    while not fleet.holds:
+        fleet.run(STEP_S, west, east)
+        assert fleet.now - fleet.begun < 10.0
+    assert sorted(hold.name for _, hold in fleet.holds) == ["v1", "v2"]
+    failed = next(hold for _, hold in fleet.holds if hold.name == "v2")
+    fleet.monitor.hold_failed(failed, fleet.now)
+    fleet.run(1.5, west, east)
+    assert [hold.name for _, hold in fleet.holds].count("v1") == 1
