@@ -37,6 +37,7 @@ COMMANDS = (
     ("monitor", ("monitor",)),
     ("control", ("track", "control")),
     ("setpoint", ("setpoint",)),
+    ("joystick", ("joystick",)),
     ("trajectory", ("trajectory",)),
     ("table", ("table",)),
     ("plan", ("plan",)),
