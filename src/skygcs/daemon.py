@@ -33,6 +33,8 @@ from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
+from skygcs.runtime.mocap_feed import TICK_S as MOCAP_TICK_S
+from skygcs.runtime.mocap_feed import MocapFeed, unconfigured
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.planning_queue import PlanningQueue
@@ -109,6 +111,10 @@ class Daemon:
         self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, publish)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
+        self.mocap: MocapFeed | None = None
+        if config.mocap is not None and own.keep_vehicles:
+            self.mocap = MocapFeed(config, self.hub, self.fleet, self.links, self.loop, publish)
+            view.pose_bytes_per_s = self.mocap.bytes_per_s
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
         self._observe()
@@ -136,6 +142,10 @@ class Daemon:
             self.hub.add_observer({HEARTBEAT}, None, self.operator_watchdog.on_frame)
         self.event_log.on("reboot", self.hub.on_reboot)
         self.event_log.on("reboot", self.leftover_streams.on_reboot)
+        if self.mocap is not None:
+            mocap = self.mocap
+            self.event_log.on("reboot", mocap.on_reboot)
+            self.event_log.on("vehicle_discovered", lambda event: mocap.refresh())  # it may share a link with others
 
     # -- life
 
@@ -182,6 +192,11 @@ class Daemon:
                 heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
                 clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
+            if self.mocap is not None:
+                mocap = self.mocap
+                clocks.append(group.create_task(mocap.run(), name="motion capture"))
+                tick = self._every(MOCAP_TICK_S, lambda: mocap.tick(self.now()))
+                clocks.append(group.create_task(tick, name="motion capture tick"))
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
                 if self.metrics is not None:
@@ -195,6 +210,8 @@ class Daemon:
             finally:  # also if a part of the daemon has failed: nothing flies on then
                 for clock in clocks:
                     clock.cancel()
+                if self.mocap is not None:
+                    self.mocap.close()
                 self.operator_watchdog.close()
                 self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
@@ -278,6 +295,10 @@ class Daemon:
             "web": None if self.web is None else self.web.status(),
             "to_undo": len(self.fleet.journal.left()),
         }
+
+    def mocap_status(self) -> dict[str, Any]:
+        """For mocap.status."""
+        return unconfigured() if self.mocap is None else self.mocap.status()
 
 
 def _read_token(table: str, path: Path | None) -> str | None:

@@ -35,6 +35,7 @@ COMMANDS = (
         ),
     ),
     ("monitor", ("monitor",)),
+    ("mocap", ("mocap",)),
     ("control", ("track", "control")),
     ("setpoint", ("setpoint",)),
     ("joystick", ("joystick",)),

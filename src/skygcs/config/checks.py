@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import combinations
 
 from skygcs.config.control import ControlSettings
+from skygcs.config.mocap import mocap_problems
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
@@ -46,6 +47,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _simulated(config)
     problems += _radios(config)
     problems += _control(config)
+    problems += _mocap(config)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
     problems += _own_places(active)
@@ -60,6 +62,11 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
             )
         )
     return problems
+
+
+def _mocap(config: FleetConfig) -> list[Problem]:
+    simulated = any(link.enabled and isinstance(link, SimulatedLinkConfig) for link in config.links.values())
+    return mocap_problems(config.mocap, set(config.vehicles), origin=config.origin is not None, simulated=simulated)
 
 
 def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[str]:

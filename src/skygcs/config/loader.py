@@ -19,6 +19,7 @@ from skygcs.config.checks import conflicts, dialect_problems, message_problems, 
 from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.metrics import MetricsConfig
+from skygcs.config.mocap import MocapConfig, SimulatedMocapConfig
 from skygcs.config.models import (
     AnyLink,
     DaemonConfig,
@@ -327,6 +328,10 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return MonitorConfig
         case ("metrics",):
             return MetricsConfig
+        case ("mocap",):
+            return MocapConfig
+        case ("mocap", "simulated"):
+            return SimulatedMocapConfig
         case ("web",):
             return WebConfig
         case ("web", "map"):
@@ -380,6 +385,9 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
     if metrics is not None and metrics.token_file is not None:
         token_file = absolute(metrics.token_file, ("metrics", "token_file"))
         metrics = metrics.model_copy(update={"token_file": token_file})
+    mocap = config.mocap
+    if mocap is not None and mocap.file is not None:
+        mocap = mocap.model_copy(update={"file": absolute(mocap.file, ("mocap", "file"))})
     dialect = tuple(
         os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
         for name in _listed(config.dialect)
@@ -390,6 +398,7 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         "links": links,
         "dialect": dialect,
         "metrics": metrics,
+        "mocap": mocap,
         "web": web,
     }
     return config.model_copy(update=update), problems

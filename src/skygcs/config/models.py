@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.metrics import MetricsConfig
+from skygcs.config.mocap import MocapConfig
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.separation import MonitorConfig, SeparationSettings
@@ -333,6 +334,8 @@ class VehicleConfig(Model):
     battery_reserve_percent: float | None = None
     named: bool = False
     """Whether it is in the fleet file."""
+    mocap: bool = False
+    """Whether [mocap] gives it poses."""
 
 
 class OriginConfig(Model):
@@ -359,6 +362,7 @@ class FleetConfig(Model):
     daemon: DaemonConfig = DaemonConfig()
     monitor: MonitorConfig = MonitorConfig()
     metrics: MetricsConfig | None = None
+    mocap: MocapConfig | None = None
     web: WebConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
@@ -420,4 +424,5 @@ class FleetConfig(Model):
                 merged["separation"] = layer.separation.over(merged.get("separation", SeparationSettings()))
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
-        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)
+        mocap = self.mocap is not None and name in self.mocap.bodies
+        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), mocap=mocap, **merged)

@@ -582,9 +582,16 @@ class Hub:
         message = self._heartbeat = OwnMessage(info, info.pack(values), *self._own)
         self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
 
-    def send_on(self, ids: Iterable[int], info: MessageInfo, values: Mapping[str, Any], priority: Priority) -> bool:
+    def send_on(
+        self,
+        ids: Iterable[int],
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        priority: Priority,
+        key: Hashable | None = None,
+    ) -> bool:
         """Send a message of ours to exactly these channels, except bound ones; False if none took it."""
-        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, None)
+        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
 
     def channels_of_link(self, link: str) -> tuple[int, ...]:
         """Ids of a link's open channels."""

@@ -113,6 +113,8 @@ class LinkView:
         self._hub = hub
         self._links = links
         self._watch = watch
+        self.pose_bytes_per_s: Callable[[int], float] = lambda channel_id: 0.0
+        """What poses of motion capture take of a channel; setpoints share the rest."""
 
     def facts(self, key: int, now: float) -> dict[str, LinkFacts]:
         """See `LinkWatch.of`."""
@@ -185,9 +187,10 @@ class LinkView:
             channel = self._hub.channels[channel_id]
             link = channel.link
             if channel.air is not None and channel.air.queue.budget is not None:
-                setpoints = BUDGET_SHARE * channel.air.queue.budget.rate
+                setpoints = BUDGET_SHARE * max(0.0, channel.air.queue.budget.rate - self.pose_bytes_per_s(channel_id))
             elif isinstance(link, SerialLink):
-                setpoints = SETPOINT_SHARE * link.baud / BITS_PER_BYTE
+                rate = link.baud / BITS_PER_BYTE
+                setpoints = SETPOINT_SHARE * max(0.0, rate - self.pose_bytes_per_s(channel_id))
             else:
                 continue
             if channel.signing is not None:

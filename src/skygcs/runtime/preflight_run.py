@@ -9,12 +9,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.modes import is_copter
+from skygcs.core.mocap.pose_stream import PoseStream
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
@@ -25,6 +26,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.param_transfers import VehicleParams
@@ -83,6 +85,8 @@ class Preflight:
         self._valid_s = services.preflight_valid_s
         self.wall_clock = wall_clock
         """The time of day in Unix seconds, with which the vehicle's clock is compared."""
+        self.poses: PoseStream | None = None
+        """Its poses of motion capture; None: none are sent to it."""
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()
@@ -171,7 +175,14 @@ class Preflight:
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
             copter=is_copter(self.vehicle.type),
+            pose_problem=self._pose_problem(),
+            origin_off_m=None if self.vehicle.origin is None else off_m(self.vehicle, self.vehicle.origin),
         )
+
+    def _pose_problem(self) -> str | None:
+        if not self._expectations.mocap:
+            return None
+        return "no poses are sent to it" if self.poses is None else self.poses.problem(self._loop.time())
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
         """Read the needed parameters, by their requested names, several at a time. Values that PX4 confirms by its hash
@@ -283,7 +294,10 @@ def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:
 def _expectations(config: VehicleConfig) -> Expectations:
     control = config.control
     slowest_hz = min(control.velocity_hz or VELOCITY_HZ, control.position_hz or POSITION_HZ)
-    return config.preflight.expectations(control=config.control_planned, setpoint_hz=slowest_hz)
+    wanted = config.preflight.expectations(control=config.control_planned, setpoint_hz=slowest_hz)
+    if not config.mocap:
+        return wanted
+    return replace(wanted, mocap=True, gps_fix_min="no_gps", satellites_min=0, hdop_max=0.0)
 
 
 def _answer(outcome: ParamOutcome) -> Answer:

@@ -23,6 +23,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mocap.pose_stream import PoseStream
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
@@ -105,6 +106,8 @@ class VehicleActor:
         self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
+        self.poses: PoseStream | None = None
+        """Of motion capture; None: it has none."""
         self._probes = services.probes and "TIMESYNC" in services.dialect.by_name
         self._read: dict[int, Callable[[Frame, float], None]] = {
             COMMAND_ACK: self._on_ack,
@@ -146,6 +149,8 @@ class VehicleActor:
             state["control"] = self.control_state(now)
         if "calibration" in state:
             state["calibration"] = self.calibration.status()
+        if "mocap" in state and self.poses is not None:
+            state["mocap"] = self.poses.status(now)
         if "messages" in state:
             self.streams.add_to(state)
         if "uplink" in state and self._probes and self.uplink.answered_at is not None:
@@ -227,6 +232,10 @@ class VehicleActor:
             self.offboard.refresh_budget()
         if self._probes and self.vehicle.connected and not self.vehicle.replayed:
             self._probe(now)
+
+    def take_poses(self, poses: PoseStream) -> None:
+        """Show these poses in its state, and judge them in its preflight."""
+        self.poses = self.preflight.poses = poses
 
     def set_duplicate(self, where: str | None) -> None:
         """Note where another vehicle sends with its ids; None: it has stopped. State and control, which use one

@@ -88,6 +88,10 @@ class CopterVehicle(SimVehicle):
     # -- what it says of itself
 
     @property
+    def by_vision(self) -> bool:
+        return self.params["VISO_TYPE"] == 1 and self.params["EK3_SRC1_POSXY"] == 6
+
+    @property
     def low_battery_percent(self) -> float:
         return 100 * self.params["BATT_LOW_MAH"] / self.battery.capacity_mah
 
@@ -209,7 +213,8 @@ class CopterVehicle(SimVehicle):
 
     def on_ready(self, now: float) -> None:
         self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
-        self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 is using GPS")
+        used = "external nav data" if self.by_vision else "GPS"
+        self.tx.say(m.MAV_SEVERITY_INFO, f"EKF3 IMU0 is using {used}")
         self.send_soon("GPS_GLOBAL_ORIGIN")
 
     def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:

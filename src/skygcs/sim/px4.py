@@ -152,6 +152,10 @@ class Px4Vehicle(SimVehicle):
         ).bounded()
 
     @property
+    def by_vision(self) -> bool:
+        return bool(int(self.params["EKF2_EV_CTRL"]) & 1) and self.params["EKF2_GPS_CTRL"] == 0
+
+    @property
     def low_battery_percent(self) -> float:
         return 100 * self.params["BAT_LOW_THR"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from math import isfinite
+from math import atan2, isfinite
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME
@@ -271,6 +271,29 @@ def _set_origin(v: VehicleState, fields: Fields, sender: Sender, now: float) -> 
         take()
 
 
+def _vision(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
+    _pose(v, fields, fields["yaw"], int(fields["usec"]), now)
+
+
+def _odometry(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
+    if v.vision.takes("ODOMETRY", fields):
+        w, x, y, z = fields["q"]
+        yaw_rad = atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        _pose(v, fields, yaw_rad, int(fields["time_usec"]), now)
+
+
+def _pose(v: VehicleState, fields: Fields, yaw_rad: float, usec: int, now: float) -> None:
+    """Its local frame counts from the origin it was given; until then the poses say where that is."""
+    if not v.by_vision:
+        return
+    v.vision.stamp(usec, int(fields["reset_counter"]))
+    body, zero, pos_ned_m = v.motion, v.local_zero, (fields["x"], fields["y"], fields["z"])
+    true_ned_m = pos_ned_m
+    if zero is not None:
+        true_ned_m = (body.north_m - zero.north_m, body.east_m - zero.east_m, zero.up_m - body.up_m)
+    v.vision.on_pose(pos_ned_m, yaw_rad, true_ned_m, body.yaw_rad, now)
+
+
 def _data_stream(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     rate_hz = float(fields["req_message_rate"]) if fields["start_stop"] else 0.0
     v.on_data_stream(int(fields["req_stream_id"]), rate_hz, now)
@@ -312,6 +335,8 @@ _HANDLERS: Mapping[str, Callable[[VehicleState, Fields, Sender, float], None]] =
     "PING": _ping,
     "TIMESYNC": _timesync,
     "SET_GPS_GLOBAL_ORIGIN": _set_origin,
+    "VISION_POSITION_ESTIMATE": _vision,
+    "ODOMETRY": _odometry,
     "REQUEST_DATA_STREAM": _data_stream,
     "SET_MODE": _set_mode,
     "SETUP_SIGNING": _setup_signing,

@@ -73,9 +73,10 @@ def sys_status(v: VehicleState, now: float) -> Fields:
         health |= m.MAV_SYS_STATUS_PREARM_CHECK
     present, enabled, healthy = (m.MAV_SYS_STATUS_GEOFENCE if flag else 0 for flag in v.fence_flags)
     health |= healthy
+    sensors = _ALL_SENSORS & ~m.MAV_SYS_STATUS_SENSOR_GPS if v.by_vision else _ALL_SENSORS
     return {
-        "onboard_control_sensors_present": _ALL_SENSORS | present,
-        "onboard_control_sensors_enabled": _ALL_SENSORS | enabled,
+        "onboard_control_sensors_present": sensors | present,
+        "onboard_control_sensors_enabled": sensors | enabled,
         "onboard_control_sensors_health": health & ~v.faults.unhealthy_sensors,
         "load": 350 if v.armed else 280,
         "voltage_battery": round(v.battery.volts * 1000),

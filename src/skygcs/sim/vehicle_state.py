@@ -19,6 +19,7 @@ from skygcs.sim.behaviours import Firmware, ModeRule, Reaction
 from skygcs.sim.body import Body, Vector
 from skygcs.sim.command_message import Calibration, Command
 from skygcs.sim.conditions import CALM, Conditions, body_of
+from skygcs.sim.external_vision import ExternalVision
 from skygcs.sim.failsafe_timers import Failsafes
 from skygcs.sim.faults import Faults
 from skygcs.sim.kinematics import Home, Limits, LocalFrame, stopping_distance
@@ -140,6 +141,11 @@ class VehicleState(ABC):
 
     @abstractmethod
     def make_lists(self) -> tuple[MissionLists, MissionRun]: ...
+
+    @property
+    @abstractmethod
+    def by_vision(self) -> bool:
+        """Its parameters have it fly by poses of motion capture, without GPS."""
 
     @property
     @abstractmethod
@@ -308,13 +314,17 @@ class VehicleState(ABC):
 
     @property
     def position_ok(self) -> bool:
-        """GPS is there and the estimator has converged on it."""
-        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s
+        """GPS is there and the estimator has converged on it; by vision: poses come, and it was given an origin."""
+        if self._clock - self.boot_at < self._ready_s:
+            return False
+        if self.by_vision:
+            return self.vision.usable(self._clock) and self.local_zero is not None
+        return not self.faults.gps_lost
 
     @property
     def gps_ok(self) -> bool:
-        """A fix comes at half the time the estimator needs."""
-        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s / 2
+        """A fix comes at half the time the estimator needs; a vehicle that flies by vision has no GPS."""
+        return not self.by_vision and not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s / 2
 
     @property
     def current_item(self) -> int:
@@ -457,6 +467,7 @@ class VehicleState(ABC):
         self.home = None
         self.home_fixed = False
         self.local_zero = None
+        self.vision = ExternalVision(self.autopilot)
         self.calibration: Calibration | None = None
         self.side_down = "down"
         """Its pose on the ground, as PX4 names it."""

@@ -25,6 +25,7 @@ READ = frozenset(
         "messages.latest",
         "messages.list",
         "missions.status",
+        "mocap.status",
         "monitor.status",
         "origin.get",
         "params.status",

@@ -52,6 +52,10 @@ class Facts:
     links: Mapping[str, LinkFacts] | None = None
     answers: Mapping[str, Answer] | None = None
     copter: bool = False
+    pose_problem: str | None = None
+    """Why it cannot fly by its poses of motion capture now; None: it can, or it has none."""
+    origin_off_m: float | None = None
+    """Distance of its estimator's origin from [origin]; None: it has reported none."""
 
     @property
     def family(self) -> str:

@@ -34,16 +34,18 @@ class Priority(IntEnum):
 
     EMERGENCY = 0
     COMMAND = 1
-    SETPOINT = 2
-    PROTOCOL = 3
-    HEARTBEAT = 4
-    CORRECTION = 5
-    FORWARDED = 6
+    POSE = 2
+    SETPOINT = 3
+    PROTOCOL = 4
+    HEARTBEAT = 5
+    CORRECTION = 6
+    FORWARDED = 7
 
 
 BOUND: dict[Priority, int] = {
     Priority.EMERGENCY: 256,  # never fewer than vehicles in a fleet: a stop for each of 250 fits
     Priority.COMMAND: 256,
+    Priority.POSE: 256,  # one per vehicle, the newest
     Priority.SETPOINT: 256,  # one per vehicle, the newest
     Priority.PROTOCOL: 256,
     Priority.HEARTBEAT: 4,

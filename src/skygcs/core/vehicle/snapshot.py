@@ -155,6 +155,7 @@ _KEYS: tuple[tuple[str, _Read], ...] = (
     ("control", _filled_in_later),  # by flight control
     ("uplink", _filled_in_later),  # by the uplink watch
     ("separation", _filled_in_later),  # by the monitor
+    ("mocap", _filled_in_later),  # by the actor that gets poses
     ("calibration", _filled_in_later),  # by the calibration that runs
     *(_group(group.name) for group in GROUPS),
     ("last_ack", _last_ack),

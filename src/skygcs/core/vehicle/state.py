@@ -117,6 +117,9 @@ class VehicleState(TypedDict):
     calibration: Part | None
     """The calibration that runs: sensor, percent, pose (level, left, right, nose_down, nose_up, upside_down), confirm
     (it waits for vehicles.calibrate_confirm), pending (poses a PX4 still wants), text; null: none runs"""
+    mocap: Part | None
+    """Its poses of motion capture, as in mocap.status: body, tracking, problem, age_s, rate_hz, sent_hz, latency_p50_s,
+    dropouts and more; null: [mocap] does not name it"""
     gps: Part | None
     """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None

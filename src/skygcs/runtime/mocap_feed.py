@@ -1,0 +1,298 @@
+"""Sends the poses of a motion capture system to the vehicles of [mocap], and their own origin to those without one.
+
+A pose is sent on one channel, on which no other vehicle is heard: its message has no target, and every vehicle that
+hears it takes it for its own. When poses stop, sending stops; the autopilot's own failsafe acts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any, Protocol
+
+from skygcs.config.mocap import MocapConfig
+from skygcs.config.models import FleetConfig
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import TIMESYNC
+from skygcs.core.mocap.pose_messages import WIRE_BYTES, message_of, rate_that_fits
+from skygcs.core.mocap.pose_stream import PoseStream
+from skygcs.core.mocap.recording import CaptureFrameData
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
+from skygcs.links.base import Channel
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.mocap_child import MocapChild
+from skygcs.runtime.mocap_origin import OriginPushes
+from skygcs.runtime.mocap_simulated import SimulatedCapture
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
+
+TICK_S = 0.2
+
+CLOCK_AHEAD_S = 0.01
+"""By which a frame's time may be ahead of the loop's, which is taken once a turn; more is another clock."""
+
+LISTEN_S = 3.0
+"""A channel is used for poses after it was open for so long: by then every vehicle on it has sent three heartbeats, and
+it is known whether there is more than one."""
+
+MAX_SEEN = 64
+"""Names of rigid bodies that are listed."""
+
+
+class Capture(Protocol):
+    """`MocapChild` or `SimulatedCapture`."""
+
+    async def run(self) -> None: ...
+    def tick(self, now: float) -> None: ...
+    def close(self) -> None: ...
+    def status(self) -> dict[str, Any]: ...
+
+
+class _Fed:
+    """One vehicle of [mocap]: its poses, and where they go."""
+
+    __slots__ = ("actor", "channel", "name", "rate_hz", "stream", "sysid", "was_problem")
+
+    def __init__(self, name: str, sysid: int, stream: PoseStream) -> None:
+        self.name = name
+        self.sysid = sysid
+        self.stream = stream
+        self.actor: VehicleActor | None = None
+        self.channel: Channel | None = None
+        self.rate_hz = 0.0
+        self.was_problem: str | None = None
+
+
+class MocapFeed:
+    """Run `run` in a task, and `tick` every `TICK_S`; `close` when the daemon ends."""
+
+    def __init__(
+        self,
+        fleet_config: FleetConfig,
+        hub: Hub,
+        fleet: Fleet,
+        links: LinkTable,
+        loop: asyncio.AbstractEventLoop,
+        on_event: OnEvent,
+    ) -> None:
+        """``fleet_config`` has [mocap] and [origin], which its checks ensure."""
+        config, place = fleet_config.mocap, fleet_config.origin
+        assert config is not None and place is not None
+        self._config: MocapConfig = config
+        self._hub = hub
+        self._fleet = fleet
+        self._loop = loop
+        self._on_event = on_event
+        self._origin = Origin(**place.model_dump())
+        self._frame = config.frame()
+        self._fed = {
+            body: _Fed(name, fleet_config.vehicles[name].sysid, PoseStream(body, config.limits()))
+            for name, body in config.bodies.items()
+        }
+        by_sysid = {fed.sysid: body for body, fed in self._fed.items()}
+        self.capture: Capture
+        if config.type == "simulated":
+            self.capture = SimulatedCapture(config, by_sysid, self._origin, links, loop, self.on_frame)
+        else:
+            self.capture = MocapChild(config, loop, self.on_frame, on_event)
+        self._origins = OriginPushes(self._origin, loop, on_event) if config.set_origin else None
+        self._seen: dict[str, float] = {}
+        self._open_since: dict[int, float] = {}
+        self.frames = 0
+        self.bad_times = 0
+        self.timesync_answers = 0
+        self._timesync = hub.dialect.by_name.get("TIMESYNC")
+        if self._timesync is not None:
+            keys = {fed.sysid << 8 for fed in self._fed.values()}
+            hub.add_observer({TIMESYNC}, keys, self._on_timesync)
+
+    async def run(self) -> None:
+        """Until the task is cancelled."""
+        try:
+            await self.capture.run()
+        finally:
+            self.capture.close()
+
+    def close(self) -> None:
+        """Nothing is sent after this."""
+        self.capture.close()
+        if self._origins is not None:
+            self._origins.close()
+        for fed in self._fed.values():
+            fed.channel = None
+
+    # -- frames
+
+    def on_frame(self, frame: CaptureFrameData, now: float) -> None:
+        """One frame of the capture system. Never raises."""
+        self.frames += 1
+        if frame.at > now + CLOCK_AHEAD_S:
+            self.bad_times += 1
+            return
+        for name in frame.bodies:
+            if name in self._seen or len(self._seen) < MAX_SEEN:
+                self._seen[name] = now
+        for body, fed in self._fed.items():
+            raw = frame.bodies.get(body)
+            armed = fed.actor is not None and fed.actor.vehicle.armed
+            pose = None if raw is None else self._frame.to_enu(raw, self._origin)
+            accepted = fed.stream.offer(pose, now, armed=armed)
+            if accepted is None or fed.channel is None or fed.actor is None:
+                continue
+            if fed.stream.due(accepted, fed.rate_hz):
+                self._send(fed, fed.actor, fed.channel, *self._message(fed, accepted))
+
+    def _message(self, fed: _Fed, pose: Any) -> tuple[str, dict[str, Any]]:
+        assert fed.actor is not None
+        config = self._config
+        family = fed.actor.vehicle.family
+        return message_of(config.message, pose, family, fed.stream.filter.reset_counter, config.latency_s)
+
+    def _send(self, fed: _Fed, actor: VehicleActor, channel: Channel, name: str, values: dict[str, Any]) -> None:
+        if channel.id not in self._hub.channels:
+            return
+        info = self._hub.dialect.by_name[name]
+        if self._hub.send_on((channel.id,), info, values, Priority.POSE, ("pose", actor.sysid)):
+            fed.stream.statistics.sent(self._loop.time())
+
+    def _on_timesync(self, frame: Frame, channel: Channel, now: float) -> None:
+        """Answer a PX4's request by the clock of the poses' time stamps. Over a radio the answer would be too late for
+        it (10 ms), and cost air."""
+        fields = frame.fields()
+        if fields["tc1"] != 0 or channel.air is not None or self._timesync is None:
+            return
+        fed = next((fed for fed in self._fed.values() if fed.sysid == frame.sysid), None)
+        if fed is None or fed.actor is None or fed.actor.compid != frame.compid or fed.actor.vehicle.family != "px4":
+            return
+        values = {"tc1": max(1, round(now * 1e9)), "ts1": fields["ts1"]}
+        known = {field.name for field in self._timesync.fields}
+        target = {"target_system": frame.sysid, "target_component": frame.compid}
+        values |= {key: value for key, value in target.items() if key in known}
+        self.timesync_answers += self._hub.send_on((channel.id,), self._timesync, values, Priority.PROTOCOL)
+
+    # -- time
+
+    def tick(self, now: float) -> None:
+        """Look where poses go, and report what changed."""
+        self.capture.tick(now)
+        self.refresh()
+        for fed in self._fed.values():
+            if fed.stream.lost(now):
+                text = f"poses of rigid body {fed.stream.body} have stopped; nothing is sent to it"
+                self._report(fed, "lost", text)
+            elif fed.stream.filter.tracking and fed.was_problem == "lost":
+                self._report(fed, "back", f"poses of rigid body {fed.stream.body} come again")
+            if self._origins is not None and fed.actor is not None and fed.stream.fresh(now):
+                self._origins.look(fed.actor, now)
+
+    def refresh(self) -> None:
+        """Find each vehicle and the channel for its poses."""
+        now = self._loop.time()
+        self._open_since = {number: self._open_since.get(number, now) for number in self._hub.channels}
+        heard: dict[int, set[int]] = {}
+        for key, actor in self._fleet.vehicles.items():
+            if not actor.vehicle.replayed:
+                for channel_id in self._hub.router.channels_of(key):
+                    heard.setdefault(channel_id, set()).add(key)
+        for fed in self._fed.values():
+            fed.actor = self._actor_of(fed.sysid)
+            if fed.actor is not None:
+                fed.actor.take_poses(fed.stream)
+            fed.channel, fed.stream.why = self._channel_of(fed.actor, heard)
+            fed.rate_hz = 0.0 if fed.channel is None else self._rate_hz(fed.channel)
+            fed.stream.rate_hz = fed.rate_hz
+
+    def _actor_of(self, sysid: int) -> VehicleActor | None:
+        found = [actor for key, actor in self._fleet.vehicles.items() if key >> 8 == sysid]
+        return min(found, key=lambda actor: actor.compid, default=None)
+
+    def _channel_of(self, actor: VehicleActor | None, heard: dict[int, set[int]]) -> tuple[Channel | None, str]:
+        """The channel for its poses, or why there is none."""
+        if actor is None:
+            return None, "the vehicle has not been heard"
+        vehicle = actor.vehicle
+        if vehicle.replayed:
+            return None, "it exists only in a recording"
+        if not vehicle.connected:
+            return None, "it is not connected"
+        if vehicle.duplicate:
+            return None, "two vehicles have its system id"
+        best = self._hub.channels_to(vehicle.sysid, vehicle.compid)
+        others = self._hub.channels_to(vehicle.sysid, vehicle.compid, everywhere=True)
+        shared_with: set[int] = set()
+        listening = False
+        for channel_id in dict.fromkeys((*best, *others)):
+            channel = self._hub.channels.get(channel_id)
+            if channel is None or channel.translator is not None:
+                continue
+            beside = heard.get(channel_id, set()) - {vehicle.key}
+            if not beside and self._loop.time() - self._open_since.get(channel_id, math.inf) >= LISTEN_S:
+                return channel, ""
+            listening |= not beside
+            shared_with |= beside
+        if listening:
+            return None, "its link was opened just now: whether it shares it with other vehicles is not known yet"
+        if not shared_with:
+            return None, "no link leads to it"
+        names = ", ".join(self._fleet.vehicles[key].name for key in sorted(shared_with)[:5])
+        return None, (
+            f"it shares its link with {names}: a pose has no address, and all of them would take it for their own; "
+            "give each vehicle a link of its own (a UDP port or a radio pair)"
+        )
+
+    def _rate_hz(self, channel: Channel) -> float:
+        air = channel.air
+        budget = None if air is None or air.queue.budget is None else air.queue.budget.rate
+        config = self._config
+        return rate_that_fits(config.message, config.rate_hz, budget, signed=channel.signing is not None)
+
+    def bytes_per_s(self, channel_id: int) -> float:
+        """What the poses take of this channel."""
+        size = WIRE_BYTES[self._config.message]
+        return sum(
+            fed.rate_hz * size for fed in self._fed.values() if fed.channel is not None and fed.channel.id == channel_id
+        )
+
+    def on_reboot(self, event: Event) -> None:
+        """Its estimator has begun anew, and may want its origin again."""
+        if self._origins is not None and event.sysid is not None:
+            self._origins.forget(event.sysid)
+
+    def _report(self, fed: _Fed, change: str, text: str) -> None:
+        fed.was_problem = change
+        self._on_event(Event("mocap", fed.name, fed.sysid, text, {"change": change, "body": fed.stream.body}))
+
+    # -- status
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able, for mocap.status."""
+        now = self._loop.time()
+        config = self._config
+        return {
+            "configured": True,
+            "type": config.type,
+            **self.capture.status(),
+            "message": config.message,
+            "rate_hz": config.rate_hz,
+            "frames": self.frames,
+            "bad_times": self.bad_times,
+            "timesync_answers": self.timesync_answers,
+            "bodies_seen": {body: round(now - at, 1) for body, at in sorted(self._seen.items())},
+            "vehicles": [
+                {
+                    "vehicle": fed.name,
+                    "link": None if fed.channel is None else fed.channel.link.name,
+                    **fed.stream.status(now),
+                }
+                for fed in self._fed.values()
+            ],
+        }
+
+
+def unconfigured() -> dict[str, Any]:
+    """The status without [mocap]."""
+    return {"configured": False, "vehicles": [], "bodies_seen": {}}
