@@ -167,7 +167,16 @@ def _alive(pid: int) -> bool:
 
 def test_the_command_line_records_frames(tmp_path: Path, fake_package: None) -> None:
     out = tmp_path / "flight.jsonl"
-    line = [sys.executable, "-m", "skygcs.cli.main", "mocap", "record", str(out), "--type", "vrpn", "--host", "h"]
+    line = [
+        str(Path(sys.executable).with_name("skygcs-cli")),
+        "mocap",
+        "record",
+        str(out),
+        "--type",
+        "vrpn",
+        "--host",
+        "h",
+    ]
     run = subprocess.run([*line, "--body", "a", "--seconds", "2"], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     lines = out.read_bytes().splitlines()

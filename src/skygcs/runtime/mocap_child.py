@@ -31,6 +31,9 @@ STALLED_S = 5.0
 """Every system sends frames all the time, with bodies or without."""
 
 CONNECT_S = 30.0
+END_S = 1.0
+"""From the end of its output to its own."""
+
 STDERR_BYTES = 4096
 
 OnFrame = Callable[[CaptureFrameData, float], None]
@@ -58,6 +61,7 @@ class MocapChild:
         self._on_event = on_event
         self._process: asyncio.subprocess.Process | None = None
         self._failing = False
+        self._why_killed = ""
         self._heard_at = 0.0
         self._connected_at: float | None = None
 
@@ -91,7 +95,7 @@ class MocapChild:
         limit_s = STALLED_S if self.state == "connected" else CONNECT_S
         if now - self._heard_at > limit_s:
             what = "sends no frames" if self.state == "connected" else "does not answer"
-            self.text = f"{self.text.partition(';')[0]} {what}"
+            self._why_killed = f"{self.text.partition(';')[0]} {what}"
             self._heard_at = now
             self._kill()
 
@@ -112,7 +116,7 @@ class MocapChild:
 
     async def _run_once(self) -> str | None:
         """Start it and read it to its end; how it ended, None for the end of a recording."""
-        self.state, self.text = "connecting", ""
+        self.state, self.text, self._why_killed = "connecting", "", ""
         self._heard_at = self._loop.time()
         pipe = asyncio.subprocess.PIPE
         try:
@@ -124,29 +128,33 @@ class MocapChild:
         self._process = process
         errors = self._loop.create_task(_last_of(process.stderr), name="motion capture errors")
         try:
-            await self._read(process)
+            if await self._read(process):  # its end: a signal now would make Popen take the exit code from asyncio
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(process.wait(), END_S)
         finally:
             self._kill()
+            await _drain(process.stdout)
             code = await process.wait()
             errors_text = await errors
         if self.state == "ended":
             return None
-        if self.state == "failed" or code == -signal.SIGKILL:
-            return self.text or "its process was killed"
+        if self.state == "failed" or self._why_killed:
+            return self._why_killed or self.text
         what = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
         return f"its process has ended ({what})" + (f": {errors_text}" if errors_text else "")
 
-    async def _read(self, process: asyncio.subprocess.Process) -> None:
+    async def _read(self, process: asyncio.subprocess.Process) -> bool:
+        """Read its lines; True at their end, False if it has to be killed."""
         assert process.stdout is not None
         while True:
             try:
                 line = await process.stdout.readline()
             except ValueError:  # longer than any line: it writes something else
                 self.bad_lines += 1
-                self.text = "its process writes what is no line of poses"
-                return
+                self._why_killed = "its process writes what is no line of poses"
+                return False
             if not line:
-                return
+                return True
             now = self._heard_at = self._loop.time()
             match parse_line(line):
                 case None:
@@ -171,6 +179,12 @@ class MocapChild:
         if process is not None and process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()  # it has nothing to put back, and may hang in a call that does not end
+
+
+async def _drain(stream: asyncio.StreamReader | None) -> None:
+    """Read what a killed process has left in the pipe, which is closed only then."""
+    while stream is not None and await stream.read(STDERR_BYTES):
+        pass
 
 
 async def _last_of(stream: asyncio.StreamReader | None) -> str:
