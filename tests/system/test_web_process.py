@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 import signal
 import socket
 import subprocess
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import aiohttp
 import pytest
 
 from skygcs.web.http_server import MAX_CONNECTIONS, MAX_SOCKETS_EACH
 from support.process import wait_until
+from support.web_page import page_of, raw, status
 from support.web_station import WebStation, command
 
 pytestmark = pytest.mark.system
@@ -31,79 +29,6 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStation]:
         yield station.start()
     finally:
         station.close()
-
-
-class Page:
-    """A signed-in browser without a browser."""
-
-    def __init__(self, session: aiohttp.ClientSession, station: WebStation) -> None:
-        self.session = session
-        self.station = station
-        self.ws: aiohttp.ClientWebSocketResponse | None = None
-        self.notices: list[dict[str, Any]] = []
-        self._last = 0
-
-    async def open(self) -> None:
-        self.ws = await self.session.ws_connect(f"{self.station.base}/ws", origin=self.station.base, max_msg_size=0)
-
-    async def next(self, within_s: float = 60.0) -> dict[str, Any]:
-        assert self.ws is not None
-        message = await self.ws.receive(timeout=within_s)
-        assert message.type is aiohttp.WSMsgType.TEXT, message
-        return dict(json.loads(message.data))
-
-    async def call(self, method: str, /, deadline_s: float | None = None, **params: Any) -> dict[str, Any]:
-        assert self.ws is not None
-        self._last += 1
-        request: dict[str, Any] = {"jsonrpc": "2.0", "id": self._last, "method": method, "params": params}
-        if deadline_s is not None:
-            request["deadline_s"] = deadline_s
-        await self.ws.send_str(json.dumps(request))
-        while (answer := await self.next()).get("id") != self._last:
-            self.notices.append(answer)
-        return answer
-
-    async def order(self, method: str, /, **params: Any) -> dict[str, Any]:
-        now_s = (await self.call("web.ping"))["result"]["now_s"]
-        return await self.call(method, now_s + 3, **params)
-
-    async def states(self, condition: Any) -> dict[str, Any]:
-        """The first batch for which this holds."""
-        while True:
-            message = self.notices.pop(0) if self.notices else await self.next()
-            if message.get("method") == "web.state" and condition(message["params"]):
-                return dict(message["params"])
-
-
-@asynccontextmanager
-async def page_of(station: WebStation, role: Any = "command", *, ws: bool = True) -> AsyncIterator[Page]:
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
-        async with session.get(station.address(role), allow_redirects=False) as answer:
-            assert answer.status == 303
-        page = Page(session, station)
-        if ws:
-            await page.open()
-        try:
-            yield page
-        finally:
-            if page.ws is not None:
-                await page.ws.close()
-
-
-def raw(station: WebStation, request: str) -> str:
-    """What a plain socket gets for these bytes."""
-    with socket.create_connection(("127.0.0.1", station.port), timeout=30) as sock:
-        sock.sendall(request.encode())
-        received = b""
-        while b"\r\n\r\n" not in received and (data := sock.recv(65536)):
-            received += data
-    return received.decode(errors="replace")
-
-
-def status(answer: str) -> int:
-    found = re.match(r"HTTP/1.[01] (\d+)", answer)
-    assert found is not None, answer
-    return int(found[1])
 
 
 def most_memory_kb(station: WebStation) -> int:

@@ -217,7 +217,8 @@ def _ends(file: Path, wanted: Wanted | None, *, one_is_enough: bool = False) -> 
     from math import radians
 
     if file.suffix.lower() == ".toml" or any(column in _bytes(file)[:4096] for column in (b"initial_x", b"final_x")):
-        from skygcs.cli.table import read_table, spots
+        from skygcs.cli.table import read_table
+        from skygcs.core.plan.position_table import spots
 
         places = read_table(file)
         starts = {name: spot.position_m for name, spot in spots(places, "initial").items()}

@@ -16,6 +16,7 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.compare import Change, plan
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import ParamFile, parse
+from skygcs.core.plan.position_table import WHICH, parse_table
 from skygcs.errors import RefusedError
 from skygcs.web.dropped import DroppedFile, Request, parsed
 
@@ -109,9 +110,30 @@ def _change(change: Change) -> dict[str, Any]:
     return {"name": change.name, "value": change.value, "before": before, "sort": change.sort}
 
 
+class PositionsCheck(Request):
+    """A table of initial and final positions."""
+
+    file: DroppedFile
+
+
+def check_positions(params: Mapping[str, Any]) -> dict[str, Any]:
+    """web.positions.check: the positions of a table, by the names that the file has."""
+    file = parsed(PositionsCheck, params).file
+    table = parse_table(file.name, file.content())
+    return {
+        "name": file.name,
+        "vehicles": {
+            name: {which: None if (spot := places.get(which)) is None else list(spot.position_m) for which in WHICH}
+            for name, places in table.items()
+        },
+        "headings": any(spot.heading_deg is not None for places in table.values() for spot in places.values()),
+    }
+
+
 CHECKS: dict[str, Check] = {
     "web.mission.check": check_mission,
     "web.fence.check": check_fence,
     "web.plan.check": check_plan_files,
     "web.params.check": check_params,
+    "web.positions.check": check_positions,
 }

@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.cli.table import Spot, TableFlight, flight_table, send
+from skygcs.cli.table import TableFlight, flight_table, send
+from skygcs.core.plan.position_table import Spot
 from skygcs.errors import RpcError
 from support.controlled import Commanded, commanded
 from support.fake_daemon import FakeOutcome

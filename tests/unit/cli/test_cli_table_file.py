@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.cli.table import Spot, read_table, spots
+from skygcs.cli.table import read_table
+from skygcs.core.plan.position_table import Spot, spots
 from skygcs.errors import ConfigError, SkygcsError
 
 CSV = """# two vehicles

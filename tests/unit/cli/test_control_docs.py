@@ -11,8 +11,9 @@ import pytest
 
 from skygcs.cli.setpoint import COLUMNS as SETPOINT_COLUMNS
 from skygcs.cli.setpoint import VECTORS, LineReader
-from skygcs.cli.table import read_table, spots
+from skygcs.cli.table import read_table
 from skygcs.core.control.trace import COLUMNS, FORMAT
+from skygcs.core.plan.position_table import spots
 from support.public_data import ROOT
 
 DOCS = ROOT / "docs"

@@ -283,3 +283,35 @@ def test_any_file_is_answered_or_refused(name, content):
         except SkygcsError:
             continue
         json.dumps(answer, allow_nan=False)
+
+
+# -- tables of positions
+
+
+def test_a_table_of_positions_is_read_as_the_command_line_reads_it(tmp_path):
+    from skygcs.cli.table import read_table
+
+    columns = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z,final_heading_deg"
+    text = f"{columns}\na,0,1,5,10,0,5,90\n7,,,,1,2,3,\n"
+    (tmp_path / "t.csv").write_text(text)
+    answer = CHECKS["web.positions.check"]({"file": {"name": "t.csv", "text": text}})
+    assert answer["vehicles"] == {
+        "a": {"initial": [0.0, 1.0, 5.0], "final": [10.0, 0.0, 5.0]},
+        "7": {"initial": None, "final": [1.0, 2.0, 3.0]},
+    }
+    assert answer["headings"] is True
+    read = read_table(tmp_path / "t.csv")
+    assert {name: list(read[name]["final"].position_m) for name in read} == {
+        name: places["final"] for name, places in answer["vehicles"].items()
+    }
+    toml = "[vehicles.a]\nfinal = [1, 2, 3]\n"
+    answer = CHECKS["web.positions.check"]({"file": {"name": "T.TOML", "text": toml}})
+    assert answer["vehicles"] == {"a": {"initial": None, "final": [1.0, 2.0, 3.0]}} and answer["headings"] is False
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x,y\n1,2\n", "vehicle,final_x\na,nan\n", "vehicle,final_x,final_y,final_z\na,1e9,0,0\n"]
+)
+def test_a_bad_table_is_refused_with_its_name(text):
+    with pytest.raises(SkygcsError, match=r"t\.csv"):
+        CHECKS["web.positions.check"]({"file": {"name": "t.csv", "text": text}})

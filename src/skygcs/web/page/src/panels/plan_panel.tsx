@@ -11,6 +11,7 @@ import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAs
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
+import { PositionTableLoader } from "./position_table.tsx";
 import type { PanelProps } from "./registry.ts";
 import { Timeline } from "./timeline.tsx";
 
@@ -208,6 +209,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   };
   return (
     <>
+      <PositionTableLoader store={store} connection={connection} view={view} take={setGoals} />
       <div class="row wrap">
         <NumberField label="Height of all" unit="m" value={height} least={1} most={500} onValue={(value) => {
           if (value === null) return;
