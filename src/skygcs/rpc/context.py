@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -58,6 +59,11 @@ class Context(Protocol):
 
     @property
     def services(self) -> Services: ...
+    @property
+    def long_reads(self) -> asyncio.Lock:
+        """Held by a request that reads much, a slice at a time: however many wait, the loop has one slice in a turn."""
+        ...
+
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
     def relay_operator(self) -> None: ...

@@ -115,6 +115,7 @@ class Session(asyncio.Protocol):
 
     def __init__(self, hub: Sessions, token: str | None) -> None:
         self.services = hub.services
+        self.long_reads = hub.long_reads
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
         self.restricted = False
@@ -572,6 +573,7 @@ class Sessions:
         self.loop = loop
         self.feeds = Feeds(services, loop)
         self.turns = Turns(loop)
+        self.long_reads = asyncio.Lock()
         self.counters: Counter[str] = Counter()
         self.lasting: set[asyncio.Task[bytes]] = set()
         """Orders that end a flight: they belong to no session, so that no session's end ends them."""

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc import client
+from skygcs.rpc import client, vehicles
 from skygcs.rpc.address import client_address, default_socket_path
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
@@ -69,6 +69,30 @@ async def test_states_and_messages_are_read_and_sent(served: Served, gcs: Client
     assert (await gcs.vehicle(3))["name"] == "carol"
     await gcs.send("ATTITUDE", {"roll": 0.5}, target="alpha")
     assert served.daemon.sent == [("ATTITUDE", {"roll": 0.5}, "alpha", None)]
+
+
+async def test_a_list_of_many_states_gives_others_their_turn(
+    served: Served, gcs: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vehicles, "SLICE_S", 0.0)  # after each state
+    turns: list[int] = []
+    made = served.daemon.vehicle("alpha")
+
+    async def take_turns() -> None:
+        while True:
+            turns.append(made.states_made)
+            await asyncio.sleep(0)
+
+    other = asyncio.create_task(take_turns())
+    states = await asyncio.gather(gcs.vehicles(), gcs.vehicles("carol"), gcs.vehicles())
+    other.cancel()
+    assert [[state["name"] for state in listed] for listed in states] == [
+        ["alpha", "bravo", "carol"],
+        ["carol"],
+        ["alpha", "bravo", "carol"],
+    ]
+    first, second = turns.index(1), turns.index(2)
+    assert second - first >= 3, "the second list began before the first one had its three turns"
 
 
 async def test_an_error_answer_is_raised_with_code_and_data(gcs: Client) -> None:
