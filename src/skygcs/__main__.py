@@ -1,6 +1,18 @@
-"""`python -m skygcs` is `skygcs`."""
+"""`python -m skygcs`, and `skygcs` itself."""
 
-from skygcs.cli.serve import main
+import sys
+
+
+def main() -> None:
+    """Entry point of `skygcs`: the daemon's libraries are imported lean, before anything imports them whole."""
+    if sys.argv[1:2] == ["run"]:
+        from skygcs.cli.lean_imports import prepare_daemon
+
+        prepare_daemon()
+    from skygcs.cli.serve import main as serve
+
+    serve()
+
 
 if __name__ == "__main__":
     main()

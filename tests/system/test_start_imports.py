@@ -13,6 +13,23 @@ pytestmark = pytest.mark.system
 HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "lxml", "rich", "typer")
 """From 30 ms (rich) to 600 ms (pymavlink's generated dialects), and together three times a daemon's memory."""
 
+SPARED = ("_hashlib", "_ssl", "email", "greenlet", "importlib.metadata", "zipfile")
+"""Of libraries that the daemon loads, what it never uses of them: OpenSSL alone is 5 MB (`skygcs.cli.lean_imports`)."""
+
+NEEDED = (
+    "skygcs.core.control.deadman",
+    "skygcs.core.control.guard",
+    "skygcs.core.vehicle.offboard_controller",
+    "skygcs.core.vehicle.orders",
+    "skygcs.rpc.vehicles",
+    "skygcs.runtime.command_client",
+    "skygcs.runtime.operator_watchdog",
+    "skygcs.runtime.order_runner",
+    "skygcs.runtime.undo_journal",
+    "skygcs.runtime.vehicle_actor",
+)
+"""What an order and a failsafe need: the first one in an emergency waits for no import."""
+
 SOCKET_SIDE = ("skygcs.rpc.methods", "skygcs.rpc.models", "skygcs.rpc.sessions")
 """What clients of the socket need; imported beside the loop when frames are forwarded already."""
 
@@ -30,6 +47,26 @@ async def served(daemon, **_):
     await running
 serve.serve_until_signal = served
 serve.main(["run", "-q", sys.argv[1]])
+"""
+
+AS_INSTALLED = """
+import sys
+from skygcs import __main__ as entry
+fleet, watched = sys.argv[1], sys.argv[2:]
+async def served(daemon, **_):
+    import asyncio
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    print("loaded", *[m for m in watched if m in sys.modules])
+    daemon.stop()
+    await running
+class Watch:
+    def find_spec(self, name, path, target=None):
+        if name == "skygcs.daemon":
+            sys.modules["skygcs.cli.serve"].serve_until_signal = served
+sys.meta_path.insert(0, Watch())
+sys.argv = ["skygcs", "run", "-q", fleet]
+entry.main()
 """
 
 WITH_A_VEHICLE = """
@@ -65,6 +102,13 @@ def test_a_daemon_loads_nothing_heavy_and_what_its_socket_needs_last(tmp_path: P
     before, after = loaded(RUN, str(fleet), *HEAVY, *SOCKET_SIDE)
     assert before == set()
     assert after == set(SOCKET_SIDE)
+
+
+def test_a_daemon_has_what_an_emergency_needs_and_nothing_that_it_never_uses(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
+    loaded(RUN, str(fleet))  # makes the dialect's table
+    assert loaded(AS_INSTALLED, str(fleet), *HEAVY, *SPARED, *NEEDED) == [set(NEEDED)]
 
 
 def test_a_vehicle_with_a_place_in_the_world_loads_nothing_heavy(tmp_path: Path) -> None:

