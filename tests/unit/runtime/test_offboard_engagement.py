@@ -101,6 +101,7 @@ class Field:
         self.links = KnownLinks()
         commands: Any = self.commands  # all that is used of one
         runner: Any = SimpleNamespace(execute=self.execute, attempt_in_control=self.attempt)
+        self.runner = runner
         self.offboard = OffboardEngagement(
             self.vehicle,
             VehicleConfig(
@@ -366,6 +367,8 @@ async def test_a_vehicle_somebody_takes_away_is_given_no_order(tmp_path: Path) -
         assert f.offboard.controller.state is OffboardState.OFF and not f.offboard.clock.running
         assert [plan.order for plan in f.orders[orders:]] == ["interval"]  # the picture's rate again, and nothing else
         assert "took over" in f.texts()
+        last = max(at for at, name, *_ in f.commands.sent if name in SETPOINTS)
+        assert last <= f.runner.sent_before_at <= last + 0.15, "a goto waits until the last setpoint has arrived"
 
 
 async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
