@@ -88,6 +88,9 @@ def print_certificate(certificate: Answer, written: str = "") -> None:
         if certificate["certified"]:
             typer.echo(f"closest: {closest['text']}")
         _print_terms(closest, certificate["downwash_ratio"])
+        flown_m = closest["flown_at_least_m"]
+        if certificate["certified"] and flown_m is not None:
+            typer.echo(f"flown within these terms they stay {flown_m:.2f} m apart, by their own positions")
     if written:
         typer.echo(written)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from skygcs.core.plan.margins import OFF_REFERENCE, TRACKING
 from skygcs.core.trajectory.piecewise import Vector
 
 
@@ -30,6 +32,17 @@ class Approach:
     def clearance_m(self) -> float:
         return self.distance_m - self.margin_m
 
+    @property
+    def flown_at_least_m(self) -> float | None:
+        """So far apart stay two vehicles, by their own positions, that are off their references by no more than their
+        terms allow; None where a margin was given in place of terms."""
+        if any(TRACKING not in of_vehicle for of_vehicle in self.terms.values()):
+            return None
+        used_m = math.fsum(
+            term_m for of_vehicle in self.terms.values() for name, term_m in of_vehicle.items() if name in OFF_REFERENCE
+        )
+        return self.distance_at_least_m - used_m
+
     def text(self) -> str:
         one, other = self.vehicles
         when = f"at {self.t_s:.2f} s" if self.t_s is not None else f"in phase {self.phase}"
@@ -39,7 +52,11 @@ class Approach:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self) | {"clearance_m": self.clearance_m, "text": self.text()}
+        return asdict(self) | {
+            "clearance_m": self.clearance_m,
+            "flown_at_least_m": self.flown_at_least_m,
+            "text": self.text(),
+        }
 
 
 @dataclass(frozen=True, slots=True)

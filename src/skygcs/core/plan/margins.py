@@ -28,7 +28,13 @@ DEFAULT = "default"
 GIVEN = "given"
 """Sources of a term that was not measured."""
 
+TRACKING = "tracking error p99"
 TIMING = "speed × (delay p99 + clock error)"
+JUMPS = "velocity jumps"
+
+OFF_REFERENCE = frozenset({TRACKING, TIMING, JUMPS})
+"""Terms that a vehicle may use up: how far it is from its reference. The others are its size and what it does not know
+of its position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +87,11 @@ class MarginRule:
         found = {
             "half wingspan": u.wingspan_m / 2.0,
             "position error": u.position_error_m,
-            "tracking error p99": u.tracking_error_m,
+            TRACKING: u.tracking_error_m,
         }
         if motion is not None:
             found[TIMING] = motion.speed_mps * (u.delay_s + u.clock_error_s)
-            found["velocity jumps"] = motion.jump_mps**2 / (2.0 * u.acceleration_mps2) + motion.jump_m
+            found[JUMPS] = motion.jump_mps**2 / (2.0 * u.acceleration_mps2) + motion.jump_m
         return found
 
     def sources(self, name: str) -> dict[str, str]:
@@ -97,9 +103,9 @@ class MarginRule:
         return {
             "half wingspan": found.get("wingspan_m", DEFAULT),
             "position error": found.get("position_error_m", DEFAULT),
-            "tracking error p99": found.get("tracking_error_m", DEFAULT),
+            TRACKING: found.get("tracking_error_m", DEFAULT),
             TIMING: delay if delay == clock else f"delay {delay}, clock {clock}",
-            "velocity jumps": found.get("acceleration_mps2", DEFAULT),
+            JUMPS: found.get("acceleration_mps2", DEFAULT),
         }
 
     def half_m(self, name: str, motion: Motion | None = None) -> float:

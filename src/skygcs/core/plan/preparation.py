@@ -29,7 +29,7 @@ from skygcs.core.plan.flight_steps import (
     steps_of,
 )
 from skygcs.core.plan.layered_flight import layered
-from skygcs.core.plan.margins import MarginRule, Uncertainty
+from skygcs.core.plan.margins import JUMPS, TIMING, MarginRule, Uncertainty
 from skygcs.core.trajectory import hover
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError, SkygcsError
@@ -286,7 +286,7 @@ def tubes_of(rule: MarginRule, plan: Plan) -> Tubes:
     return Tubes(half, timed, free, rule.downwash_ratio)
 
 
-_MOVING_TERMS = frozenset({"speed × (delay p99 + clock error)", "velocity jumps"})
+_MOVING_TERMS = frozenset({TIMING, JUMPS})
 
 
 def require_vehicles(plan: Plan, names: Sequence[str]) -> None:

@@ -57,6 +57,16 @@ def test_every_term_of_a_margin_is_named() -> None:
     json.dumps(certify(plan, rule).as_dict())
 
 
+def test_what_is_left_to_vehicles_that_use_up_their_terms_is_reported() -> None:
+    off = Uncertainty(tracking_error_m=1.5)
+    plan = PhasedPlan({"a": (0.0, 0.0, 10.0), "b": (0.0, 0.0, 21.0)}, (Phase("go", {"a": (20.0, 0.0, 10.0)}),))
+    closest = certify(plan, MarginRule(off)).closest
+    assert closest is not None and closest.margin_m == pytest.approx(5.5) and closest.distance_m == pytest.approx(5.5)
+    assert closest.flown_at_least_m == pytest.approx(2 * (0.35 + 0.9), abs=1e-3)
+    given = certify(plan, MarginRule(fixed_m=2.5)).closest
+    assert given is not None and given.flown_at_least_m is None
+
+
 @pytest.mark.parametrize("value", [math.nan, -1.0, 1e3])
 def test_uncertainties_that_are_none_are_refused(value: float) -> None:
     with pytest.raises(RefusedError):

@@ -1,0 +1,62 @@
+"""The tracking error that margins are made of: of moving references and of standing ones, each by itself."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from skygcs.core.vehicle.offboard_controller import OffboardController
+from skygcs.core.vehicle.tracking_record import LEAST_ERRORS, SAMPLE_S, TrackingRecord
+
+
+class Flight:
+    """A vehicle that is so far off its reference, sample by sample."""
+
+    def __init__(self) -> None:
+        self.record = TrackingRecord()
+        self.now = 0.0
+
+    def fly(self, samples: int, off_m: float, *, moves: bool, at_m: float = 0.0, velocity_only: bool = False) -> None:
+        for _ in range(samples):
+            self.now += SAMPLE_S
+            reference: Any = SimpleNamespace(pos_enu_m=(at_m, 0.0, 10.0), moves=moves, velocity_only=velocity_only)
+            controller = SimpleNamespace(reference=reference, here=lambda _: (at_m, 0.0, 10.0 + off_m))
+            self.record.observe(cast("OffboardController", controller), self.now)
+
+
+def test_a_height_that_wanders_in_hover_is_not_averaged_away() -> None:
+    flight = Flight()
+    flight.fly(LEAST_ERRORS, 0.2, moves=True)
+    assert flight.record.tracking_error_m == pytest.approx(0.2, rel=0.06)
+    flight.fly(1, 0.1, moves=False)
+    flight.fly(40 * LEAST_ERRORS, 0.1, moves=False)
+    flight.fly(LEAST_ERRORS, 0.8, moves=False)
+    assert flight.record.tracking_error_m == pytest.approx(0.8, rel=0.06)
+    assert flight.record.measured_s == pytest.approx((42 * LEAST_ERRORS + 1) * SAMPLE_S, rel=0.5)
+
+
+def test_a_calm_hover_does_not_lower_the_error_of_moving_references() -> None:
+    flight = Flight()
+    flight.fly(LEAST_ERRORS, 0.6, moves=True)
+    flight.fly(100 * LEAST_ERRORS, 0.02, moves=False)
+    assert flight.record.tracking_error_m == pytest.approx(0.6, rel=0.06)
+
+
+def test_the_way_to_a_place_that_was_set_is_no_error() -> None:
+    flight = Flight()
+    flight.fly(LEAST_ERRORS, 0.3, moves=True)
+    flight.fly(2 * LEAST_ERRORS, 30.0, moves=False)
+    assert flight.record.tracking_error_m == pytest.approx(0.3, rel=0.06)
+    # there, and then set elsewhere: on its way again
+    flight.fly(LEAST_ERRORS, 0.1, moves=False)
+    flight.fly(2 * LEAST_ERRORS, 30.0, moves=False, at_m=5.0)
+    assert flight.record.tracking_error_m == pytest.approx(0.3, rel=0.06)
+
+
+def test_without_a_minute_of_moving_references_there_is_no_answer() -> None:
+    flight = Flight()
+    flight.fly(10 * LEAST_ERRORS, 0.1, moves=False)
+    flight.fly(10 * LEAST_ERRORS, 0.1, moves=True, velocity_only=True)
+    assert flight.record.tracking_error_m is None
