@@ -22,6 +22,7 @@ from skygcs.config.models import (
     SimulatedLinkConfig,
     TcpServerLinkConfig,
     UdpServerLinkConfig,
+    XBeeLinkConfig,
 )
 from skygcs.config.router_import import import_router
 from skygcs.config.signing import read_key
@@ -87,6 +88,8 @@ def _where(link: LinkConfig) -> str:
         case SerialLinkConfig():
             rates = (link.baud,) if isinstance(link.baud, int) else link.baud
             return f"{link.device} at {' or '.join(map(str, rates))} baud"
+        case XBeeLinkConfig():
+            return f"{link.device} at {link.baud} baud, API mode {link.api_mode}"
         case UdpServerLinkConfig() | TcpServerLinkConfig():
             return f"listens on {link.host}:{link.port}"
         case ReplayLinkConfig():
@@ -102,7 +105,7 @@ def _notes(config: FleetConfig) -> list[str]:
     """Problems that may be solved before the daemon runs: a device that is not plugged in, a file that is missing."""
     notes = []
     for name, link in config.links.items():
-        if isinstance(link, SerialLinkConfig) and not Path(link.device).exists():
+        if isinstance(link, SerialLinkConfig | XBeeLinkConfig) and not Path(link.device).exists():
             notes.append(f"links.{name}: {link.device} does not exist now; it is opened when it appears")
         if isinstance(link, ReplayLinkConfig) and not link.file.is_file():
             notes.append(f"links.{name}: the file {link.file} does not exist now")

@@ -126,6 +126,11 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         metavar="KBPS[,KEY=VALUE…]",
         help="with --pty: emulated multipoint radios of this air speed; loss=0.02, burst_loss, nodes, baud, rtscts",
     )
+    sim.add_argument(
+        "--xbee",
+        metavar="KBPS[,KEY=VALUE…]",
+        help="with --pty: XBee modules with this rate on air; loss=0.02, hops=1:2:3, payload_bytes, baud, api_mode",
+    )
     sim.add_argument("--separate-ports", action="store_true", help="with --udp: one socket per vehicle")
     # where they are, and how they fly
     sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
@@ -279,6 +284,7 @@ def _sim(args: argparse.Namespace) -> int:
         tcp=args.tcp,
         pty=args.pty,
         air=args.radio,
+        xbee=args.xbee,
         separate_ports=args.separate_ports,
         home=args.home,
         seed=args.seed,

@@ -7,14 +7,15 @@ import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from skygcs.cli.process import run_loop
-from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
+from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort, XBeePort
 from skygcs.config.dialects import load_dialect
 from skygcs.config.files import load_param_set
-from skygcs.config.radio import EmulatedRadio
+from skygcs.config.radio import EmulatedRadio, EmulatedXBees
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError
 from skygcs.links.simulated import emulated
@@ -27,6 +28,9 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
+from skygcs.sim.xbee_mesh import MeshConfig, XBeeMesh
+
+Keys = TypeVar("Keys", bound=BaseModel)
 
 SIM_DIALECT = "ardupilotmega"
 
@@ -50,6 +54,7 @@ def run_sim(
     speedup: float = 1.0,
     radio: bool = True,
     air: str | None = None,
+    xbee: str | None = None,
     conditions: Conditions = CALM,
     params: Sequence[Path] = (),
 ) -> int:
@@ -59,12 +64,14 @@ def run_sim(
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
     behind a radio, which with ``radio`` reports RADIO_STATUS. ``air`` KBPS[,KEY=VALUE…] puts emulated radios between
-    the two instead (keys of `config.radio.EmulatedRadio`). ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
+    the two instead (keys of `config.radio.EmulatedRadio`), ``xbee`` KBPS[,KEY=VALUE…] an emulated network of XBee modules
+    (fields of `sim.xbee_mesh.MeshConfig`). ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
-    _check_options(speedup, (udp, tcp, pty), air)
+    _check_options(speedup, (udp, tcp, pty), air, xbee)
     emulated_radio = None if air is None else parse_radio(air)
+    mesh_config = None if xbee is None else parse_xbee(xbee)
     where, heading_deg = _parse_home(home)
     dialect = load_dialect(SIM_DIALECT)
     try:
@@ -88,6 +95,9 @@ def run_sim(
     if pty is None:
         groups = [[v] for v in vehicles] if separate_ports else [vehicles]
         return run_loop(_serve(_network_ports(groups, dialect, clock, udp=udp, tcp=tcp), clock, speedup))
+    if mesh_config is not None:
+        mesh = XBeeMesh(vehicles, dialect, mesh_config, Rng(seed), 0.0)
+        return run_loop(_serve([XBeePort(mesh, dialect, clock, pty)], clock, speedup))
     behind = None if emulated_radio is None else _behind(emulated_radio, vehicles, dialect, seed)
     try:
         port = PtyPort(vehicles, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind)
@@ -96,7 +106,9 @@ def run_sim(
     return run_loop(_serve([port], clock, speedup))
 
 
-def _check_options(speedup: float, ports: tuple[str | None, str | None, str | None], air: str | None) -> None:
+def _check_options(
+    speedup: float, ports: tuple[str | None, str | None, str | None], air: str | None, xbee: str | None
+) -> None:
     """Raises LinkError for options that exclude each other; ``ports``: --udp, --tcp, --pty."""
     if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
         raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
@@ -104,6 +116,8 @@ def _check_options(speedup: float, ports: tuple[str | None, str | None, str | No
         raise LinkError("one of --udp, --tcp and --pty is needed")
     if air is not None and ports[2] is None:
         raise LinkError("--radio: emulated radios are behind a --pty")
+    if xbee is not None and (ports[2] is None or air is not None):
+        raise LinkError("--xbee: an emulated network of XBee modules is behind a --pty, without --radio")
 
 
 def _network_ports(
@@ -118,18 +132,28 @@ def _network_ports(
 
 def parse_radio(text: str) -> EmulatedRadio:
     """Of KBPS[,KEY=VALUE…]. Raises LinkError for a person."""
-    kbps, *pairs = text.split(",")
-    table: dict[str, object] = {"air_kbps": kbps}
+    return _parse_pairs("--radio", text, "air_kbps", EmulatedRadio)
+
+
+def parse_xbee(text: str) -> MeshConfig:
+    """Of KBPS[,KEY=VALUE…]; ``hops`` are separated by colons. Raises LinkError for a person."""
+    keys = _parse_pairs("--xbee", text, "rf_kbps", EmulatedXBees)
+    return MeshConfig(**keys.model_dump())
+
+
+def _parse_pairs(option: str, text: str, first_key: str, model: type[Keys]) -> Keys:
+    first, *pairs = text.split(",")
+    table: dict[str, object] = {first_key: first}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals:
-            raise LinkError(f"--radio {text!r}: {pair!r} is not of the form KEY=VALUE")
+            raise LinkError(f"{option} {text!r}: {pair!r} is not of the form KEY=VALUE")
         table[key.strip()] = value.strip()
     try:
-        return EmulatedRadio.model_validate(table)
+        return model.model_validate(table)
     except ValidationError as error:
         wrong = error.errors()[0]
-        raise LinkError(f"--radio {text!r}: {'.'.join(map(str, wrong['loc']))}: {wrong['msg'].lower()}") from None
+        raise LinkError(f"{option} {text!r}: {'.'.join(map(str, wrong['loc']))}: {wrong['msg'].lower()}") from None
 
 
 def _behind(radio: EmulatedRadio, vehicles: list[SimVehicle], dialect: Dialect, seed: int) -> RadioFleet:

@@ -28,6 +28,7 @@ from skygcs.sim.radio_status import SimRadio
 from skygcs.sim.tdm import GROUND
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet
+from skygcs.sim.xbee_mesh import XBeeMesh
 
 MAX_BACKLOG_BYTES = 65536
 """A TCP connection that does not read loses frames instead of holding the vehicles up."""
@@ -287,3 +288,23 @@ class PtyPort(SimPort):
         if self._air is not None and self._air.network.backlog_bytes(GROUND, self._clock.now()) >= DRIVER_BYTES:
             self._full = True
             asyncio.get_running_loop().remove_reader(self._master)
+
+
+class XBeePort(PtyPort):
+    """A pseudo-terminal in front of the ground's module of an emulated XBee network."""
+
+    def __init__(self, mesh: XBeeMesh, dialect: Dialect, clock: SimClock, path: str) -> None:
+        super().__init__(mesh.fleet.vehicles, dialect, clock, path, None)
+        self._mesh = mesh
+
+    def pump(self) -> None:
+        if output := self._mesh.step(self._clock.now()):
+            self.write([output])
+
+    def _on_readable(self) -> None:
+        try:
+            data = os.read(self._master, DRIVER_BYTES)
+        except (BlockingIOError, OSError):
+            return
+        self._mesh.hear(data)
+        self.pump()

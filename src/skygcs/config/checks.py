@@ -23,6 +23,7 @@ from skygcs.config.models import (
     UdpClientLinkConfig,
     UdpServerLinkConfig,
     VehicleSettings,
+    XBeeLinkConfig,
 )
 from skygcs.config.radio import RadioKeys
 from skygcs.config.signing import EVERY_MESSAGE
@@ -314,7 +315,7 @@ def _said(settings: ControlSettings | None, key: tuple[str, ...], text: str) -> 
 def _places(link: LinkConfig) -> list[tuple[str, str, int | str]]:
     """(kind, host, port or device) that a link occupies or talks to; port 0 is any free one and never clashes."""
     match link:
-        case SerialLinkConfig():
+        case SerialLinkConfig() | XBeeLinkConfig():
             return [("serial", "", os.path.realpath(link.device))]
         case UdpServerLinkConfig():
             return [("udp", link.host, link.port)] if link.port else []

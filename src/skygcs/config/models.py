@@ -156,6 +156,34 @@ class SerialLinkConfig(RadioKeys, LinkCommon):
     low_latency: bool = True
 
 
+XBeeAddress = Annotated[str, Field(pattern="^[0-9A-Fa-f]{16}$")]
+"""64-bit address of an XBee module: SH and SL, the 16 digits on its label."""
+
+
+class XBeeLinkConfig(LinkCommon):
+    """One Digi XBee module in API mode at a serial port: every node of its network is a channel of its own."""
+
+    type: Literal["xbee"] = "xbee"
+    role: Role = "vehicle"
+    """The role of all nodes; "vehicle": what one of them sends is not sent to the others."""
+    device: Annotated[str, Field(min_length=1)]
+    baud: Baud = 115200
+    """The module's BD."""
+    rtscts: bool = True
+    """The module holds us up while its buffers are full (its D7 = 1, as it is delivered)."""
+    api_mode: Literal[1, 2] = 2
+    """The module's AP: 1 without, 2 with escaped bytes, which finds the next frame at once after bytes were lost."""
+    rf_kbps: Annotated[float, Field(ge=1, le=1000)] = 200.0
+    """The module's rate on air (its BR): how many setpoints the network is asked to carry follows from it."""
+    nodes: tuple[XBeeAddress, ...] = ()
+    """The only nodes that count, by address; (): all of the network, ..."""
+    max_nodes: Annotated[int, Field(ge=1, le=64)] = 32
+    """... at most so many at a time."""
+    node_timeout_s: TimeoutS = 60.0
+    broadcast: bool = False
+    """Send our heartbeat and corrections to all nodes at once instead of to one after the other."""
+
+
 class UdpCommon(LinkCommon):
     """Keys of every UDP link."""
 
@@ -264,6 +292,7 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
 
 LinkConfig = (
     SerialLinkConfig
+    | XBeeLinkConfig
     | UdpServerLinkConfig
     | UdpClientLinkConfig
     | UdpBroadcastLinkConfig

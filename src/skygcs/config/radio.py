@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
 
 from skygcs.config.tables import Model
 from skygcs.core.radio_link.pacing import RadioRates
@@ -75,6 +75,22 @@ class EmulatedRadio(Model):
     burst_s: Annotated[float, Field(ge=0.001, le=60)] = 1.0
     rtscts: bool = False
     distances_m: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = ()
+
+
+def _hop_counts(text: object) -> object:
+    """Of "1:2:3", as it is written on a command line."""
+    return tuple(text.split(":")) if isinstance(text, str) else text
+
+
+class EmulatedXBees(Model):
+    """An emulated network of XBee modules (`sim.xbee_mesh`)."""
+
+    rf_kbps: Kbps = 200.0
+    payload_bytes: Annotated[int, Field(ge=16, le=256)] = 256
+    baud: Annotated[int, Field(ge=1200, le=1_000_000)] = 57600
+    loss: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    hops: Annotated[tuple[Annotated[int, Field(ge=1, le=32)], ...], BeforeValidator(_hop_counts)] = ()
+    api_mode: Literal[1, 2] = 2
 
 
 def radio_rates(keys: RadioKeys, baud: int) -> RadioRates:

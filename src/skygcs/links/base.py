@@ -217,6 +217,11 @@ class Link(ABC):
         self.failed: asyncio.Future[str] = loop.create_future()
         self.finished = False
 
+    @property
+    def bytes_per_s(self) -> float | None:
+        """What all its channels together carry, both ways; None where that is no limit."""
+        return None
+
     @abstractmethod
     async def open(self) -> None:
         """Open the device or socket. Raises LinkError with what to do; it then holds nothing open. So it is when

@@ -16,6 +16,10 @@ def make_link(config: models.LinkConfig, host: LinkHost, loop: asyncio.AbstractE
             from skygcs.links.serial import SerialLink
 
             return SerialLink(config, host, loop)
+        case models.XBeeLinkConfig():
+            from skygcs.links.xbee import XBeeLink
+
+            return XBeeLink(config, host, loop)
         case models.UdpServerLinkConfig():
             from skygcs.links.udp import UdpServerLink
 

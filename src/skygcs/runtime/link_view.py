@@ -14,7 +14,6 @@ from skygcs.core.preflight.losses import LossWindow
 from skygcs.core.radio_link.capacity import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel
-from skygcs.links.serial import SerialLink
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.signing_keys import why_silent
@@ -40,9 +39,6 @@ the same rate, because the uplink is half of the serial rate."""
 
 SIGNED_SHARE = FRAME_BYTES["SET_ATTITUDE_TARGET"] / (FRAME_BYTES["SET_ATTITUDE_TARGET"] + SIGNATURE_BYTES)
 """Share left for the frame itself if each frame carries a signature."""
-
-BITS_PER_BYTE = 10
-"""8N1: start bit, eight, stop bit."""
 
 GUIDED_MIN_HZ = 1.0
 """ArduPilot stops 3 s after the last position or velocity (field-notes 10.5): two may be lost."""
@@ -188,15 +184,16 @@ class LinkView:
             link = channel.link
             if channel.air is not None and channel.air.queue.budget is not None:
                 setpoints = BUDGET_SHARE * max(0.0, channel.air.queue.budget.rate - self.pose_bytes_per_s(channel_id))
-            elif isinstance(link, SerialLink):
-                rate = link.baud / BITS_PER_BYTE
-                setpoints = SETPOINT_SHARE * max(0.0, rate - self.pose_bytes_per_s(channel_id))
+            elif link.bytes_per_s is not None:
+                setpoints = SETPOINT_SHARE * max(0.0, link.bytes_per_s - self.pose_bytes_per_s(channel_id))
             else:
                 continue
             if channel.signing is not None:
                 setpoints *= SIGNED_SHARE
+            # a link's rate is shared by all its channels, a radio's budget is the channel's own
+            sharing = {c.id for c in link.channels} if channel.air is None else {channel_id}
             others = sum(
-                channel_id in self._hub.channels_to(other.sysid, other.compid)
+                not sharing.isdisjoint(self._hub.channels_to(other.sysid, other.compid))
                 for other in flown()
                 if (other.sysid, other.compid) != ids
             )

@@ -253,7 +253,7 @@ async def test_permission_denied_names_the_group_to_join(radio: PtyRadio, monkey
     def denied(*_: object, **__: object) -> None:
         raise serial.SerialException(13, "could not open port: [Errno 13] Permission denied")
 
-    monkeypatch.setattr("skygcs.links.serial.serial.Serial", denied)
+    monkeypatch.setattr("skygcs.links.serial_port.serial.Serial", denied)
     os.chmod(radio.path, 0o660)
     expected = r"permission denied; add yourself to the group that owns it \(\w+\) and log in again"
     with pytest.raises(LinkError, match=expected):
