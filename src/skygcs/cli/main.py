@@ -49,6 +49,7 @@ COMMANDS = (
     ("fences", ("fence", "undo")),
     ("params", ("param",)),
     ("radio", ("radio",)),
+    ("xbee", ("xbee",)),
     ("corrections", ("corrections",)),
     ("signing", ("signing",)),
     ("gains", ("gains",)),

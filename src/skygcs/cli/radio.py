@@ -629,7 +629,8 @@ def _on_ports(rows: Sequence[dict[str, Any]], devices: Sequence[str]) -> list[st
     return [
         row["name"]
         for row in rows
-        if row["type"] == "serial" and any(os.path.realpath(c["peer"]) in wanted for c in row["channels"])
+        if (row["type"] == "serial" and any(os.path.realpath(c["peer"]) in wanted for c in row["channels"]))
+        or (row["type"] == "xbee" and row["state"] == "up" and os.path.realpath(row["device"]) in wanted)
     ]
 
 

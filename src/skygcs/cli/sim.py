@@ -64,8 +64,8 @@ def run_sim(
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
     behind a radio, which with ``radio`` reports RADIO_STATUS. ``air`` KBPS[,KEY=VALUE…] puts emulated radios between
-    the two instead (keys of `config.radio.EmulatedRadio`), ``xbee`` KBPS[,KEY=VALUE…] an emulated network of XBee modules
-    (fields of `sim.xbee_mesh.MeshConfig`). ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
+    the two instead (keys of `config.radio.EmulatedRadio`), ``xbee`` KBPS[,KEY=VALUE…] an emulated network of XBee
+    modules (keys of `config.radio.EmulatedXBees`). ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """

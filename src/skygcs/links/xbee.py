@@ -170,7 +170,7 @@ class XBeeLink(Link):
 
     def counters(self) -> dict[str, Any]:
         """What the module is and counts; ``refused_packets``: from nodes that are not of ``nodes``, or too many."""
-        return {"modem": self.modem.status(), "refused_packets": self._refused}
+        return {"device": self.config.device, "modem": self.modem.status(), "refused_packets": self._refused}
 
     # -- towards the module
 

@@ -337,11 +337,14 @@ class XBeeMesh:
                     self._air_free_at += 2 * self.config.packet_s(40)
                     self._emit(head + bytes([DONE]) + _identity(node))
             return
+        if name == "AP" and data[4:] not in (b"", b"\1", b"\2"):  # transparent: not emulated at the ground
+            self._emit(head + bytes([BAD_PARAMETER]))
+            return
         status, value = _command(self._registers, name, data[4:])
         self._emit(head + bytes([status]) + value)
-        if name == "ID" and data[4:] and status == DONE:
-            for node in self._nodes:
-                node.cut_off = node.registers["ID"] != self._registers["ID"]
+        self._requests.escaped = self.escaped
+        for node in self._nodes:
+            node.cut_off = node.registers["ID"] != self._registers["ID"]
 
     def _remote_command(self, node: _Node, packet: _Packet, now: float) -> None:
         request = packet.answer
