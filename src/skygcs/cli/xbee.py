@@ -169,8 +169,12 @@ def _write(xbee: XBeePort, wanted: dict[str, bytes], node: int | None) -> list[s
                 raise RefusedError(f"{xbee.device}: this module has no setting {name}")
             if same_value(name, old, value):
                 continue
-            before[name] = old
-            xbee.put(name, value, node)
+            before[name] = old  # an answer that is lost leaves open whether it was written
+            try:
+                xbee.put(name, value, node)
+            except RefusedError:
+                del before[name]
+                raise
             lines.append(f"{name}  {show_setting(name, old)} -> {show_setting(name, value)}")
             if node is None and name in ("BD", "AP") and xbee.mode == "API":
                 # it counts at once: find the module again

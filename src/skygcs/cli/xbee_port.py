@@ -12,6 +12,7 @@ from typing import Literal
 
 import serial
 
+from skygcs.cli.radio_port import explain
 from skygcs.core.xbee.api_frames import (
     ApiFrame,
     ApiParser,
@@ -23,7 +24,6 @@ from skygcs.core.xbee.api_frames import (
 )
 from skygcs.core.xbee.settings import BAUD_CODES
 from skygcs.errors import LinkError, RefusedError
-from skygcs.links.serial_port import explain
 
 ANSWER_S = 0.5
 """A local module answers within milliseconds, after what it is passing on at the moment."""
@@ -55,7 +55,7 @@ class XBeePort:
         try:
             self._port = serial.Serial(device, self.baud, timeout=0, write_timeout=1.0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
-            raise LinkError(f"{device}: {explain(error, device, self.baud)}") from None
+            raise LinkError(f"{device}: {explain(error)}") from None
 
     def __enter__(self) -> XBeePort:
         try:
@@ -134,7 +134,7 @@ class XBeePort:
         time.sleep(GUARD_S)
         self._port.reset_input_buffer()
         self._write(b"+++")
-        return self._line(GUARD_S + 1.0).endswith("OK")
+        return (self._line(GUARD_S + 1.0) or "").endswith("OK")
 
     def _at(self, name: str, value: bytes, node: int | None) -> tuple[int, bytes]:
         if self.mode == "API":
@@ -148,10 +148,10 @@ class XBeePort:
         said = value.decode("ascii") if name == "NI" else value.hex().upper().lstrip("0") or ("0" if value else "")
         self._port.reset_input_buffer()
         self._write(f"AT{name}{said}\r".encode("ascii"))
-        line = self._line(ANSWER_S + GUARD_S)
+        line = self._line(ANSWER_S + GUARD_S, blank=name == "NI")
         if line == "ERROR":
             return 2 if not value else 3, b""
-        if not line:
+        if line is None:
             raise LinkError(f"{self.device}: no answer to AT{name}")
         if value or line == "OK":
             return 0 if line == "OK" else 1, b""
@@ -201,7 +201,7 @@ class XBeePort:
         try:
             self._port.write(data)
         except (OSError, termios.error) as error:
-            raise LinkError(f"{self.device}: {explain(error, self.device, self.baud)}") from None
+            raise LinkError(f"{self.device}: {explain(error)}") from None
 
     def _read(self, until: float) -> bytes:
         """What comes before the time; b"" when it is over."""
@@ -211,7 +211,7 @@ class XBeePort:
         try:
             data = os.read(self._port.fileno(), 4096)
         except OSError as error:
-            raise LinkError(f"{self.device}: {explain(error, self.device, self.baud)}") from None
+            raise LinkError(f"{self.device}: {explain(error)}") from None
         if not data:
             raise LinkError(f"{self.device}: the port hung up")
         return data
@@ -223,15 +223,16 @@ class XBeePort:
             heard += len(data)
             yield from parser.feed(data)
 
-    def _line(self, within_s: float) -> str:
-        """A line of an answer, ended by a carriage return; "" if none comes."""
+    def _line(self, within_s: float, *, blank: bool = False) -> str | None:
+        """A line of an answer, ended by a carriage return; None if none comes. ``blank``: it may be blank, as the name
+        of a module is that was never given one."""
         until, text = time.monotonic() + within_s, b""
         while len(text) < MAX_HEARD_BYTES and (data := self._read(until)):
             text += data
             *lines, _ = text.split(b"\r")
-            if said := [line for line in lines if line.strip()]:
-                return said[0].decode("ascii", "replace").strip()
-        return ""
+            if answers := [line for line in lines if blank or line.strip()]:
+                return answers[0].decode("ascii", "replace").strip()
+        return None
 
 
 def baud_of(value: bytes) -> int | None:
