@@ -69,7 +69,7 @@ def run_sim(
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
-    _check_options(speedup, (udp, tcp, pty), air, xbee)
+    _check_options(px4 + ardupilot, speedup, (udp, tcp, pty), air, xbee)
     emulated_radio = None if air is None else parse_radio(air)
     mesh_config = None if xbee is None else parse_xbee(xbee)
     where, heading_deg = _parse_home(home)
@@ -89,27 +89,25 @@ def run_sim(
         )
     except ValueError as error:
         raise LinkError(str(error)) from None
-    if not vehicles:
-        raise LinkError("no vehicles: --px4 and --ardupilot are both 0")
     clock = SimClock(speedup)
     if pty is None:
         groups = [[v] for v in vehicles] if separate_ports else [vehicles]
         return run_loop(_serve(_network_ports(groups, dialect, clock, udp=udp, tcp=tcp), clock, speedup))
+    port: PtyPort
     if mesh_config is not None:
-        mesh = XBeeMesh(vehicles, dialect, mesh_config, Rng(seed), 0.0)
-        return run_loop(_serve([XBeePort(mesh, dialect, clock, pty)], clock, speedup))
-    behind = None if emulated_radio is None else _behind(emulated_radio, vehicles, dialect, seed)
-    try:
-        port = PtyPort(vehicles, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind)
-    except ValueError as error:
-        raise LinkError(f"--radio: {error}") from None
+        port = XBeePort(XBeeMesh(vehicles, dialect, mesh_config, Rng(seed), 0.0), dialect, clock, pty)
+    else:
+        behind = None if emulated_radio is None else _behind(emulated_radio, vehicles, dialect, seed)
+        port = _pty_port(vehicles, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind)
     return run_loop(_serve([port], clock, speedup))
 
 
 def _check_options(
-    speedup: float, ports: tuple[str | None, str | None, str | None], air: str | None, xbee: str | None
+    count: int, speedup: float, ports: tuple[str | None, str | None, str | None], air: str | None, xbee: str | None
 ) -> None:
     """Raises LinkError for options that exclude each other; ``ports``: --udp, --tcp, --pty."""
+    if count == 0:
+        raise LinkError("no vehicles: --px4 and --ardupilot are both 0")
     if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
         raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
     if sum(port is not None for port in ports) != 1:
@@ -128,6 +126,20 @@ def _network_ports(
         return [UdpPort(group, dialect, clock, _parse_address("--udp", udp)) for group in groups]
     host, number = _parse_address("--tcp", tcp or "")
     return [TcpPort(group, dialect, clock, (host, number + i if number else 0)) for i, group in enumerate(groups)]
+
+
+def _pty_port(
+    vehicles: list[SimVehicle],
+    dialect: Dialect,
+    clock: SimClock,
+    path: str,
+    radio: SimRadio | None,
+    behind: RadioFleet | None,
+) -> PtyPort:
+    try:
+        return PtyPort(vehicles, dialect, clock, path, radio, behind)
+    except ValueError as error:
+        raise LinkError(f"--radio: {error}") from None
 
 
 def parse_radio(text: str) -> EmulatedRadio:

@@ -16,7 +16,7 @@ from skygcs.cli.connection import Exit, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.radio import lent
 from skygcs.cli.render import print_json, print_lines
-from skygcs.core.xbee.settings import (
+from skygcs.core.xbee.registers import (
     LIKELY_BAUD,
     MEANING,
     NETWORK,

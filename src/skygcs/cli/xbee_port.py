@@ -22,7 +22,7 @@ from skygcs.core.xbee.api_frames import (
     encode,
     remote_at_command,
 )
-from skygcs.core.xbee.settings import BAUD_CODES
+from skygcs.core.xbee.registers import BAUD_CODES
 from skygcs.errors import LinkError, RefusedError
 
 ANSWER_S = 0.5

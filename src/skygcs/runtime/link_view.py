@@ -191,7 +191,7 @@ class LinkView:
             if channel.signing is not None:
                 setpoints *= SIGNED_SHARE
             # a link's rate is shared by all its channels, a radio's budget is the channel's own
-            sharing = {c.id for c in link.channels} if channel.air is None else {channel_id}
+            sharing = {channel_id} if channel.air is not None else {channel_id, *(c.id for c in link.channels)}
             others = sum(
                 not sharing.isdisjoint(self._hub.channels_to(other.sysid, other.compid))
                 for other in flown()

@@ -96,7 +96,10 @@ sysid = 1
         ("links = 5", "links (line 1): must be a table, not 5"),
         ("[[links]]\ntype = 'serial'", "links (line 1): must be a table"),
         ("[links]\nradio = 'serial'", 'links.radio (line 2): must be a table, not "serial"'),
-        ("[links.radio]\ndevice = 'x'", "links.radio (line 1): has no type; it must be one of serial, udp_server"),
+        (
+            "[links.radio]\ndevice = 'x'",
+            "links.radio (line 1): has no type; it must be one of serial, xbee, udp_server",
+        ),
         (SERIAL + "baud = []", "links.radio.baud (line 4): must be a whole number or a list of at least one, not []"),
         (SERIAL + "baud = [9600, 'x']", 'links.radio.baud[1] (line 4): must be a whole number, not "x"'),
         (SERIAL + "baud = 9", "links.radio.baud (line 4): must be at least 50 or a list, not 9"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skygcs.core.xbee.settings import (
+from skygcs.core.xbee.registers import (
     MEANING,
     SHOWN,
     order_of_writing,
