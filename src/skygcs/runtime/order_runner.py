@@ -313,11 +313,11 @@ class OrderRunner:
         self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome
     ) -> Outcome:
         """See that the vehicle does what it accepted; the step is repeated while it does not. If a newer order comes
-        meanwhile, the outcome stays that it was accepted."""
+        meanwhile, or the daemon ends, the outcome stays that it was accepted."""
         attempts = accepted.attempts
 
         def newer() -> bool:
-            return self.number != run.number
+            return self._ending or self.number != run.number
 
         for repeats_left in range(PROOF_REPEATS, -1, -1):
             # what was sent before may come after it

@@ -641,6 +641,18 @@ async def test_a_newer_order_ends_the_proof_of_a_goto_that_was_accepted() -> Non
         assert len([s for s in vehicle.got if s.command == REPOSITION]) == 1
 
 
+async def test_no_goto_is_sent_again_while_the_daemon_ends() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+        vehicle.script = lambda v, sent: None if sent.command == TARGET[0] else accept_everything(v, sent)
+        goto = asyncio.create_task(actor.goto(**NEAR, height_m=25.0))
+        await asyncio.sleep(0.5)
+        await actor.wind_down()
+        outcome = await goto
+        assert (outcome.ok, outcome.attempts) == (True, 1), outcome.message
+        assert len([s for s in vehicle.got if s.command == REPOSITION]) == 1
+
+
 async def test_arducopter_turns_by_a_command_of_its_own() -> None:
     async with Ground() as ground:
         vehicle, actor = await flying(ground, ARDUPILOT)
