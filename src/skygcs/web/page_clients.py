@@ -30,6 +30,10 @@ EVENTS_WAITING = 256
 
 LEAST_RATE_HZ, MAX_RATE_HZ, DEFAULT_RATE_HZ = 0.2, 20.0, 10.0
 
+MANY_VEHICLES, MANY_RATE_HZ = 100, 5.0
+"""Of more vehicles states come so often at most. A page carries each on with its velocity in between, so that nothing
+is seen of it; 200 states ten times a second take a third of a core of the daemon and the page, which draw and fly."""
+
 STUCK_S = 30.0
 """A page that takes nothing for so long is closed; one that wakes up connects again and gets everything anew."""
 
@@ -131,8 +135,11 @@ class PageClients:
         return {"connected": source.connected, "text": source.text, "since_s": round(source.since, 3)}
 
     def rate_hz(self) -> float | None:
-        """The highest rate that a page wants; None: no page wants states."""
-        return max((client.page_states.rate_hz for client in self.clients if client.page_states), default=None)
+        """The highest rate that a page wants, of a large fleet less; None: no page wants states."""
+        wanted_hz = max((client.page_states.rate_hz for client in self.clients if client.page_states), default=None)
+        if wanted_hz is None or len(self.states) <= MANY_VEHICLES:
+            return wanted_hz
+        return min(wanted_hz, MANY_RATE_HZ)
 
     def operator_active(self, client: PageClient) -> None:
         now = self.loop.time()

@@ -17,9 +17,9 @@ SETTLE_S = 0.004
 """A round of states comes from the daemon in several pieces, and the daemon marks the last one. From a source that
 marks none, it is complete when it was quiet for so long."""
 
-MAX_ROUND_S = 0.03
-"""It is sent at the latest so long after its first piece. What comes then waits for half a period: with 50 vehicles a
-round takes 5 ms, with 200 on a busy machine 20 ms."""
+MAX_ROUND_S = 0.05
+"""It is sent at the latest so long after its first piece. What comes then waits for half a period, which is as long:
+with 50 vehicles a round takes 5 ms, with 200 on a busy machine 30 ms."""
 
 
 @dataclass(slots=True)

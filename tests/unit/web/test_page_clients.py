@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.web.page_clients import EVENTS_WAITING, STUCK_S, PageClient, PageClients
+from skygcs.web.page_clients import EVENTS_WAITING, MANY_RATE_HZ, MANY_VEHICLES, STUCK_S, PageClient, PageClients
 from skygcs.web.request_limits import MAX_ENDING_WAITING, MAX_REFUSED, MAX_WAITING
 from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates
@@ -286,6 +286,19 @@ async def test_a_page_that_reads_again_gets_the_newest_state_and_how_many_events
     states = [v["n"] for m in socket.sent if m["method"] == "web.state" for v in m["params"]["vehicles"]]
     assert states[-1] == 299 and len(states) <= 2
     assert page in bench.pages.clients
+
+
+async def test_states_of_a_large_fleet_come_less_often(bench: Bench) -> None:
+    bench.page(rate_hz=10)
+    for number in range(MANY_VEHICLES):
+        bench.states.put(f"v{number}", b"{}", 0.0)
+    assert bench.pages.rate_hz() == 10
+    bench.states.put("one more", b"{}", 0.0)
+    assert bench.pages.rate_hz() == MANY_RATE_HZ
+    bench.page(rate_hz=20)
+    assert bench.pages.rate_hz() == MANY_RATE_HZ
+    bench.states.reset()
+    assert bench.pages.rate_hz() == 20
 
 
 async def test_pages_of_different_rates(bench: Bench) -> None:
