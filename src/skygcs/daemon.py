@@ -111,10 +111,7 @@ class Daemon:
         self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, publish)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
-        self.mocap: MocapFeed | None = None
-        if config.mocap is not None and own.keep_vehicles:
-            self.mocap = MocapFeed(config, self.hub, self.fleet, self.links, self.loop, publish)
-            view.pose_bytes_per_s = self.mocap.bytes_per_s
+        self.mocap = self._mocap_feed(view)
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
         self._observe()
@@ -132,6 +129,15 @@ class Daemon:
             token = _read_token("metrics", config.metrics.token_file)
             self.metrics = MetricsEndpoint(config.metrics, token, self.event_log, self.now)
         self.web = None if config.web is None else WebChild(config.web, self.socket_path, self.loop, publish)
+
+    def _mocap_feed(self, view: LinkView) -> MocapFeed | None:
+        """What feeds vehicles with poses; None without [mocap]."""
+        config = self.config
+        if config.mocap is None or not config.daemon.keep_vehicles:
+            return None
+        feed = MocapFeed(config, self.hub, self.fleet, self.links, self.loop, self.event_log.publish)
+        view.pose_bytes_per_s = feed.bytes_per_s
+        return feed
 
     def _observe(self) -> None:
         """Give frames and events to what reads them."""

@@ -39,6 +39,8 @@ LISTEN_S = 3.0
 """A channel is used for poses after it was open for so long: by then every vehicle on it has sent three heartbeats, and
 it is known whether there is more than one."""
 
+FAULT_PAUSE_S = 1.0
+
 MAX_SEEN = 64
 """Names of rigid bodies that are listed."""
 
@@ -111,9 +113,14 @@ class MocapFeed:
             hub.add_observer({TIMESYNC}, keys, self._on_timesync)
 
     async def run(self) -> None:
-        """Until the task is cancelled."""
+        """Until the task is cancelled, or a recording has ended. A fault is reported and does not end the daemon."""
         try:
-            await self.capture.run()
+            while True:
+                try:
+                    return await self.capture.run()
+                except Exception as error:
+                    self._hub.fault(error)
+                await asyncio.sleep(FAULT_PAUSE_S)
         finally:
             self.capture.close()
 

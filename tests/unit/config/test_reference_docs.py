@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, metrics, models, preflight, separation, signing
+from skygcs.config import control, metrics, mocap, models, preflight, separation, signing
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -36,6 +36,8 @@ LINKS = get_args(models.LinkConfig)
         preflight.PreflightSettings,
         preflight.RuleSettings,
         metrics.MetricsConfig,
+        mocap.MocapConfig,
+        mocap.SimulatedMocapConfig,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,

@@ -51,7 +51,8 @@ ArduPilot calls it unhealthy after 0.3 s (AP_VISUALODOM_TIMEOUT_MS), and one in 
 def message_of(
     kind: PoseMessage, pose: Pose, family: str, reset_counter: int, latency_s: float
 ) -> tuple[str, dict[str, Any]]:
-    """Name and fields of the message for a pose in ENU. ``latency_s``: of the capture system, before ``pose.at``."""
+    """Name and fields of the message for a pose in ENU. ``latency_s``: of the capture system, by which the
+    exposure was earlier."""
     pose = ned_frd(pose)
     usec = max(1, round((pose.at - latency_s) * 1e6))
     x, y, z = pose.pos_m
