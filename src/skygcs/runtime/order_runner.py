@@ -313,8 +313,10 @@ class OrderRunner:
         self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome
     ) -> Outcome:
         """See that the vehicle does what it accepted; the step is repeated while it does not. If a newer order comes
-        meanwhile, or the daemon ends, the outcome stays that it was accepted."""
+        meanwhile, or the daemon ends, the outcome stays that it was accepted. A vehicle that left the mode meanwhile
+        is left to whoever changed it."""
         attempts = accepted.attempts
+        again = step if proof.again is None else replace(step, command=proof.again, instead=())
 
         def newer() -> bool:
             return self._ending or self.number != run.number
@@ -328,12 +330,14 @@ class OrderRunner:
             there = proof.begin(self._vehicle, self._loop.time())
             if await self._shown(there, proof.request, newer):
                 break
-            if not repeats_left:
-                text = f"timeout: accepted, but {there.unmet(self._vehicle, self._loop.time())}"
+            left_mode = self._vehicle.custom_mode != proof.custom_mode
+            if left_mode or not repeats_left:
+                why = there.unmet(self._vehicle, self._loop.time())
+                text = f"timeout: accepted, but {f'it is in {self._vehicle.mode} now' if left_mode else why}"
                 return replace(accepted, ok=False, result="timeout", message=text, attempts=attempts)
             # send it again
             self.report_progress(plan.order, None)
-            repeated = await self._step(step, plan, run)
+            repeated = await self._step(again, plan, run)
             attempts += repeated.attempts
             if not repeated.ok:
                 return accepted if newer() else replace(repeated, attempts=attempts)

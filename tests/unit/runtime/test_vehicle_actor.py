@@ -576,6 +576,32 @@ async def test_a_goto_that_an_arducopter_accepted_and_does_not_fly_is_sent_again
         assert [c for c, _ in vehicle.commands()] == [REPOSITION, TARGET[0]] * 3
 
 
+async def test_a_goto_sent_again_cannot_take_the_vehicle_from_its_pilot() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+        vehicle.script = another_target
+        assert (await actor.goto(**NEAR, height_m=25.0)).ok
+        changes_mode = [s.param2 for s in vehicle.got if s.command == REPOSITION]
+        assert changes_mode == [1.0, 0.0, 0.0], "denied by an ArduCopter that is not in GUIDED any more"
+
+
+async def test_a_vehicle_that_its_pilot_took_over_is_not_sent_there_again() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground, ARDUPILOT)
+
+        def taken_over(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command != TARGET[0]:
+                accept_everything(v, sent)
+            else:
+                v.mode = 2  # ALT_HOLD
+
+        vehicle.script = taken_over
+        outcome = await actor.goto(**NEAR, height_m=25.0)
+        assert (outcome.ok, outcome.attempts) == (False, 1)
+        assert "it is in ALT_HOLD now" in outcome.message
+        assert len([s for s in vehicle.got if s.command == REPOSITION]) == 1
+
+
 async def test_a_goto_that_an_arducopter_never_flies_has_failed_after_two_repeats() -> None:
     async with Ground() as ground:
         vehicle, actor = await flying(ground, ARDUPILOT)

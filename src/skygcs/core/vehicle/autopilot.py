@@ -201,7 +201,7 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
         CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
         expect=ModeIn(frozenset({guided})),
         instead=_guided_target(vehicle, guided, to),
-        proof=_target_proof(to) if modes.is_copter(vehicle.type) else None,
+        proof=_target_proof(guided, to, location) if modes.is_copter(vehicle.type) else None,
     )
     if to.yaw_deg is None:
         return Plan("goto", (reposition,), done)
@@ -288,9 +288,14 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None
     )
 
 
-def _target_proof(to: Destination) -> TargetProof:
+def _target_proof(guided: int, to: Destination, location: Location | None = None) -> TargetProof:
+    """``location``: of a DO_REPOSITION. It is repeated without CHANGE_MODE: in another mode than GUIDED, which its
+    pilot may have chosen a moment ago, an ArduCopter denies that (GCS_MAVLINK_Copter,
+    handle_command_int_do_reposition).
+    """
     request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (POSITION_TARGET_GLOBAL_INT,))
-    return TargetProof(to.lat_deg, to.lon_deg, to.alt_amsl_m, request)
+    again = None if location is None else CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, 0.0, 0.0, NAN), location)
+    return TargetProof(to.lat_deg, to.lon_deg, to.alt_amsl_m, guided, request, again)
 
 
 def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step, ...]:
@@ -307,5 +312,5 @@ def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step
     message = ("SET_POSITION_TARGET_GLOBAL_INT", values)
     return (
         mode_step(vehicle, guided, skip_if_met=True),
-        Step("goto", message=message, expect_s=0, proof=_target_proof(to)),
+        Step("goto", message=message, expect_s=0, proof=_target_proof(guided, to)),
     )

@@ -195,7 +195,11 @@ class TargetProof:
     lat_deg: float
     lon_deg: float
     alt_amsl_m: float
+    custom_mode: int
+    """The mode in which it does what it accepted: out of another one, which is its pilot's, it is never taken back."""
     request: CommandSpec
+    again: CommandSpec | None = None
+    """In place of the step's command when it is repeated: one that a vehicle in another mode denies."""
 
     def begin(self, vehicle: Vehicle, now: float) -> GoesThere:
         """What it has to show from now on."""
