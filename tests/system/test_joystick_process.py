@@ -115,18 +115,19 @@ def fly(daemon: DaemonProcess, joystick: Joystick) -> Iterator[Any]:
     """Start the command and have it fly at full stick forward."""
     running: list[Flown] = []
 
-    def start(vehicle: str = "alpha", *more: str, flying: bool = True, **options: Any) -> Flown:
-        flown = Flown(daemon, joystick.plugged(), vehicle, "--engage", *more, **options)
+    def start(vehicle: str = "alpha", terminal: tuple[int, int] | None = None) -> Flown:
+        flown = Flown(daemon, joystick.plugged(), vehicle, "--engage", stderr=terminal and terminal[1])
         running.append(flown)
-        if flying:
-            if not options:
-                flown.says("ready: hold button 5")
-            else:
-                wait_until(lambda: flown.process.poll() is None, "it runs")
-            joystick.button(BUTTON, 1)
-            wait_until(lambda: status(daemon, vehicle)["state"] == "flying", "it is under control")
-            joystick.axis(4, -32767)
-            wait_until(lambda: speed_mps(daemon, vehicle) > 0.7, "it moves")
+        if terminal is None:
+            flown.says("ready: hold button 5")
+        else:
+            seen = b""
+            while b"ready: hold" not in seen:
+                seen += os.read(terminal[0], 4096)
+        joystick.button(BUTTON, 1)
+        wait_until(lambda: status(daemon, vehicle)["state"] == "flying", "it is under control")
+        joystick.axis(4, -32767)
+        wait_until(lambda: speed_mps(daemon, vehicle) > 0.7, "it moves")
         return flown
 
     yield start
@@ -189,7 +190,7 @@ def test_a_signal_stops_it_and_ends_the_command(daemon: DaemonProcess, fly: Any,
 
 def test_a_closed_terminal_does_not_keep_it_from_being_stopped(daemon: DaemonProcess, fly: Any) -> None:
     master, slave = pty.openpty()
-    flown = fly("alpha", stderr=slave)
+    flown = fly(terminal=(master, slave))
     os.close(slave)
     os.close(master)  # writes to it fail from now on
     flown.process.send_signal(signal.SIGHUP)
