@@ -523,14 +523,14 @@ def check_idle(rig: Rig, f: Figures, found: Findings) -> None:
 
 
 def check_answers(rig: Rig, f: Figures, found: Findings) -> None:
-    told = rules(rig).answers.value
+    answers = rules(rig).answers.value
     wanted: Figures = {
         "unknown command": UNSUPPORTED,
-        "request unknown message": told.unknown_message,
+        "request unknown message": answers.unknown_message,
         "takeoff disarmed": ACCEPTED if rig.px4 else FAILED,
         "reposition without flag": UNSUPPORTED,
         "pause on ground": ACCEPTED if rig.px4 else UNSUPPORTED,
-        "arm with 2": told.arm_neither,
+        "arm with 2": answers.arm_neither,
         "disarm disarmed": ACCEPTED,
         "no such mode": ACCEPTED if rig.px4 else FAILED,
         "no such auto mode": REJECTED if rig.px4 else ACCEPTED,
@@ -539,29 +539,29 @@ def check_answers(rig: Rig, f: Figures, found: Findings) -> None:
         "mission start without": DENIED if rig.px4 else ACCEPTED,
         "change speed": ACCEPTED,
         "get home": ACCEPTED,
-        "mission current 5": told.mission_current_beyond,
-        "reboot 0": told.reboot_nothing,
-        "terminate": told.terminate_not,
-        "pause continue": told.pause,
-        "interval of unknown": told.unknown_interval,
+        "mission current 5": answers.mission_current_beyond,
+        "reboot 0": answers.reboot_nothing,
+        "terminate": answers.terminate_not,
+        "pause continue": answers.pause,
+        "interval of unknown": answers.unknown_interval,
         "version": ACCEPTED,
-        "prearm checks": told.prearm_checks,
+        "prearm checks": answers.prearm_checks,
         "set home nan": DENIED if rig.px4 else ACCEPTED,
-        "forced arm in RTL": ACCEPTED if told.forced_arming else REJECTED,
+        "forced arm in RTL": ACCEPTED if answers.forced_arming else REJECTED,
     }
     for what, result in wanted.items():
         found.same(what, f[what], result)
 
 
 def check_answers_in_flight(rig: Rig, f: Figures, found: Findings) -> None:
-    told = rules(rig).answers.value
+    answers = rules(rig).answers.value
     refused = REJECTED if rig.px4 else FAILED
     found.same("disarm", f["disarm"], refused)
     found.same("arm armed", f["arm armed"], ACCEPTED)
-    found.same("reboot", f["reboot"], told.reboot_armed)
+    found.same("reboot", f["reboot"], answers.reboot_armed)
     found.same("a mode for sticks", f["manual"], REJECTED if rig.px4 else ACCEPTED)
     found.same("takeoff again", f["takeoff again"], ACCEPTED if rig.px4 else FAILED)
-    found.same("calibrate", f["calibrate"], told.calibrate_armed)
+    found.same("calibrate", f["calibrate"], answers.calibrate_armed)
     found.same("mission start", f["mission start"], DENIED if rig.px4 else FAILED)
     found.same("a mission's mode without one", f["auto"], refused)
 

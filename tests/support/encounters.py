@@ -157,7 +157,7 @@ class Arena:
         """Fly it. ``hold_at_s``: what an operator does who holds all vehicles that may be held, so late."""
         gcs = self.gcs
         await self._prepare(encounter)
-        begun, told = gcs.now, len(gcs.told)
+        begun, known = gcs.now, len(gcs.told)
         for name, goal in zip(("v1", "v2"), encounter.goals, strict=True):
             if goal is not None:
                 await gcs.done("vehicles.goto", targets=name, enu_m=list(goal), force=True)
@@ -172,7 +172,7 @@ class Arena:
                 await gcs("vehicles.hold", targets=able)
             await asyncio.sleep(0.05)
         gcs.muted.clear()
-        events = [t for t in gcs.told[told:] if t.kind == "separation"]
+        events = [t for t in gcs.told[known:] if t.kind == "separation"]
         warned = [
             t.at - begun for t in events if t.data.get("level") in ("warning", "action") and "order" not in t.data
         ]

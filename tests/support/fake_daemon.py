@@ -56,8 +56,8 @@ class FakeOutcome:
     """Further keys of `as_dict`."""
 
     def as_dict(self) -> dict[str, Any]:
-        told = asdict(self)
-        return {**told, **told.pop("more")}
+        fields = asdict(self)
+        return {**fields, **fields.pop("more")}
 
 
 class FakeMissions:

@@ -117,9 +117,9 @@ class FtpWire:
 
     def _arrive(self, exchange: Any, request: Packet) -> None:
         for reply in self.server.hear(request):
-            told = decode(b"\0\0\0" + encode(reply).rstrip(b"\0"))
-            assert told is not None
-            self._through(lambda p=told: self.carry(exchange, exchange.on_reply(p, self.now)))  # type: ignore[misc]
+            packet = decode(b"\0\0\0" + encode(reply).rstrip(b"\0"))
+            assert packet is not None
+            self._through(lambda p=packet: self.carry(exchange, exchange.on_reply(p, self.now)))  # type: ignore[misc]
 
     def _through(self, call: Callable[[], None]) -> None:
         for _ in range(2 if self.random.random() < self.network.duplicate else 1):

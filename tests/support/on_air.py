@@ -45,9 +45,9 @@ class OnAir:
         return next(s for s in self.link.vehicles if s.sysid == sysid)
 
     def air(self) -> dict[str, Any]:
-        """What link.status tells of the radio."""
-        (told,) = self.daemon.air.status(self.daemon.now())
-        return told
+        """What link.status reports of the radio."""
+        (status,) = self.daemon.air.status(self.daemon.now())
+        return status
 
     def vehicle(self, sysid: int) -> dict[str, Any]:
         return next(v for v in self.air()["vehicles"] if v["sysid"] == sysid)

@@ -58,9 +58,9 @@ class PreflightField(SimField):
 
     async def complaints(self, name: str) -> dict[str, str]:
         """What a preflight has to say against a vehicle: text by check, worst first."""
-        told = await self.fleet.preflight(name)
-        wrong = [f for f in told[name]["findings"] if f["verdict"] in ("fail", "unknown")]
-        assert told[name]["ok"] is (not wrong)
+        answer = await self.fleet.preflight(name)
+        wrong = [f for f in answer[name]["findings"] if f["verdict"] in ("fail", "unknown")]
+        assert answer[name]["ok"] is (not wrong)
         return {f["check"]: f["text"] for f in wrong}
 
     def names_asked(self) -> list[str]:

@@ -36,6 +36,8 @@ sysid = 1
 sysid = 2
 """
 BUTTON = 5
+ATTEMPTS = 5
+"""On a machine that others use."""
 HOLDS = {"alpha": "AUTO.LOITER", "bravo": "GUIDED"}
 """The modes of `hold`: docs/explanation/flight-control.md."""
 
@@ -89,6 +91,12 @@ class Flown:
     def says(self, words: str, times: int = 1) -> None:
         wait_until(lambda: " ".join(self.log.read_text().split()).count(words) >= times, f"{words}: {self.log}")
 
+    @property
+    def disturbed(self) -> bool:
+        """The machine was too busy for a second: the command stopped the vehicle, as it must, or gave the daemon up."""
+        log = self.log.read_text()
+        return "stood still" in log or "no answer within" in log
+
     def ended(self) -> int:
         return self.process.wait(TIMEOUT_S)
 
@@ -116,6 +124,17 @@ def fly(daemon: DaemonProcess, joystick: Joystick) -> Iterator[Any]:
     running: list[Flown] = []
 
     def start(vehicle: str = "alpha", terminal: tuple[int, int] | None = None) -> Flown:
+        for _ in range(ATTEMPTS):
+            flown = attempt(vehicle, terminal)
+            wait_until(lambda: speed_mps(daemon, vehicle) > 0.7 or flown.disturbed, "it moves")  # noqa: B023
+            if not flown.disturbed:
+                return flown
+            flown.process.kill()
+            flown.process.wait()
+            daemon.call("vehicles.hold", targets="all")
+        raise AssertionError("the machine never had a second for it")
+
+    def attempt(vehicle: str, terminal: tuple[int, int] | None) -> Flown:
         flown = Flown(daemon, joystick.plugged(), vehicle, "--engage", stderr=terminal and terminal[1])
         running.append(flown)
         if terminal is None:
@@ -125,9 +144,8 @@ def fly(daemon: DaemonProcess, joystick: Joystick) -> Iterator[Any]:
             while b"ready: hold" not in seen:
                 seen += os.read(terminal[0], 4096)
         joystick.button(BUTTON, 1)
-        wait_until(lambda: status(daemon, vehicle)["state"] == "flying", "it is under control")
+        wait_until(lambda: status(daemon, vehicle)["state"] == "flying" or flown.disturbed, "it is under control")
         joystick.axis(4, -32767)
-        wait_until(lambda: speed_mps(daemon, vehicle) > 0.7, "it moves")
         return flown
 
     yield start
@@ -214,8 +232,13 @@ def test_after_a_standstill_of_the_program_the_press_has_to_be_made_again(daemon
 
 
 def test_what_another_client_orders_is_not_fought(daemon: DaemonProcess, fly: Any) -> None:
-    flown = fly("bravo")
-    assert daemon.cli("stop", "bravo").returncode == 0
+    for _ in range(ATTEMPTS):
+        flown = fly("bravo")
+        assert daemon.cli("stop", "bravo").returncode == 0
+        wait_until(lambda: flown.process.poll() is not None or flown.disturbed, "it ends")  # noqa: B023
+        if not flown.disturbed:
+            break
+        flown.process.kill()
     assert flown.ended() == 1
     flown.says("control has ended")
     assert daemon.vehicles()["bravo"]["mode"] == "BRAKE", "no hold came after the stop"

@@ -38,7 +38,7 @@ COMPASSES = 2
 
 
 def start(v: VehicleState, c: Command, now: float) -> int | None:
-    """PREFLIGHT_CALIBRATION. None: answered later."""
+    """Result of PREFLIGHT_CALIBRATION; None if the vehicle answers later."""
     if v.armed:
         return v.firmware.answers.simulated.calibrate_armed
     px4 = v.autopilot == m.MAV_AUTOPILOT_PX4
@@ -53,12 +53,12 @@ def start(v: VehicleState, c: Command, now: float) -> int | None:
     if px4 and c.p2 == 1:
         return _begin(v, c, now, "mag", _px4_sides(v, "mag"))
     if px4:
-        return m.MAV_RESULT_ACCEPTED  # param4 0: the end of an RC calibration, of which there is none
+        return m.MAV_RESULT_ACCEPTED  # param4 0 ends an RC calibration; none is simulated
     return m.MAV_RESULT_UNSUPPORTED
 
 
 def compass_command(v: VehicleState, c: Command, now: float) -> int:
-    """DO_START_MAG_CAL, DO_CANCEL_MAG_CAL: an ArduCopter's."""
+    """Result of DO_START_MAG_CAL and DO_CANCEL_MAG_CAL, which only ArduCopter supports."""
     if v.autopilot == m.MAV_AUTOPILOT_PX4:
         return m.MAV_RESULT_UNSUPPORTED
     if c.id == m.MAV_CMD_DO_CANCEL_MAG_CAL:

@@ -84,7 +84,7 @@ class _Asset:
 
 
 class Assets:
-    """Files of the built page, kept in memory; one that was built anew is read anew."""
+    """Files of the built page, kept in memory; a file that has changed is read again."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -116,14 +116,14 @@ class Assets:
 
 
 class _Refusing(asyncio.Protocol):
-    """A connection for which there is no place."""
+    """Closes a connection beyond the limit at once."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         transport.close()
 
 
 class Places:
-    """The open connections. ``limit`` of them; unknown ones go first."""
+    """The open connections, at most ``limit``. When all places are taken, one without a cookie is closed first."""
 
     def __init__(self, limit: int = MAX_CONNECTIONS) -> None:
         self.refused = 0
@@ -132,7 +132,7 @@ class Places:
         self._known: set[RequestHandler] = set()
 
     def admit(self, handler: RequestHandler, now: float) -> bool:
-        """Give it a place; False: there is none."""
+        """Keep the connection; False if all places are taken by known ones."""
         self._forget_closed(now)
         if len(self._open) >= self._limit:
             unknown = next((other for other in self._open if other not in self._known), None)
@@ -144,7 +144,7 @@ class Places:
         return True
 
     def know(self, handler: RequestHandler) -> None:
-        """It has shown a cookie."""
+        """The connection has sent a valid cookie."""
         self._known.add(handler)
 
     def sweep(self, now: float) -> None:

@@ -229,14 +229,14 @@ async def serve_web(options: WebOptions) -> None:
 
 
 def _on_input(loop: asyncio.AbstractEventLoop, web: WebProcess) -> None:
-    """The daemon has ended, however it did."""
+    """Standard input is closed when the daemon ends, also when it is killed: stop."""
     if not os.read(sys.stdin.fileno(), 4096):
         loop.remove_reader(sys.stdin)
         web.stop()
 
 
 def _local_base(address: str) -> str:
-    """What names the control socket's place: the daemon's socket, or a file for a daemon on TCP."""
+    """The path that the control socket's path is made from: the daemon's socket, or a file for a daemon on TCP."""
     from skygcs.rpc.address import default_socket_path
 
     return str(default_socket_path()) if "://" in address else address
@@ -270,7 +270,7 @@ def _tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
 
 
 def _read_cookies(path: Path) -> dict[str, Any]:
-    """What an earlier process on this port has saved; {} where there is none, or others could have written it."""
+    """What an earlier process on this port saved; {} if nothing was saved or other users could have written it."""
     try:
         stat = path.stat(follow_symlinks=False)
         if stat.st_uid != os.geteuid() or stat.st_mode & 0o077 or stat.st_size > 1 << 20:

@@ -32,8 +32,12 @@ from skygcs.core.joystick.stick_mapping import STILL, StickAxes, StickDemand, St
 START_S = 2.0
 """The kernel sends the state of all axes and buttons with the first read."""
 
-GAP_S = 0.5
-"""Ten periods. This program or its computer was stopped: what the button was meanwhile is not known."""
+GAP_S = 1.0
+"""Twenty periods. This program or its computer was stopped, and the daemon has stopped the vehicle: it does not move again
+by a press that was meant for something else."""
+
+LONGEST_STEP_S = 0.1
+"""After late ticks the velocity goes on from where it was, without a jump."""
 
 
 class SessionState(Enum):
@@ -153,7 +157,9 @@ class StickSession:
         if not 0 <= dt_s <= GAP_S:
             self._spent = True
             return [Report(f"this program stood still for {dt_s:.1f} s"), *self._stop()]
-        wanted = approach(self._vel_mps, demand(self._axes, self._limits, self._values), self._limits, dt_s)
+        wanted = approach(
+            self._vel_mps, demand(self._axes, self._limits, self._values), self._limits, min(dt_s, LONGEST_STEP_S)
+        )
         self._vel_mps = wanted.vel_mps
         return [Send(wanted)]
 
