@@ -33,8 +33,8 @@ START_S = 2.0
 """The kernel sends the state of all axes and buttons with the first read."""
 
 GAP_S = 1.0
-"""Twenty periods. This program or its computer was stopped, and the daemon has stopped the vehicle: it does not move again
-by a press that was meant for something else."""
+"""Twenty periods. This program or its computer was stopped, and the daemon has stopped the vehicle: a press from before
+does not move it again."""
 
 LONGEST_STEP_S = 0.1
 """After late ticks the velocity goes on from where it was, without a jump."""
