@@ -132,3 +132,31 @@ def test_missions_fit_a_phone(station, open_page, shot, theme) -> None:
     expect(page.get_by_role("region", name="Check of survey.waypoints")).to_contain_text("can be flown")
     assert fits(page)
     shot(page, f"mission-phone-{theme}")
+
+
+def test_the_fence_about_home_is_set_and_read_by_a_form(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v1", "v3")
+    side(page, "Missions")
+    page.get_by_role("tab", name="About home", exact=True).click()
+    button = page.get_by_role("button", name=re.compile("^Set the fence of"))
+    expect(button).to_be_disabled()
+    page.get_by_label("Radius", exact=True).fill("80")
+    page.get_by_label("Height", exact=True).fill("40")
+    page.get_by_label("Outside of it").select_option("return")
+    expect(button).to_have_attribute(
+        "aria-label", "Set the fence of v1 and v3: radius 80 m, height 40 m, then return: hold down for a second"
+    )
+    hold(page, button)
+    fences = page.get_by_role("table", name="Fences about home")
+    for name in ("v1", "v3"):
+        expect(fences.get_by_role("row", name=re.compile(name))).to_contain_text("80 m")
+    shot(page, "fence-about-home")
+    found = station.call("fence.status", targets="v1,v3")["outcomes"]
+    assert {(one["fence"]["radius_m"], one["fence"]["height_m"], one["fence"]["action"]) for one in found.values()} == {
+        (80.0, 40.0, "return")
+    }
+    page.get_by_role("button", name="Read from the vehicles").click()
+    expect(fences.get_by_role("row", name=re.compile("v3"))).to_contain_text("return")
+    assert not page.errors
+    station.call("fence.set", targets="v1,v3", action="none")

@@ -119,3 +119,47 @@ def test_a_click_puts_the_formation(station, open_page) -> None:
     expect(page.get_by_label("Middle x")).not_to_have_value(before)
     # the vehicles stay selected: a click that places is no click that selects
     assert page.evaluate("[...skygcs.store.state.selection].length") == 2
+
+
+TABLE = """vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z
+v1,0,0,10,0,20,10
+2,5,0,10,15,20,12
+nobody,1,1,1,2,2,2
+"""
+
+
+def test_a_table_of_positions_gives_the_goals_of_a_plan(station, open_page, shot) -> None:
+    page = open_page(station)
+    until(page, "skygcs.store.state.names.length === 3")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Final positions", exact=True).click()
+    chooser = page.locator(".planpanel .dropzone input[type=file]")
+    chooser.set_input_files({"name": "places.csv", "mimeType": "text/csv", "buffer": TABLE.encode()})
+    button = page.get_by_role("button", name="To the final positions")
+    expect(button).to_be_visible()
+    button.click()
+    expect(page.locator("tr.row[aria-selected=true]")).to_have_count(2)
+    expect(page.locator(".planpanel .failure")).to_contain_text("nobody")
+    rows = page.locator(".planpanel table tbody tr")
+    expect(rows.filter(has_text="v1")).to_contain_text("0.0, 20.0")
+    expect(rows.filter(has_text="v2")).to_contain_text("15.0, 20.0")
+    page.get_by_role("button", name="Plan for 2 vehicles").click()
+    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified", timeout=60_000)
+    shot(page, "plan-table")
+    chooser.set_input_files({"name": "bad.csv", "mimeType": "text/csv", "buffer": b"a,b\n1,2\n"})
+    expect(page.locator(".planpanel .failure")).to_contain_text("bad.csv")
+    assert not page.errors
+
+
+def test_what_the_daemon_holds_is_drawn_whoever_gave_it(station, open_page, shot) -> None:
+    page = open_page(station)
+    until(page, "skygcs.store.state.plan?.state !== undefined")
+    piece = {"duration_s": 10.0, "x": [0.0, 3.0], "y": [5.0, 0.0, 0.4], "up": [10.0]}
+    assert station.call("trajectory.load", target="v1", pieces=[piece], name="curve")["outcomes"]["v1"]["ok"]
+    until(page, "skygcs.view.overlays.get('planned paths')?.shapes.some(shape => shape.dashed)")
+    page.keyboard.press("f")
+    page.wait_for_timeout(300)
+    shot(page, "planned-path")
+    station.call("trajectory.unload", targets="v1")
+    until(page, "!skygcs.view.overlays.has('planned paths')")
+    assert not page.errors

@@ -73,6 +73,9 @@ GONE_AFTER_S = 3.0
 """A vehicle of which no state came for so long, while others came, is one that the daemon has forgotten. The slowest
 rate has a round every two seconds."""
 
+NOT_ANSWERING = -32000
+"""The code of DaemonUnreachable, whose text would say to start one."""
+
 ORDERS_WAITING = 60
 """Orders without an outcome on one connection; the daemon takes 64."""
 
@@ -189,12 +192,12 @@ class DaemonConnection:
         self._clients = clients
 
     async def _in_time(self, answer: Awaitable[Any]) -> Any:
-        """The answer. Raises DaemonUnreachable where a daemon takes connections and does not answer."""
+        """The answer. Raises RpcError where a daemon takes connections and does not answer."""
         try:
             return await asyncio.wait_for(answer, ALIVE_WITHIN_S)
         except TimeoutError:
-            reason = f"it has not answered for {ALIVE_WITHIN_S:g} s"
-            raise DaemonUnreachable(self.address, reason) from None
+            text = f"the daemon at {self.address} has not answered for {ALIVE_WITHIN_S:g} s"
+            raise RpcError(NOT_ANSWERING, text) from None
 
     async def _serve(self, pages: Pages) -> None:
         feed = self._clients["feed"]

@@ -32,7 +32,7 @@ function contrast(a: string, b: string): number {
 const TEXT: readonly (readonly [string, readonly string[]])[] = [
   ["text", ["ground", "surface", "raised", "hover", "selected-row"]],
   ["text-muted", ["ground", "surface", "raised", "hover", "selected-row"]],
-  ["lost", ["ground", "surface", "raised"]],
+  ["lost", ["ground", "surface", "raised", "selected-row"]],
   ["accent", ["ground", "surface", "raised"]],
   ["good", ["ground", "surface", "raised", "selected-row"]],
   ["warning", ["ground", "surface", "raised", "selected-row"]],
@@ -46,7 +46,6 @@ const TEXT: readonly (readonly [string, readonly string[]])[] = [
 const MARKS: readonly (readonly [string, readonly string[]])[] = [
   ["edge-strong", ["surface", "ground"]],
   ["selection", ["ground"]],
-  ["lost", ["selected-row"]],
   ...["plan", "flown", "fence", "goal"].map((ink) => [`ink-${ink}`, ["ground", "surface"]] as const),
   ...Array.from({ length: 8 }, (_, i) => [`vehicle-${i + 1}`, ["ground", "surface"]] as const),
 ];

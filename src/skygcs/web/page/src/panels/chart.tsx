@@ -4,6 +4,7 @@ import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { onTheme } from "../theme.ts";
 import type { Columns } from "./history_ring.ts";
+import { bounds } from "./chart_bounds.ts";
 
 export interface Curve {
   label: string;
@@ -81,7 +82,7 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
     height,
     legend: { show: false },
     cursor: { y: false, drag: { x: false, y: false } },
-    scales: { x: { time: true }, y: range === null ? {} : { range: (_, least, most) => bounds(least, most, range) } },
+    scales: { x: { time: true }, y: { range: (_, least, most) => bounds(least, most, range) } },
     axes: [
       { ...axis, size: 22, space: 70 },
       { ...axis, size: 46, space: 24 },
@@ -94,11 +95,4 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
       points: { show: false },
     }))],
   };
-}
-
-function bounds(least: number | null, most: number | null, range: readonly [number | null, number | null]): [number, number] {
-  const low = range[0] ?? least ?? 0;
-  const high = range[1] ?? most ?? 1;
-  if (high > low) return [low, high];
-  return range[0] === null ? [low - 0.5, low + 0.5] : [low, low + 1];
 }

@@ -86,6 +86,7 @@ export function PositionTableLoader({ store, connection, view, take }: PanelProp
   return (
     <>
       <DropZone label="Open a table of positions" accept=".csv,.toml" onFiles={(files) => void open(files)} />
+      {check.busy && <p class="note">Reading …</p>}
       {table !== null && (
         <div class="row wrap" role="group" aria-label={table.name}>
           <span>{table.name}: {Object.keys(table.vehicles).length} vehicles</span>
