@@ -17,6 +17,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.methods import METHODS
+from skygcs.runtime import mocap_feed
 from skygcs.runtime.mocap_simulated import SimulatedCapture
 from skygcs.sim.capture_cameras import CaptureCameras
 from skygcs.sim.vehicle import SimVehicle
@@ -213,6 +214,24 @@ async def test_a_vehicle_that_shares_its_link_gets_no_poses(tmp_path: Path) -> N
         poses = await gcs.poses()
         assert poses["link"] is None and "shares its link with v2" in poses["problem"]
         assert [sim.vision.count for sim in gcs.daemon.links.link("alpha").vehicles] == [0, 0]  # type: ignore[attr-defined]
+
+
+async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mocap_feed, "PRETENDED", frozenset())  # its simulated link is taken for a real one
+    async with lab(tmp_path, "px4") as gcs:
+        feed, sim = gcs.daemon.mocap, gcs.sim()
+        assert feed is not None
+        monkeypatch.setattr(feed, "_config", feed._config.model_copy(update={"type": "recorded"}))
+        await gcs.until(lambda: sim.position_ok)
+        await asyncio.sleep(5)
+        assert (await gcs("vehicles.arm", targets="alpha"))["outcomes"]["alpha"]["ok"]
+        await asyncio.sleep(0.5)
+        count = sim.vision.count
+        await asyncio.sleep(2)
+        assert sim.vision.count == count > 0
+        assert "recording" in (await gcs.poses())["problem"]
 
 
 async def test_each_vehicle_gets_its_own_poses(tmp_path: Path) -> None:

@@ -39,6 +39,9 @@ LISTEN_S = 3.0
 """A channel is used for poses after it was open for so long: by then every vehicle on it has sent three heartbeats, and
 it is known whether there is more than one."""
 
+PRETENDED = frozenset({"simulated", "memory"})
+"""Types of links without real vehicles: only there a recording is sent to a vehicle that is armed."""
+
 FAULT_PAUSE_S = 1.0
 
 MAX_SEEN = 64
@@ -238,6 +241,8 @@ class MocapFeed:
                 continue
             beside = heard.get(channel_id, set()) - {vehicle.key}
             if not beside and self._loop.time() - self._open_since.get(channel_id, math.inf) >= LISTEN_S:
+                if self._config.type == "recorded" and vehicle.armed and channel.config.type not in PRETENDED:
+                    return None, "it is armed: it would follow the poses of a recording"
                 return channel, ""
             listening |= not beside
             shared_with |= beside
