@@ -40,10 +40,10 @@ LOITER, POSCTL = 3 << 24 | 4 << 16, 3 << 16
 """PX4's custom modes."""
 
 FLOWN = ("v1", "v2", "v3", "v4", "v5")
-ROUNDS = 3
-WINDOW_S = 26.0
-"""The daemon keeps the lateness of 500 ticks: 25 s of position control at 20 Hz. A shorter window would hold ticks of the
-one before, with pages or without."""
+ROUNDS = 2
+WINDOW_S = 102.0
+"""The daemon keeps the lateness of 500 ticks: 100 s of position control, which ticks at 5 Hz while no new setpoint comes.
+A shorter window would hold ticks of the one before, with pages or without."""
 
 PAGES = 9
 
