@@ -42,8 +42,8 @@ LOITER, POSCTL = 3 << 24 | 4 << 16, 3 << 16
 FLOWN = ("v1", "v2", "v3", "v4", "v5")
 ROUNDS = 2
 WINDOW_S = 102.0
-"""The daemon keeps the lateness of 500 ticks: 100 s of position control, which ticks at 5 Hz while no new setpoint comes.
-A shorter window would hold ticks of the one before, with pages or without."""
+"""The daemon keeps the lateness of 500 ticks: 100 s of position control, which ticks at 5 Hz while no setpoint comes. A
+shorter window would hold ticks of the one before, with pages or without."""
 
 PAGES = 9
 
