@@ -1,7 +1,7 @@
 """Resident memory of a daemon with one vehicle, beside a bare interpreter with the same event loop.
 
 Run by `make bench`; results also in build/bench/memory.json. Interleaved round by round. Bytecode is cached, as after a
-first start: a daemon that has to compile itself keeps 4 MB more. "whole" imports its libraries with all that they
+first start: a daemon that has to compile itself keeps some MB more. "whole" imports its libraries with all that they
 import (without `skygcs.cli.lean_imports`). The target, 50 MB, is asserted with SKYGCS_BENCH_TARGETS=1.
 """
 
