@@ -289,11 +289,11 @@ class XBeeModem:
         heard.failed.append((out.address, node.last_failure))
 
     def _on_answer(self, answer: AtResponse, heard: Heard) -> None:
-        if self.state != "asking" or answer.command not in QUESTIONS:
+        if answer.command not in QUESTIONS:
             return
         self._answers[answer.command] = answer.value if answer.status == 0 else b""
         if answer.command == "NP" and answer.status == 0 and answer.value:
             self.payload_bytes = min(max(int.from_bytes(answer.value, "big"), 1), MOST_PAYLOAD_BYTES)
-        if len(self._answers) == len(QUESTIONS):
+        if self.state == "asking" and len(self._answers) == len(QUESTIONS):
             self.state = "open"
             heard.opened = True

@@ -52,6 +52,15 @@ def test_nothing_is_given_to_a_module_before_it_answered_or_had_the_time() -> No
     assert "API mode (AP=2)" in str(modem.why_mute())
 
 
+def test_an_answer_that_comes_late_counts() -> None:
+    modem = XBeeModem(escaped=False)
+    modem.start(0.0)
+    modem.expire(ASK_S)
+    assert modem.payload_bytes == 72
+    modem.feed(answer(1, "NP", b"\1\0"), ASK_S + 1.0)
+    assert modem.payload_bytes == 256 and modem.why_mute() is None
+
+
 def test_the_window_holds_and_a_status_makes_room() -> None:
     modem = opened()
     ids = [frame_id_of(modem.transmit(NODE, b"x", 0.0)) for _ in range(WINDOW)]
