@@ -117,6 +117,24 @@ async def test_what_is_nested_deeply_is_no_request(daemon: DaemonProcess) -> Non
     assert daemon.known() == 2
 
 
+@pytest.mark.parametrize("method", ["plan.certify", "plan.load"])
+async def test_a_plan_in_which_a_vehicle_is_twice_or_stands_in_its_own_way_is_refused(
+    daemon: DaemonProcess, method: str
+) -> None:
+    """As files are: of two paths of one vehicle the last would win, and the first one not be certified."""
+    reader, writer = await asyncio.open_unix_connection(daemon.socket)
+    text = json.dumps(timed([PIECE]))
+    twice = text.replace('"v1":', f'"v1": {json.dumps([PIECE])}, "v1":')
+    stands = json.dumps(timed([PIECE]) | {"space": {"standing": {"v1": [9.0, 9.0, 5.0]}}})
+    for plan, why in ((twice, "'v1' is there twice"), (stands, "v1 takes part in the plan")):
+        one = f'{{"jsonrpc":"2.0","id":1,"method":"{method}","params":{{"plan":{plan}}}}}'
+        for line in (one, f"[{one}]"):
+            writer.write(line.encode() + b"\n")
+            answer = json.loads(await reader.readline())
+            assert why in (answer[0] if isinstance(answer, list) else answer)["error"]["message"]
+    writer.close()
+
+
 async def begun(gcs: Client, **params: Any) -> tuple[asyncio.Task[Any], int]:
     """A request that takes long, and its number, once it is computed."""
     told = asyncio.Event()

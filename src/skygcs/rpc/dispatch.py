@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import json
+from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -57,6 +58,7 @@ class Method(Generic[C]):
     ``outlives_client``: once asked for it is carried out to its end, whether or not the client stays for the answer.
     ``always``: it is answered to a client that came when all places were taken, and while the daemon shuts down: what
     ends a flight or shows what flies. ``while_stopping``: it is answered while the daemon shuts down (5 s at most).
+    ``unique_keys``: a request in which an object has a key twice is refused, as the last one would silently win.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Method(Generic[C]):
     outlives_client: bool = False
     always: bool = False
     while_stopping: bool = False
+    unique_keys: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +92,11 @@ class Dispatcher(Generic[C]):
         self.while_stopping = self.always | {m.name for m in methods.values() if m.while_stopping}
         self._coroutines = frozenset(m.name for m in methods.values() if inspect.iscoroutinefunction(m.handler))
 
-    def start(self, context: C, request: object) -> Reply:
-        """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent."""
+    def start(self, context: C, request: object, key_twice: Callable[[], str | None] = lambda: None) -> Reply:
+        """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent.
+
+        ``key_twice``: `key_twice` of the line that the request came in; called where the method needs it.
+        """
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
         request_id = request.get("id")
@@ -104,6 +110,8 @@ class Dispatcher(Generic[C]):
             method = self._methods.get(name)
             if method is None:
                 raise _MethodNotFound(name, self._methods)
+            if method.unique_keys and (twice := key_twice()) is not None:
+                raise InvalidParams(("", f"the key {_clip(twice)!r} is there twice in one object"))
             params = _check(method.params, request.get("params"))
             if name in self._coroutines:
                 return self._finish(method, context, params, request_id, notification)
@@ -136,6 +144,19 @@ class _MethodNotFound(SkygcsError):
 def parse(line: bytes) -> Any:
     """The JSON value of one line. Raises ValueError with a text for a person (also for NaN and too deep nesting)."""
     return from_json(line, allow_inf_nan=False, cache_strings="keys")
+
+
+def key_twice(line: bytes) -> str | None:
+    """A key that an object of a line has twice, which `parse` does not report. ``line``: what `parse` accepted."""
+    found: list[str] = []
+
+    def collect(pairs: list[tuple[str, Any]]) -> None:
+        keys = [key for key, _ in pairs]
+        if not found and len(set(keys)) < len(keys):
+            found.append(Counter(keys).most_common(1)[0][0])
+
+    json.loads(line, object_pairs_hook=collect, parse_int=str)  # str: int() refuses numbers that `parse` accepts
+    return found[0] if found else None
 
 
 def result_reply(request_id: object, name: str, result: object) -> bytes:

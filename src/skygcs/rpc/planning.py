@@ -370,8 +370,8 @@ def _vector(point: list[float]) -> Vector:
 _ERRORS = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("plan.make", PlanMakeParams, plan_make, PlanAnswer, _ERRORS),
-    Method("plan.certify", PlanCertifyParams, plan_certify, PlanAnswer, _ERRORS),
+    Method("plan.make", PlanMakeParams, plan_make, PlanAnswer, _ERRORS, unique_keys=True),
+    Method("plan.certify", PlanCertifyParams, plan_certify, PlanAnswer, _ERRORS, unique_keys=True),
     Method("plan.cancel", PlanCancelParams, plan_cancel, PlanCancelled),
     Method("plan.jobs", NoParams, plan_jobs, PlanningState),
 )

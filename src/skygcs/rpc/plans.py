@@ -240,9 +240,9 @@ _BOTH = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("plan.upload", PlanUploadParams, plan_upload, PlanUploaded, _REFUSED),
-    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED),
-    Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH),
-    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH),
+    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED, unique_keys=True),
+    Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH, unique_keys=True),
+    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH, unique_keys=True),
     Method("plan.pause", NoParams, plan_pause, PlanOrderAnswer, _REFUSED, always=True),
     Method("plan.resume", PlanForceParams, plan_resume, PlanOrderAnswer, _REFUSED),
     Method("plan.speed", PlanSpeedParams, plan_speed, PlanOrderAnswer, _REFUSED),

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import hmac
 import json
 import os
@@ -19,7 +20,7 @@ import select
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, cast
 
 import structlog
@@ -340,14 +341,15 @@ class Session(asyncio.Protocol):
             if not self.authenticated:
                 self._hang_up()
             return
+        key_twice = functools.cache(functools.partial(dispatch.key_twice, line))  # once for a batch
         if not self.authenticated:
             self._authenticate(request)
         elif self._refused_for_now(request):
             pass
         elif type(request) is list:
-            self._on_batch(request)
+            self._on_batch(request, key_twice)
         else:
-            reply = self._start(request)
+            reply = self._start(request, key_twice)
             if isinstance(reply, bytes):
                 self._reply(reply)
             elif reply is not None:
@@ -370,7 +372,7 @@ class Session(asyncio.Protocol):
         self._reply(error_reply(request_id, dispatch.LIMIT_EXCEEDED, f"{text} is answered all the same"))
         return True
 
-    def _start(self, request: object) -> dispatch.Reply:
+    def _start(self, request: object, key_twice: Callable[[], str | None]) -> dispatch.Reply:
         """Begin one request, unless the client already waits for too many."""
         if self._in_flight >= MAX_IN_FLIGHT:
             request_id = request.get("id") if isinstance(request, dict) else None
@@ -384,14 +386,14 @@ class Session(asyncio.Protocol):
             if isinstance(method, str) and method not in answered and isinstance(request_id, str | int | None):
                 text = "skygcs is shutting down: it takes no further orders but those that end a flight"
                 return error_reply(request_id, dispatch.REFUSED, text) if "id" in request else None
-        reply = self._hub.dispatcher.start(self, request)
+        reply = self._hub.dispatcher.start(self, request, key_twice)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
             if self._hub.dispatcher.outlives_client(request):
                 return self._hub.outlive(reply)
         return reply
 
-    def _on_batch(self, requests: list[Any]) -> None:
+    def _on_batch(self, requests: list[Any], key_twice: Callable[[], str | None]) -> None:
         if not requests:
             return self._reply(error_reply(None, dispatch.INVALID_REQUEST, "a batch is not empty"))
         if len(requests) > MAX_BATCH:
@@ -400,7 +402,7 @@ class Session(asyncio.Protocol):
         replies: list[dispatch.Reply] = []
         size = 0
         for request in requests:
-            reply = self._start(request)
+            reply = self._start(request, key_twice)
             if isinstance(reply, bytes):
                 size += len(reply)
                 if size > MAX_OUTPUT_BYTES // 2:

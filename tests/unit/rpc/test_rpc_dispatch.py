@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, key_twice, parse
 from skygcs.rpc.models import MethodParams, NoParams
 
 
@@ -184,6 +184,33 @@ def test_nan_and_infinity_are_null_in_results() -> None:
 def test_what_is_not_json_is_a_value_error_with_a_text(line: bytes) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         parse(line)
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        (b'{"a":1,"b":{"a":2},"c":[{"a":3},{"a":4}]}', None),
+        (b'{"a":1,"a":1}', "a"),
+        (b'[{"x":{"b":1,"c":2,"\\u0062":3}}]', "b"),
+        (b'{"n":' + b"9" * 4000 + b',"n":1}', "n"),
+        (b"7", None),
+    ],
+)
+def test_a_key_that_is_there_twice_is_found_in_any_object(line: bytes, key: str | None) -> None:
+    parse(line)
+    assert key_twice(line) == key
+
+
+def test_where_a_key_twice_would_lose_something_the_request_is_refused_and_elsewhere_the_last_one_counts() -> None:
+    calls = Calls()
+    strict = Dispatcher({"pair": Method("pair", PairParams, pair, unique_keys=True)})
+    line = b'{"jsonrpc":"2.0","id":5,"method":"pair","params":{"first":1,"first":2}}'
+    for dispatcher, made in ((strict, []), (DISPATCHER, [2])):
+        reply = finished(dispatcher.start(calls, parse(line), lambda: key_twice(line)))
+        answer = json.loads(reply or b"")
+        assert answer["id"] == 5 and [params.first for params in calls.made] == made
+        assert ("error" in answer) == (dispatcher is strict)
+        assert "the key 'first' is there twice" in answer.get("error", {}).get("message", "") or made
 
 
 json_values = st.recursive(

@@ -51,7 +51,11 @@ def plan_from_json(source: str, content: Any) -> tuple[Plan, FlightSpace]:
     if kind not in ("timed", "phased"):
         raise PlanFileError(source, "kind", "has to be timed or phased")
     plan: Plan = _timed(source, content) if kind == "timed" else _phased(source, content)
-    return plan, space_of(source, content.get("space", {}))
+    space = space_of(source, content.get("space", {}))
+    names = plan.trajectories if isinstance(plan, TimedPlan) else plan.starts
+    if both := names.keys() & space.standing.keys():  # before a flight those that take part are left out of what stands
+        raise PlanFileError(source, "space, standing", f"{min(both)} takes part in the plan")
+    return plan, space
 
 
 def write_plan_json(plan: Plan, space: FlightSpace, certificate: Mapping[str, Any] | None = None) -> str:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bench.plans.random_plans import judge
-from bench.plans.refusals import Case, cases, line
+from bench.plans.refusals import Case, cases, line, passing
 from skygcs.core.plan.certify import certify, motions_of
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion, Uncertainty
@@ -18,6 +19,7 @@ from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, motio
 from skygcs.errors import RefusedError, TrajectoryError
 
 RULE = MarginRule(fixed_m=2.5)
+NAMED = re.compile(r"(straight, timed: )?(\w+ and \w+ come within|\w+ is) [\d.]+ m .*at [\d.]+ s, at \([-\d., ]+\)")
 
 
 @pytest.mark.parametrize("case", list(cases()), ids=lambda case: case.what)
@@ -26,8 +28,15 @@ def test_what_must_be_refused_is_refused_with_its_pair(case: Case) -> None:
     if case.names:
         assert not certified
         assert all(any(name in reason for reason in reasons) for name in case.names), reasons
+        assert any(NAMED.match(reason) for reason in reasons), "the pair or the wall, the time and the place"
     else:
         assert certified, reasons
+
+
+def test_the_near_miss_is_one_that_samples_at_5_hz_do_not_see() -> None:
+    alpha, bravo = passing(2.427).values()
+    sampled = [math.dist(alpha.at(t).pos_enu_m, bravo.at(t).pos_enu_m) for t in np.arange(0.0, 10.3, 0.2)]
+    assert min(sampled) > 2.5 > math.dist(alpha.at(5.1).pos_enu_m, bravo.at(5.1).pos_enu_m)
 
 
 @pytest.mark.parametrize("seed", range(24))

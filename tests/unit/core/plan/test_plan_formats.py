@@ -304,6 +304,7 @@ GOOD = {"format": "skygcs-plan", "version": 1, "kind": "timed", "vehicles": {"a"
         ({"space": {"fence": [[0, 0], [1, 1]]}}, "a fence has three corners at least"),
         ({"space": {"boxes": [[[1, 0, 0], [0, 1, 1]]]}}, "the least corner is above the greatest"),
         ({"space": {"standing": {"p": [0, 0]}}}, "a place is"),
+        ({"space": {"standing": {"a": [9, 9, 5]}}}, "space, standing: a takes part in the plan"),
         ({"kind": "phased"}, "starts: has to be an object"),
         ({"kind": "phased", "starts": {"a": [0, 0, 0]}}, "phases: has 1 to 1000 phases"),
         (
