@@ -344,7 +344,13 @@ class Judged(Told):
         self.confirmed: dict[OrderKind, set[str]] = {kind: set() for kind in OrderKind}
         self.aborted = False
         self.asked = True
+        self.late = False
         super().__init__(grounded)
+        self.shown = dict(self.sights)
+
+    def tick(self, by_s: float = 0.2) -> list[Order]:
+        self.shown = dict(self.sights)
+        return super().tick(by_s)
 
     def take(self, orders: list[Order]) -> list[Order]:
         for order in orders:
@@ -361,8 +367,10 @@ class Judged(Told):
                         assert place is not None and self.sights[name].age_s <= SILENT_S
                         assert all(abs(a - b) <= 0.4 for a, b in zip(place, places[name], strict=True))
                 case OrderKind.DISARM:
+                    # not forced: one that flies since the last tick, or since its arming was late, refuses it
                     for name in order.vehicles:
-                        assert self.sights[name].on_ground or name not in self.execution.grounded or self.aborted
+                        on_ground = self.shown[name].on_ground or self.late
+                        assert on_ground or name not in self.execution.grounded or self.aborted
                 case OrderKind.GO_ON:
                     assert self.asked
         return super().take(orders)
@@ -380,7 +388,9 @@ class Judged(Told):
             case ("outcome", kind, name, ok):
                 if ok:
                     self.confirmed[kind].add(name)
+                self.late = kind is OrderKind.ARM and self.state is not PlanState.ARMING
                 self.take(execution.outcome(kind, name, ok, "so"))
+                self.late = False
             case ("place", name, where):
                 places = {
                     "start": execution.step.starts()[name],
