@@ -57,6 +57,20 @@ def environment(folder: Path, *wanted: str | Path, **more: str) -> Path:
     return programs
 
 
+def of_extras(programs: Path) -> set[str]:
+    """Installed packages that only an extra of skygcs asks for."""
+    lines = run(
+        programs / "python",
+        "-c",
+        "from importlib.metadata import distributions, requires\n"
+        "print(*(d.metadata['Name'] for d in distributions()))\nprint(*requires('skygcs'), sep='\\n')",
+        cwd=programs,
+    ).splitlines()
+    asked = {re.split(r"[^\w-]", line)[0].lower() for line in lines[1:] if "extra ==" in line}
+    assert {"aiohttp", "pyarrow", "pytest"} <= asked
+    return {name.lower() for name in lines[0].split()} & asked
+
+
 def flies(programs: Path, folder: Path) -> None:
     """As the README says: init, run, and the vehicles are seen."""
     run(programs / "skygcs", "init", "sim", cwd=folder)
@@ -92,6 +106,7 @@ def test_the_wheel_is_small_and_has_what_a_user_needs(packages: dict[str, Path])
     page = sum(size for name, size in sizes.items() if "/web/static/" in name)
     print(f"\nwheel: {sum(sizes.values()) / 1e6:.2f} MB, of it {page / 1e6:.2f} MB of the web page")
     assert sum(sizes.values()) - page <= MOST_WHEEL_BYTES
+    assert page == 0 or "skygcs/web/static/assets/licenses.txt" in sizes  # never a page without its libraries' licences
     assert {"skygcs/configs/sim.toml", "skygcs/metrics/alerts.yml", "skygcs/metrics/dashboard.json"} <= sizes.keys()
     assert any(re.fullmatch(r"skygcs/links/_fast_path\..*\.so", name) for name in sizes)
     # links of the README lead out of the package
@@ -104,6 +119,8 @@ def test_the_sdist_has_no_test_data(packages: dict[str, Path]) -> None:
     with tarfile.open(packages["sdist"]) as archive:
         names = [name.partition("/")[2] for name in archive.getnames()]
     assert not [n for n in names if n.startswith("tests") or n.endswith((".tlog", ".so"))]
+    page = [n for n in names if n.startswith("src/skygcs/web/static/")]
+    assert not page or "src/skygcs/web/static/assets/licenses.txt" in page
     assert {"configs/sim.toml", "hatch_build.py", "src/skygcs/links/_fast_path.c", "LICENSE"} <= set(names)
 
 
@@ -111,6 +128,7 @@ def test_the_pure_wheel_runs_without_compiler_and_checkout(packages: dict[str, P
     programs = environment(tmp_path, packages["pure"], CC="/bin/false")
     assert list(tmp_path.rglob("_fast_path*.so")) == []
     flies(programs, tmp_path)
+    assert of_extras(programs) == set()
     for name in ("wheel", "setuptools"):
         assert shutil.which(name, path=str(programs)) is None
 

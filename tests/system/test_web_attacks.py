@@ -203,8 +203,9 @@ async def test_only_a_person_at_a_page_counts_for_the_operators_timeout(tmp_path
             await page.call("web.subscribe", rate_hz=10)
             await page.states(lambda p: p["vehicles"])
             await page.order("vehicles.takeoff", targets="v1", height_m=8, wait_s=60)
-            await page.states(lambda p: (height_m(p) or 0.0) > 7)
-            await page.order("control.set", targets="v1", mode="position")
+            await page.states(hovers)  # until then the autopilot itself leaves AUTO.TAKEOFF, and with it our control
+            entered = await page.order("control.set", targets="v1", mode="position")
+            assert entered["result"]["outcomes"]["v1"]["ok"], entered
             for _ in range(40):
                 assert page.ws is not None
                 await page.ws.send_json({"jsonrpc": "2.0", "method": "operator.active"})
@@ -217,16 +218,16 @@ async def test_only_a_person_at_a_page_counts_for_the_operators_timeout(tmp_path
                 if lost(page):
                     break
                 await asyncio.sleep(0.1)
-            assert len(lost(page)) == 1
+            assert len(lost(page)) == 1, station.call("events.recent", limit=30)
     finally:
         station.close()
 
 
-def height_m(params: dict[str, Any]) -> float | None:
-    for vehicle in params["vehicles"]:
-        if vehicle["position"] is not None:
-            return float(vehicle["position"]["alt_rel_m"] or 0.0)
-    return None
+def hovers(params: dict[str, Any]) -> bool:
+    return any(
+        v["mode"] == "AUTO.LOITER" and v["position"] is not None and (v["position"]["alt_rel_m"] or 0.0) > 7
+        for v in params["vehicles"]
+    )
 
 
 def lost(page: WebPage) -> list[str]:

@@ -277,6 +277,30 @@ async def test_a_restarted_process_knows_its_browsers(tmp_path: Path) -> None:
         station.close()
 
 
+@pytest.mark.parametrize(("options", "role"), [((), "command"), (("--view",), "view")])
+async def test_the_command_prints_a_further_address_of_a_role(
+    station: WebStation, options: tuple[str, ...], role: str
+) -> None:
+    where = ("--socket", str(station.socket_path), "--port", str(station.port))
+    line = command("web", "link", *where, *options)
+    done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as browser:
+        async with browser.get(done.stdout.strip()) as answer:
+            assert answer.status == 200
+        async with browser.ws_connect(f"{station.base}/ws", origin=station.base) as ws:
+            await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.hello"})
+            while (reply := await ws.receive_json(timeout=30)).get("id") != 1:
+                pass
+        assert reply["result"]["role"] == role
+
+
+def test_of_a_page_that_is_not_there_no_address_is_printed(station: WebStation) -> None:
+    where = ("--socket", str(station.socket_path), "--port", "1")
+    done = subprocess.run(command("web", "link", *where), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and done.stdout == "" and "Traceback" not in done.stderr
+
+
 # -- starting and ending
 
 

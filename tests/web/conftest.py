@@ -60,6 +60,7 @@ def station(make_station: Callable[..., WebStation]) -> WebStation:
 @pytest.fixture
 def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     contexts = []
+    elsewhere: list[str] = []
 
     def open_one(
         station: WebStation,
@@ -80,6 +81,7 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.errors = []  # type: ignore[attr-defined]  # what the page's console and scripts complained about
         page.on("pageerror", lambda error: page.errors.append(str(error)))  # type: ignore[attr-defined]
         page.on("console", lambda m: page.errors.append(m.text) if m.type == "error" else None)  # type: ignore[attr-defined]
+        page.on("request", lambda request: elsewhere.extend([request.url] if leaves(request.url, station) else []))
         page.goto(station.address(role))
         if path != "/":
             page.goto(station.base + path)
@@ -88,6 +90,11 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     yield open_one
     for context in contexts:
         context.close()
+    assert elsewhere == []  # nothing that a page asks for leaves the host
+
+
+def leaves(url: str, station: WebStation) -> bool:
+    return not url.startswith((station.base + "/", "data:", "blob:"))
 
 
 @pytest.fixture

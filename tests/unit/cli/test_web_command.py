@@ -18,3 +18,28 @@ def test_a_daemon_on_tcp_is_given_its_token(tmp_path: Path, monkeypatch: pytest.
     add_web(parser.add_subparsers())
     options = _options(parser.parse_args(["web", "--socket", "tcp://127.0.0.1:7000", "--no-open"]))
     assert (options.socket, options.token) == ("tcp://127.0.0.1:7000", "secret")
+
+
+@pytest.mark.parametrize(
+    ("terminal", "display", "opens"),
+    [
+        (True, {"DISPLAY": ":0"}, True),
+        (True, {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        (True, {}, False),
+        (True, {"DISPLAY": ""}, False),
+        (False, {"DISPLAY": ":0"}, False),
+    ],
+)
+def test_a_browser_is_opened_on_a_terminal_with_a_display_only(
+    monkeypatch: pytest.MonkeyPatch, terminal: bool, display: dict[str, str], opens: bool
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in display.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("os.isatty", lambda fd: terminal and fd == 1)
+    parser = argparse.ArgumentParser()
+    add_web(parser.add_subparsers())
+    assert _options(parser.parse_args(["web"])).open_browser is opens
+    for never in (["web", "--no-open"], ["web", "--supervised"]):
+        assert not _options(parser.parse_args(never)).open_browser
