@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
@@ -33,6 +34,9 @@ LIMIT_EXCEEDED = -32005
 
 MAX_ECHO_CHARS = 80
 """Of what a client sent, no more than this comes back in an error text."""
+
+_STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
+"""A string without escapes, and the colon after it if it is a key."""
 
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
@@ -149,6 +153,12 @@ def parse(line: bytes) -> Any:
 def key_twice(line: bytes) -> str | None:
     """A key that an object of a line has twice, which `parse` does not report. ``line``: what `parse` accepted."""
     found: list[str] = []
+    if (
+        b"\\" not in line
+    ):  # most large lines are trajectories, in which no key occurs twice anywhere: 0.4 ms and not 34 for 1 MB
+        seen = [string for string, colon in _STRING.findall(line) if colon]
+        if len(set(seen)) == len(seen):
+            return None
 
     def collect(pairs: list[tuple[str, Any]]) -> None:
         keys = [key for key, _ in pairs]
