@@ -129,8 +129,7 @@ class Daemon:
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
-        token = _read_token("daemon", own.token_file)
-        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
+        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token("daemon", own.token_file))
         self.metrics: MetricsEndpoint | None = None
         if config.metrics is not None:
             token = _read_token("metrics", config.metrics.token_file)

@@ -313,6 +313,7 @@ class FakeVehicle:
                     "time",
                     "high_latency",
                     "last_ack",
+                    "mocap",
                 )
             ),
         }
