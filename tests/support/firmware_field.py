@@ -152,6 +152,9 @@ class Stream(threading.Thread):
 class Field:
     """``names`` are the vehicles, ``one`` the first of them."""
 
+    heading_deg = 0.0
+    """Where ArduCopters look at their start."""
+
     def __init__(self, firmware: str, folder: Path) -> None:
         self.firmware = firmware
         self.folder = folder
@@ -238,7 +241,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         """Start the firmware; returns at once."""
         words = [sys.executable, "-m", "skygcs", "sitl", *self.kinds()]
         words += ["--first-sysid", str(self.sysids[0]), "--port", str(self.relay.port)]
-        words += ["--home", ",".join(map(str, HOME)), "--spacing", str(SPACING_M)]
+        words += ["--home", ",".join(map(str, (*HOME, self.heading_deg))), "--spacing", str(SPACING_M)]
         words += ["--folder", str(self.folder / "vehicles")]
         words += [word for param in self.params() for word in ("--param", param)]
         with self.sitl_log.open("wb") as log:

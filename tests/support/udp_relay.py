@@ -15,6 +15,7 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,6 +105,8 @@ class UdpRelay(threading.Thread):
         self.delay_up_s = 0.0
         self.sent_up: Counter[str] = Counter()
         self.truths: dict[int, Truth] = {}
+        self.watch: Callable[[int, Any, float], None] | None = None
+        """Called in this thread with the system id, each message of a vehicle's autopilot, and the time."""
         self.air: EmulatedAir | None = None
         """Radios that everything goes through instead, while it is set."""
         self._backs: dict[tuple[str, int], socket.socket] = {}
@@ -162,6 +165,8 @@ class UdpRelay(threading.Thread):
                 sysid = message.get_srcSystem()
                 self._sysids[address] = sysid
                 self.truths.setdefault(sysid, Truth(sysid)).on_message(message, now)
+                if self.watch is not None:
+                    self.watch(sysid, message, now)
             if self.air is not None and address in self._sysids and self._sysids[address] not in self.cut_down:
                 # also what pymavlink does not know, which has no ids here: a frame that is numbered and dropped is lost
                 self.air.from_vehicle(self._sysids[address], bytes(message.get_msgbuf()))

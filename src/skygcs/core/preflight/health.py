@@ -267,6 +267,8 @@ def clock(facts: Facts, wanted: Expectations) -> Finding:
     if not wanted.clock_max_s:
         return skipped("clock_max_s = 0")
     offset_s = facts.state["clock_offset_s"]
+    if offset_s is None and wanted.gps_fix_min == "no_gps":
+        return skipped("without GPS it does not know the time")
     if offset_s is None:
         return unknown(
             "its clock is unknown (no SYSTEM_TIME)", "wait: it gets the time from GPS; clock_max_s = 0 skips this check"

@@ -288,6 +288,13 @@ def test_a_fleet_indoors() -> None:
     assert {reported[name] for name in gone} == {Verdict.SKIPPED}
 
 
+def test_without_gps_a_clock_may_be_unknown_and_not_wrong() -> None:
+    inside = Expectations(gps_fix_min="no_gps")
+    assert health.clock(facts(clock_offset_s=None), inside).verdict is Verdict.SKIPPED
+    assert health.clock(facts(clock_offset_s=None), WANTED).verdict is Verdict.UNKNOWN
+    assert health.clock(facts(clock_offset_s=60.0), inside).verdict is Verdict.FAIL
+
+
 def test_the_best_of_parallel_links_counts() -> None:
     links = {"radio": LinkFacts(0.4, 200, 5.0), "wifi": LinkFacts(0.01, 200)}
     assert health.loss(Facts(state=STATE, links=links), WANTED).verdict is Verdict.PASS
