@@ -94,6 +94,7 @@ EVENT_KINDS = (
     "third_party",
     "undo",
     "separation",
+    "mocap",
     "uplink_lost",
     "uplink_back",
     "warning",

@@ -24,7 +24,8 @@ def test_every_frame_is_one_pymavlink_decodes_and_re_encodes_to_the_byte(make: t
     for name in names:
         pilot.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, sim_dialect().by_name[name].msgid, 500_000, to=7)
     pilot.get_ready()
-    assert {x.get_type() for x in pilot.heard} >= names
+    # an ArduCopter without a target reports none
+    assert {x.get_type() for x in pilot.heard} >= names - {"POSITION_TARGET_GLOBAL_INT"}
     for raw, message in zip(pilot.raw, pilot.heard, strict=True):
         assert (message.get_srcSystem(), message.get_srcComponent()) == (7, 1)
         packer = mav.MAVLink(None, 7, 1)
