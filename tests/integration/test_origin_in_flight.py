@@ -8,7 +8,6 @@ import math
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,8 +18,8 @@ from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.links.simulated import SimulatedVehiclesLink
-from skygcs.rpc.methods import METHODS
 from skygcs.sim.vehicle import SimVehicle
+from support.called import call
 
 pytestmark = pytest.mark.looptime
 
@@ -35,9 +34,7 @@ class Asker:
     daemon: Daemon
 
     async def __call__(self, name: str, **params: Any) -> Any:
-        method = METHODS[name]
-        answer = method.handler(SimpleNamespace(services=self.daemon), method.params.model_validate(params))
-        return await answer if asyncio.iscoroutine(answer) else answer
+        return await call(self.daemon, name, **params)
 
     async def done(self, name: str, **params: Any) -> None:
         outcomes = (await self(name, **params))["outcomes"]

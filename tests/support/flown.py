@@ -12,7 +12,6 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -25,7 +24,6 @@ from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
-from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.conditions import CALM, Conditions
@@ -33,6 +31,7 @@ from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
+from support.called import call
 from support.pymav import PymavPeer
 from support.sim_pilot import int_param
 
@@ -130,9 +129,7 @@ class Flown:
 
     async def __call__(self, method_name: str, /, **params: Any) -> Any:
         self.daemon.operator_watchdog.on_client()
-        method = METHODS[method_name]
-        answer = method.handler(SimpleNamespace(services=self.daemon), method.params.model_validate(params))
-        return await answer if asyncio.iscoroutine(answer) else answer
+        return await call(self.daemon, method_name, **params)
 
     async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
         """Of an order to one vehicle."""

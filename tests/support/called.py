@@ -1,0 +1,21 @@
+"""An RPC method called as a session does, without a socket, whose waiting has no place in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from types import SimpleNamespace
+from typing import Any
+
+from skygcs.daemon import Daemon
+from skygcs.rpc.dispatch import Encoded
+from skygcs.rpc.methods import METHODS
+
+
+async def call(daemon: Daemon, name: str, /, **params: Any) -> Any:
+    """The method's result. Raises what the method raises, and pydantic's error for parameters."""
+    method = METHODS[name]
+    context: Any = SimpleNamespace(services=daemon, long_reads=asyncio.Lock())
+    answer = method.handler(context, method.params.model_validate(params))
+    result = await answer if asyncio.iscoroutine(answer) else answer
+    return json.loads(result.body) if isinstance(result, Encoded) else result
