@@ -65,13 +65,6 @@ FLEET_TICK_S = 0.2
 """How late a lost vehicle may be noticed; its timeout is seconds."""
 
 
-AIR_STEP_S = 0.1
-"""Between requests for stream rates over a radio: at most ten a second."""
-
-CLOCK_EARLY_S = 0.02
-"""What is due within this is done at once: what has one period stays together; the loop counts in milliseconds."""
-
-
 class Daemon:
     """One running skygcs. `run` until `stop`; the rest answers the RPC methods (loop thread only)."""
 
@@ -186,12 +179,29 @@ class Daemon:
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
-            clocks = [group.create_task(self._run_clocks(), name="clocks")]
+            clocks = [
+                group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
+                group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
+                group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
+                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
+                group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
+                group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
+                group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
+                group.create_task(
+                    self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
+                ),
+            ]
             clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
             signing = group.create_task(self.signing.run(), name="signing")
+            if self.config.daemon.heartbeat:
+                heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
+                clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
             if self.mocap is not None:
-                clocks.append(group.create_task(self.mocap.run(), name="motion capture"))
+                mocap = self.mocap
+                clocks.append(group.create_task(mocap.run(), name="motion capture"))
+                tick = self._every(MOCAP_TICK_S, lambda: mocap.tick(self.now()))
+                clocks.append(group.create_task(tick, name="motion capture tick"))
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
                 if self.metrics is not None:
@@ -246,47 +256,27 @@ class Daemon:
         """Wait until `stop` is called."""
         await self._stopping.wait()
 
-    async def _run_clocks(self) -> None:
-        """All that is done periodically, in one task: each time that an idle loop wakes up costs a tenth of a
-        millisecond. A fault behind one action is reported once and does not stop the others."""
-        actions: list[tuple[float, Callable[[float], None]]] = [
-            (AIR_STEP_S, self.air.step),
-            (FLEET_TICK_S, self.fleet.tick),
-            (FLEET_TICK_S, lambda _: self.event_log.tick()),
-            (1.0, self.hub.tick),
-            (1.0, self.link_watch.tick),
-            (1.0, self.air.tick),
-            (1.0, self._tick_third_party),
-            (1.0, self.operator_watchdog.tick),
-        ]
-        if self.config.daemon.heartbeat:
-            actions.append((HEARTBEAT_PERIOD_S, self._heartbeat_task))
-        if self.mocap is not None:
-            actions.append((MOCAP_TICK_S, self.mocap.tick))
-        due = [self.now()] * len(actions)
+    async def _every(self, period_s: float, action: Callable[[], None]) -> None:
+        """One clock of the daemon. A fault behind one tick is reported once and does not stop the others."""
         while True:
-            for n, (period_s, action) in enumerate(actions):
-                now = self.now()
-                if now < due[n] - CLOCK_EARLY_S:
-                    continue
-                late = now - due[n] > period_s
-                due[n] = (now if late else due[n]) + period_s
-                try:
-                    action(now)
-                except Exception as error:
-                    self.hub.fault(error)
-            at = min(due if self.air.has_radios else due[1:])  # without radios `air.step` has nothing to do
-            await asyncio.sleep(max(at - self.now(), 0.0))
+            try:
+                action()
+            except Exception as error:
+                self.hub.fault(error)
+            await asyncio.sleep(period_s)
 
-    def _heartbeat_task(self, _: float) -> None:
+    def _heartbeat_task(self) -> None:
         values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
     # -- what a person asks
 
-    def _tick_third_party(self, now: float) -> None:
-        self.third_party.tick(now)
-        self.leftover_streams.tick(now)
+    def _tick_operator(self) -> None:
+        self.operator_watchdog.tick(self.now())
+
+    def _tick_third_party(self) -> None:
+        self.third_party.tick(self.now())
+        self.leftover_streams.tick(self.now())
 
     def now(self) -> float:
         """The loop's clock."""

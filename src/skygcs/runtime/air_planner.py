@@ -100,11 +100,6 @@ class AirPlanner:
                 actor.streams.plan(None, self._bytes)  # it is reached over another channel now
                 actor.commands.set_min_retry(0.0)
 
-    @property
-    def has_radios(self) -> bool:
-        """True if `step` has something to do: a link whose bandwidth is planned was seen by the last `tick`."""
-        return bool(self._radios)
-
     def step(self, now: float) -> None:
         """Send requests for planned rates that vehicles do not have yet, while few requests wait."""
         for number, radio in self._radios.items():
