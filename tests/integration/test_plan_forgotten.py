@@ -31,9 +31,7 @@ async def test_while_they_arm_nobody_takes_off_and_a_plan_can_be_loaded_again(tm
         assert state(gcs) == "arming"
         await forget(gcs, "v2")
         await gcs.until(lambda: state(gcs) == "aborted", 10.0)
-        # the order to take it under control, which was under way, ends first
-        word = "v2 is not under control" if when == "engaging" else "v2 left: it was forgotten"
-        assert word in gcs.daemon.fleet.plans.status()["reason"]
+        assert "v2 left: it was forgotten" in gcs.daemon.fleet.plans.status()["reason"]
         await asyncio.sleep(15.0)
         assert not gcs.sim("v1").armed
         assert all(sim.motion.up_m < 0.5 for sim in gcs.sims)
