@@ -30,7 +30,7 @@ def planning(gcs: Flown) -> Callable[..., Any]:
     gcs.daemon.planning = PlanningQueue(asyncio.get_running_loop(), _here)
 
     async def ask(method: str, **params: Any) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((await gcs(method, **params)).body)
+        found: dict[str, Any] = await gcs(method, **params)
         return found
 
     return ask
