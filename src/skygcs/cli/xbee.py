@@ -186,7 +186,9 @@ def _write(xbee: XBeePort, wanted: dict[str, bytes], node: int | None) -> list[s
             xbee.put("WR", b"", node)
     except BaseException as error:
         left = _put_back(xbee, before, node)
-        if isinstance(error, (LinkError, RefusedError)) and before:
+        if "KY  written" in lines:
+            left.append("KY, which cannot be read (without WR it is gone when the module restarts)")
+        if isinstance(error, (LinkError, RefusedError)) and (before or left):
             end = f"not put back: {', '.join(left)}" if left else "what was written was put back"
             raise type(error)(f"{error}; nothing was saved, {end}") from None
         raise

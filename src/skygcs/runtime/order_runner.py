@@ -314,7 +314,7 @@ class OrderRunner:
     ) -> Outcome:
         """See that the vehicle does what it accepted; the step is repeated while it does not. If a newer order comes
         meanwhile, or the daemon ends, the outcome stays that it was accepted. A vehicle that left the mode meanwhile
-        is left to whoever changed it."""
+        is not sent there again."""
         attempts = accepted.attempts
         again = step if proof.again is None else replace(step, command=proof.again, instead=())
 
