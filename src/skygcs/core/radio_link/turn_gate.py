@@ -20,7 +20,8 @@ FIRST_VALUE_S = 10.0
 """Until the first value of a list: the request waits for its turn, and is lost sometimes."""
 
 RESEND_S = 4.0
-"""After so long without any value a repeat of the request is sent: the first was lost. QGC repeats every 5 s."""
+"""After so long without any value the request is sent again: the first was lost. QGC repeats its request every 5 s,
+five times in all, so a request that waited for its turn has no repeat of its own: the gate repeats that one itself."""
 
 LONGEST_LIST_S = 900.0
 """A program that goes on requesting single values of one vehicle does not keep the others waiting longer than this."""
@@ -91,6 +92,7 @@ class ParameterListGate:
         "_sent_at",
         "_since",
         "_turn",
+        "_waited",
         "_waiting",
         "abandoned",
         "finished",
@@ -101,6 +103,8 @@ class ParameterListGate:
         self._turn = TurnGate(SILENCE_S, LONGEST_LIST_S)
         self._frame: ThirdPartyFrame | None = None
         self._since = self._sent_at = 0.0
+        self._waited = False
+        """The running list's request waited for its turn; its sender has perhaps stopped repeating it."""
         self._count = 0
         self._indices = 0
         """A bit for each index that came."""
@@ -141,21 +145,28 @@ class ParameterListGate:
             self._count = count
 
     def due(self, now: float, is_there: Callable[[int], bool]) -> ThirdPartyFrame | None:
-        """The request that may be sent now. ``is_there``: whether a source still sends."""
+        """The request that may be sent now, for the first time or again. ``is_there``: whether a source still sends."""
         self._end(now)
+        if self._frame is not None and (resend_at := self._resend_at) is not None and now >= resend_at:
+            self._sent_at = now
+            return self._frame
         while self._frame is None and self._waiting:
             frame = self._waiting.pop(next(iter(self._waiting)))
             if is_there(frame.source):
                 self._begin(frame, now)
+                self._waited = True
                 return frame
             self.abandoned += 1
         return None
 
     def next_at(self, now: float) -> float | None:
         """When `due` may give something; None: not before somebody asks."""
-        if not self._waiting:
-            return None
-        return now if self._frame is None or self._is_complete else max(now, self._turn.ends_at)
+        times: list[float] = []
+        if self._frame is not None and (resend_at := self._resend_at) is not None:
+            times.append(resend_at)
+        if self._waiting:
+            times.append(now if self._frame is None or self._is_complete else self._turn.ends_at)
+        return max(now, min(times)) if times else None
 
     @property
     def waiting(self) -> list[int]:
@@ -195,11 +206,18 @@ class ParameterListGate:
         }
 
     @property
+    def _resend_at(self) -> float | None:
+        """When the running list's request is sent again; None: its values come, or its sender repeats it."""
+        at = self._sent_at + RESEND_S
+        return at if self._waited and not self._count and at < self._turn.ends_at else None
+
+    @property
     def _is_complete(self) -> bool:
         return 0 < self._count <= self._indices.bit_count()
 
     def _begin(self, frame: ThirdPartyFrame, now: float) -> None:
         self._frame, self._since, self._sent_at = frame, now, now
+        self._waited = False
         self._indices = self._count = 0
         self._turn.begin(frame.target, now, FIRST_VALUE_S)
 

@@ -83,6 +83,30 @@ def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever() -> None
     assert 1 <= sent <= FIRST_VALUE_S / RESEND_S
 
 
+def test_a_request_that_waited_is_repeated_by_the_gate_as_its_sender_has_perhaps_given_up() -> None:
+    lists = ParameterListGate()
+    lists.ask(request(1), 0.0)
+    lists.ask(request(2), 0.0)
+    assert due(lists, FIRST_VALUE_S) == 2
+    assert lists.next_at(FIRST_VALUE_S) == FIRST_VALUE_S + RESEND_S, "though nothing else waits"
+    assert due(lists, FIRST_VALUE_S + RESEND_S - 0.1) is None
+    assert due(lists, FIRST_VALUE_S + RESEND_S) == 2
+    assert due(lists, FIRST_VALUE_S + 2 * RESEND_S) == 2
+    assert lists.next_at(FIRST_VALUE_S + 2 * RESEND_S) is None, "and then its turn ends"
+    assert due(lists, 2 * FIRST_VALUE_S) is None
+    assert lists.status(2 * FIRST_VALUE_S)["unfinished"] == 2
+
+
+def test_a_request_that_waited_is_not_repeated_once_values_come() -> None:
+    lists = ParameterListGate()
+    lists.ask(request(1), 0.0)
+    lists.ask(request(2), 0.0)
+    assert due(lists, FIRST_VALUE_S) == 2
+    lists.heard(2, 1, 0, 900, FIRST_VALUE_S + 1.0)
+    assert lists.next_at(FIRST_VALUE_S + 1.0) is None
+    assert due(lists, FIRST_VALUE_S + RESEND_S) is None
+
+
 def test_once_values_come_repeats_are_not_sent() -> None:
     lists = ParameterListGate()
     lists.ask(request(1), 0.0)
