@@ -116,6 +116,7 @@ class DaemonUnreachable(RpcError):
 
     def __init__(self, address: str, reason: str) -> None:
         self.address = address
+        self.reason = reason
         super().__init__(-32000, f"no skygcs daemon at {address} ({reason}); start one with: skygcs run FLEET.toml")
 
 
@@ -124,6 +125,7 @@ class DaemonForbidden(DaemonUnreachable):
 
     def __init__(self, address: str, owner: str) -> None:
         self.address = address
+        self.reason = f"it belongs to {owner}"
         RpcError.__init__(
             self,
             -32000,

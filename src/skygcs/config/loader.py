@@ -16,6 +16,9 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
+from skygcs.config.companion import CompanionConfig
+from skygcs.config.companion_role import as_companion, companion_problems
+from skygcs.config.companions import CompanionEntry, CompanionsConfig
 from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.metrics import MetricsConfig
@@ -92,6 +95,8 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     config, problems, wrong = _validate(table)
     dialect: Dialect | None = None
     if config is not None:
+        problems += companion_problems(config)
+        config = as_companion(config)
         problems += conflicts(config, wrong)
         config, unplaced = _with_paths(config, path.parent.absolute())
         problems += unplaced
@@ -336,6 +341,12 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return WebConfig
         case ("web", "map"):
             return WebMapConfig
+        case ("companion",):
+            return CompanionConfig
+        case ("companions",):
+            return CompanionsConfig
+        case ("companions", _):
+            return CompanionEntry
         case (*_, "separation"):
             return SeparationSettings
         case (*_, "preflight"):
@@ -393,6 +404,12 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         for name in _listed(config.dialect)
     )
     web = None if config.web is None else _web_with_paths(config.web, absolute)
+    companion = config.companion
+    if companion is not None:
+        companion = _companion_with_paths(companion, absolute)
+    companions = config.companions
+    if companions is not None:
+        companions = companions.model_copy(update={"key_dir": absolute(companions.key_dir, ("companions", "key_dir"))})
     update = {
         "daemon": daemon.model_copy(update=paths),
         "links": links,
@@ -400,6 +417,8 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         "metrics": metrics,
         "mocap": mocap,
         "web": web,
+        "companion": companion,
+        "companions": companions,
     }
     return config.model_copy(update=update), problems
 
@@ -413,6 +432,14 @@ def _web_with_paths(web: WebConfig, absolute: Callable[[Path, KeyPath], Path]) -
     if web.map is not None:
         paths["map"] = web.map.model_copy(update={"image": absolute(web.map.image, ("web", "map", "image"))})
     return web.model_copy(update=paths)
+
+
+def _companion_with_paths(companion: CompanionConfig, absolute: Callable[[Path, KeyPath], Path]) -> CompanionConfig:
+    update: dict[str, Any] = {"key_dir": absolute(companion.key_dir, ("companion", "key_dir"))}
+    if companion.signing is not None:
+        key_file = absolute(companion.signing.key_file, ("companion", "signing", "key_file"))
+        update["signing"] = companion.signing.model_copy(update={"key_file": key_file})
+    return companion.model_copy(update=update)
 
 
 def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyPath], Path]) -> LinkConfig:

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from skygcs.config.companion import CompanionConfig
+from skygcs.config.companions import CompanionsConfig
 from skygcs.config.control import ControlSettings
 from skygcs.config.metrics import MetricsConfig
 from skygcs.config.mocap import MocapConfig
@@ -393,6 +395,8 @@ class FleetConfig(Model):
     metrics: MetricsConfig | None = None
     mocap: MocapConfig | None = None
     web: WebConfig | None = None
+    companion: CompanionConfig | None = None
+    companions: CompanionsConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)

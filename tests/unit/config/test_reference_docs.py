@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, metrics, mocap, models, preflight, separation, signing
+from skygcs.config import companion, companions, control, metrics, mocap, models, preflight, separation, signing
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -38,6 +38,9 @@ LINKS = get_args(models.LinkConfig)
         metrics.MetricsConfig,
         mocap.MocapConfig,
         mocap.SimulatedMocapConfig,
+        companion.CompanionConfig,
+        companions.CompanionsConfig,
+        companions.CompanionEntry,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,
