@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import HOLDING, Flown, flown
 
 pytestmark = pytest.mark.looptime

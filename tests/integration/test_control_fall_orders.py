@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import Flown, flown
 from support.virtual_uvloop import VirtualUvloop
 

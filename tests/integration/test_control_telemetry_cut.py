@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import HOLDING, flown
 
 pytestmark = pytest.mark.looptime

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

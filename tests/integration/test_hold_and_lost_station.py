@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

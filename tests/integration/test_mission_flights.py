@@ -14,7 +14,7 @@ import pytest
 from skygcs.core.mission.formats import read_plan, write_plan
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan, from_wire, to_wire
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, Flown
 from support.grounded import on_the_ground
 

@@ -12,7 +12,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.runtime.undo_journal import MAX_ENTRIES
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.vehicle import SimVehicle
 from support.flown import HOLDING, Flown, flown
 from support.grounded import on_the_ground

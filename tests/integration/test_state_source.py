@@ -18,7 +18,7 @@ from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import RefusedError
 from skygcs.links.memory import MemoryLink
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, Flown, flown
 from support.pymav import PymavPeer
 

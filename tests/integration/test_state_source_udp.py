@@ -24,7 +24,7 @@ from skygcs.core.mavlink.signing import sign, timestamp_at
 from skygcs.daemon import Daemon
 from skygcs.links.udp import UdpServerLink
 from skygcs.rpc.methods import METHODS
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S

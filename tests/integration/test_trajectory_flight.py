@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.geo import Origin
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

@@ -9,7 +9,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from skygcs.sim.behaviours import COPTER, PX4, CopterMode, Fact, MissionRules, ModeRule, Px4Mode, Reactions
+from skygcs.sim.behaviours import COPTER, PX4, Fact, MissionRules, Reactions
+from skygcs.sim.firmware_modes import CopterMode, ModeRule, Px4Mode
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md"
 

@@ -25,8 +25,8 @@ from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles

@@ -15,7 +15,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.ardupilot import CopterVehicle
-from skygcs.sim.behaviours import Px4Mode
+from skygcs.sim.firmware_modes import Px4Mode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.rng import Rng

@@ -18,7 +18,7 @@ from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
 from skygcs.sim import failsafe
 from skygcs.sim import protocol as m
-from skygcs.sim.behaviours import COPTER, CopterMode, Reaction
+from skygcs.sim.behaviours import COPTER, Reaction
 from skygcs.sim.body import Vector
 from skygcs.sim.command_message import Command
 from skygcs.sim.copter_files import FileServer
@@ -26,6 +26,7 @@ from skygcs.sim.copter_guided import GuidedTargets
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.copter_position_control import CopterPositionControl
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
 from skygcs.sim.kinematics import Home, Limits
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait

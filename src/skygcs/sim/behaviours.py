@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Final, Generic, TypeVar
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import FENCE_COMMANDS
 from skygcs.sim import protocol as m
+from skygcs.sim.firmware_modes import COPTER_RULES, PX4_RULES, ModeRule
 
 T = TypeVar("T")
 
@@ -38,174 +39,6 @@ class Fact(Generic[T]):
     def simulated(self) -> T:
         """What the simulator does."""
         return self.value if self.used is None else self.used
-
-
-# -- modes
-
-
-class CopterMode(IntEnum):
-    """HEARTBEAT.custom_mode (ArduCopter/mode.h)."""
-
-    STABILIZE = 0
-    ACRO = 1
-    ALT_HOLD = 2
-    AUTO = 3
-    GUIDED = 4
-    LOITER = 5
-    RTL = 6
-    CIRCLE = 7
-    LAND = 9
-    DRIFT = 11
-    SPORT = 13
-    FLIP = 14
-    AUTOTUNE = 15
-    POSHOLD = 16
-    BRAKE = 17
-    THROW = 18
-    AVOID_ADSB = 19
-    GUIDED_NOGPS = 20
-    SMART_RTL = 21
-    FLOWHOLD = 22
-    FOLLOW = 23
-    ZIGZAG = 24
-    SYSTEMID = 25
-    AUTOROTATE = 26
-    AUTO_RTL = 27
-    TURTLE = 28
-
-
-def px4_mode(main: int, sub: int = 0) -> int:
-    """custom_mode of a main and a sub mode."""
-    return main << 16 | sub << 24
-
-
-class Px4Mode(IntEnum):
-    """HEARTBEAT.custom_mode (src/modules/commander/px4_custom_mode.h)."""
-
-    MANUAL = px4_mode(1)
-    ALTCTL = px4_mode(2)
-    POSCTL = px4_mode(3)
-    ORBIT = px4_mode(3, 1)
-    POSCTL_SLOW = px4_mode(3, 2)
-    TAKEOFF = px4_mode(4, 2)
-    LOITER = px4_mode(4, 3)
-    MISSION = px4_mode(4, 4)
-    RTL = px4_mode(4, 5)
-    LAND = px4_mode(4, 6)
-    FOLLOW_TARGET = px4_mode(4, 8)
-    PRECLAND = px4_mode(4, 9)
-    ACRO = px4_mode(5)
-    OFFBOARD = px4_mode(6)
-    STABILIZED = px4_mode(7)
-
-
-@dataclass(frozen=True, slots=True)
-class ModeRule:
-    """One mode: what it needs, and what may be done in it."""
-
-    number: int
-    arms: bool = True
-    """A ground station may arm in it."""
-    position: bool = False
-    """Needs a position estimate: with the motors on it is not entered without, and nothing arms in it."""
-    sticks: bool = False
-    """Needs manual control, which no simulated vehicle has."""
-    autopilot: bool = False
-    """ArduCopter's is_autopilot(): a lost ground station means something in it, whatever FS_OPTIONS says."""
-    guided: bool = False
-    """HEARTBEAT.base_mode has MAV_MODE_FLAG_GUIDED_ENABLED (and PX4's AUTO_ENABLED)."""
-    lands: bool = False
-    """is_landing(), or PX4's modes in which a lost ground station is ignored."""
-    by_command: bool = True
-    """DO_SET_MODE enters it while disarmed."""
-
-
-def _copter(mode: CopterMode, words: str) -> ModeRule:
-    return ModeRule(
-        mode,
-        arms="arms" in words,
-        position="position" in words,
-        autopilot="autopilot" in words,
-        guided="guided" in words,
-        lands="lands" in words,
-        by_command="never" not in words,
-    )
-
-
-def _px4(mode: Px4Mode, words: str) -> ModeRule:
-    return ModeRule(
-        mode,
-        arms="arms" in words,
-        position="position" in words,
-        sticks="sticks" in words,
-        guided=mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF,
-        lands="lands" in words,
-        by_command="never" not in words,
-    )
-
-
-COPTER_MODES: Final = Fact(
-    {
-        rule.number: rule
-        for rule in (
-            _copter(CopterMode.STABILIZE, "arms"),
-            _copter(CopterMode.ACRO, "arms"),
-            _copter(CopterMode.ALT_HOLD, "arms"),
-            _copter(CopterMode.AUTO, "position autopilot guided"),
-            _copter(CopterMode.GUIDED, "arms position autopilot guided"),
-            _copter(CopterMode.LOITER, "arms position guided"),
-            _copter(CopterMode.RTL, "position autopilot guided"),
-            _copter(CopterMode.CIRCLE, "position autopilot guided"),
-            _copter(CopterMode.LAND, "autopilot guided lands"),
-            _copter(CopterMode.DRIFT, "arms position"),
-            _copter(CopterMode.SPORT, "arms never"),
-            _copter(CopterMode.FLIP, "never"),
-            _copter(CopterMode.AUTOTUNE, "never"),
-            _copter(CopterMode.POSHOLD, "arms position guided"),
-            _copter(CopterMode.BRAKE, "position guided"),
-            _copter(CopterMode.THROW, "arms position"),
-            _copter(CopterMode.AVOID_ADSB, "position autopilot"),
-            _copter(CopterMode.GUIDED_NOGPS, "arms autopilot"),
-            _copter(CopterMode.SMART_RTL, "position autopilot guided"),
-            _copter(CopterMode.FLOWHOLD, "arms never"),
-            _copter(CopterMode.FOLLOW, "position autopilot guided never"),
-            _copter(CopterMode.ZIGZAG, "arms position autopilot"),
-            _copter(CopterMode.SYSTEMID, "never"),
-            _copter(CopterMode.AUTOROTATE, "autopilot never"),
-            _copter(CopterMode.AUTO_RTL, "position autopilot never"),
-            _copter(CopterMode.TURTLE, "arms never"),
-        )
-    },
-    "ArduCopter/mode.h: allows_arming, requires_GPS, is_autopilot, is_landing; mode_auto.cpp: ModeAuto::allows_arming "
-    "(bit 0 of AUTO_OPTIONS); never: the mode's init fails or it is not compiled in (measured)",
-)
-
-PX4_MODES: Final = Fact(
-    {
-        rule.number: rule
-        for rule in (
-            _px4(Px4Mode.MANUAL, "sticks"),
-            _px4(Px4Mode.ALTCTL, "sticks"),
-            _px4(Px4Mode.POSCTL, "sticks position"),
-            _px4(Px4Mode.POSCTL_SLOW, "sticks position"),
-            _px4(Px4Mode.ORBIT, "position never"),
-            _px4(Px4Mode.TAKEOFF, "arms position"),
-            _px4(Px4Mode.LOITER, "arms position"),
-            _px4(Px4Mode.MISSION, "arms position"),
-            _px4(Px4Mode.RTL, "position"),
-            _px4(Px4Mode.LAND, "lands"),
-            _px4(Px4Mode.FOLLOW_TARGET, "position"),
-            _px4(Px4Mode.PRECLAND, "position lands"),
-            _px4(Px4Mode.ACRO, "sticks"),
-            _px4(Px4Mode.OFFBOARD, "arms"),
-            _px4(Px4Mode.STABILIZED, "sticks"),
-        )
-    },
-    "commander/ModeUtil/mode_requirements.cpp: getModeRequirements; "
-    "HealthAndArmingChecks/checks/modeCheck.cpp: ModeChecks::checkAndReport; Commander.cpp: handle_command "
-    "(DO_SET_MODE; "
-    "LAND is always entered)",
-)
 
 
 # -- failsafes
@@ -422,7 +255,12 @@ COPTER: Final = Firmware(
         used=7.0,
         why="demos and tests in real time would wait for nothing else",
     ),
-    modes=COPTER_MODES,
+    modes=Fact(
+        COPTER_RULES,
+        "ArduCopter/mode.h: allows_arming, requires_GPS, is_autopilot, is_landing; mode_auto.cpp: "
+        "ModeAuto::allows_arming (bit 0 of AUTO_OPTIONS); never: the mode's init fails or it is not compiled in "
+        "(measured)",
+    ),
     arming_needs_position=Fact(False, "ArduCopter/AP_Arming.cpp: AP_Arming_Copter::mandatory_gps_checks"),
     arming_battery=Fact("", "libraries/AP_Arming/AP_Arming.cpp: battery_checks (BATT_ARM_VOLT 0, BATT_ARM_MAH 0)"),
     idle_disarm=Fact(("DISARM_DELAY", 0.0), "ArduCopter/motors.cpp: Copter::auto_disarm_check"),
@@ -629,7 +467,12 @@ PX4: Final = Firmware(
     name="PX4",
     version="1.16.1",
     ready_after_s=Fact(4.0, "ekf2/EKF/aid_sources/gnss/gnss_checks.cpp: EKF2_REQ_GPS_H (SITL: 0.5 s; measured)"),
-    modes=PX4_MODES,
+    modes=Fact(
+        PX4_RULES,
+        "commander/ModeUtil/mode_requirements.cpp: getModeRequirements; "
+        "HealthAndArmingChecks/checks/modeCheck.cpp: ModeChecks::checkAndReport; Commander.cpp: handle_command "
+        "(DO_SET_MODE; LAND is always entered)",
+    ),
     arming_needs_position=Fact(
         True,
         "commander/HealthAndArmingChecks/checks/modeCheck.cpp: local and global position in every mode that "

@@ -7,10 +7,10 @@ from math import cos, hypot
 from typing import Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
-from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.body import AttitudeSetpoint, Vector
 from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.failsafe import FENCE_CIRCLE
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import approach_speed
 from skygcs.sim.legs import Follow, GoTo
 from skygcs.sim.position_control import NO_AXES, PositionTarget

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from skygcs.sim import protocol as m
-from skygcs.sim.behaviours import COPTER, CopterMode
+from skygcs.sim.behaviours import COPTER
 from skygcs.sim.command_message import Command
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.mission_run import MissionRun, MissionVehicle
 
 

@@ -15,9 +15,10 @@ from typing import Any
 from skygcs.sim import failsafe, px4_mission
 from skygcs.sim import protocol as m
 from skygcs.sim.attitude_targets import Refusal, px4_attitude
-from skygcs.sim.behaviours import PX4, Px4Mode, Reaction, px4_mode
+from skygcs.sim.behaviours import PX4, Reaction
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
+from skygcs.sim.firmware_modes import Px4Mode, px4_mode
 from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
 from skygcs.sim.kinematics import Home, Limits
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait

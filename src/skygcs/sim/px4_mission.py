@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from skygcs.core.mission.item import MissionType
 from skygcs.sim import protocol as m
-from skygcs.sim.behaviours import Px4Mode
 from skygcs.sim.command_message import Command
+from skygcs.sim.firmware_modes import Px4Mode
 from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun, MissionVehicle
 

@@ -15,13 +15,14 @@ from skygcs.core.mavlink import ftp_payload
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.sim import protocol as m
 from skygcs.sim.battery import Battery
-from skygcs.sim.behaviours import Firmware, ModeRule, Reaction
+from skygcs.sim.behaviours import Firmware, Reaction
 from skygcs.sim.body import Body, Vector
 from skygcs.sim.command_message import Calibration, Command
 from skygcs.sim.conditions import CALM, Conditions, body_of
 from skygcs.sim.external_vision import ExternalVision
 from skygcs.sim.failsafe_timers import Failsafes
 from skygcs.sim.faults import Faults
+from skygcs.sim.firmware_modes import ModeRule
 from skygcs.sim.kinematics import Home, Limits, LocalFrame, stopping_distance
 from skygcs.sim.legs import GoTo, Land, Plan
 from skygcs.sim.mission_lists import MissionLists

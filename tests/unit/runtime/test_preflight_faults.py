@@ -12,7 +12,7 @@ import pytest
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import Home
 from support.preflight_field import PreflightField
 

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.attitude_targets import copter_attitude, px4_attitude
-from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.body import AttitudeSetpoint, quaternion_of
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter, int_param, px4, px4_mode
 
 ATTITUDE_AND_THRUST = 0b111

@@ -9,7 +9,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.ardupilot import FORCE, CopterVehicle
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter
 
 ACCEPTED, DENIED, FAILED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED, mav.MAV_RESULT_FAILED

@@ -7,9 +7,9 @@ from math import hypot
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.conditions import Conditions, Dynamics
 from skygcs.sim.failsafe_timers import ConditionTimer
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.rng import Rng
 from support.sim_pilot import FIELD, Pilot, copter, px4, px4_mode, sim_dialect

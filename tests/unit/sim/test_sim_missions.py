@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mission.item import MissionType
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.vehicle import SimVehicle
 from support.sim_pilot import COPTER_GUIDED, FIELD, Pilot, copter, px4
 

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.modes import copter_mode_number, px4_custom_mode
 from skygcs.sim import protocol
-from skygcs.sim.behaviours import CopterMode, Px4Mode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 
 
 def test_every_constant_has_the_value_pymavlink_gives_its_name() -> None:

@@ -8,7 +8,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.behaviours import Px4Mode
+from skygcs.sim.firmware_modes import Px4Mode
 from skygcs.sim.px4 import wanted_mode
 from support.sim_pilot import Pilot, int_param, px4, px4_mode
 

@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.body import wrap_pi
 from skygcs.sim.copter_position_control import CopterPositionControl
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.kinematics import Limits, Motion
 from skygcs.sim.position_control import NO_AXES, PositionTarget
 from skygcs.sim.px4_position_control import Px4PositionControl

@@ -8,7 +8,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.capacity import SLOT_BYTES, round_s
-from skygcs.sim.behaviours import CopterMode
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet, slow_down
 from skygcs.sim.rng import Rng
