@@ -7,6 +7,7 @@ SkygcsError                  base; str() is one line for a person, never a trace
 ├── TrajectoryError          a trajectory that cannot be flown (piece, axis)
 ├── TraceError               a control trace that cannot be read (line, reason)
 ├── LinkError                a device or an address: could not be opened, or broke
+├── CompanionError           a vehicle's computer: not reached, or a step there failed (step, what, what to do)
 ├── TargetError              a target that names no vehicle ("7", "alpha")
 ├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
 │   ├── KeyFileError         a signing key's file that is not one, or that others can read (file, what to do)
@@ -78,6 +79,16 @@ class TrajectoryError(SkygcsError):
 
 class LinkError(SkygcsError):
     """A link could not be opened, or broke."""
+
+
+class CompanionError(SkygcsError):
+    """A vehicle's computer could not be reached, or a step there failed. ``todo``: what to do about it, or ""."""
+
+    def __init__(self, step: str, reason: str, todo: str = "") -> None:
+        self.step = step
+        self.reason = reason
+        self.todo = todo
+        super().__init__(f"{step}: {reason}" + (f"; {todo}" if todo else ""))
 
 
 class TargetError(SkygcsError):

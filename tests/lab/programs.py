@@ -7,18 +7,31 @@ import shutil
 
 import pytest
 
-PROGRAMS = {"prometheus": "prometheus", "promtool": "prometheus", "systemd-analyze": "systemd"}
+PROGRAMS = {
+    "prometheus": "prometheus",
+    "promtool": "prometheus",
+    "sshd": "openssh-server",
+    "systemd-analyze": "systemd",
+}
 """Program -> package."""
+
+
+SYSTEM_FOLDERS = "/usr/sbin:/sbin"
+"""Of programs for root, which a user's PATH may not have."""
 
 
 def missing() -> list[str]:
     """The programs that are not there, sorted."""
-    return sorted(name for name in PROGRAMS if shutil.which(name) is None)
+    return sorted(name for name in PROGRAMS if _path_of(name) is None)
+
+
+def _path_of(program: str) -> str | None:
+    return shutil.which(program) or shutil.which(program, path=SYSTEM_FOLDERS)
 
 
 def needs(program: str) -> str:
     """The path of a program; the test is skipped without it, and fails in CI, which has to install it."""
-    path = shutil.which(program)
+    path = _path_of(program)
     if path is None:
         text = f"{program} is not installed (apt-get install {PROGRAMS[program]})"
         if os.environ.get("CI"):

@@ -44,6 +44,7 @@ COMMANDS = (
     ("plan", ("plan",)),
     ("messages", ("message",)),
     ("links", ("links", "link")),
+    ("companions", ("companions",)),
     ("origin", ("origin",)),
     ("missions", ("mission",)),
     ("fences", ("fence", "undo")),

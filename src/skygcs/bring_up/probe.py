@@ -1,0 +1,144 @@
+"""What is installed on a companion and how it is, from one script of the shell there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from skygcs.bring_up.ssh_session import Session, quoted
+from skygcs.errors import CompanionError
+
+FOLDER = "skygcs"
+"""In the home of the user there: versions, the link ``current`` to one of them, companion.toml, keys, logs."""
+
+SYSTEM_UNIT = "/etc/systemd/system/skygcs.service"
+SYSTEM_SOCKET = "/run/skygcs/skygcs.sock"
+
+MIN_FREE_BYTES = 64 << 20
+"""An hour of one vehicle's telemetry over Wi-Fi is a log of 70 MB."""
+
+SCRIPT = f"""
+root="$HOME/{FOLDER}"
+program="$root/current/bin/skygcs"
+[ -x "$program" ] || program=$(command -v skygcs)
+user_unit="${{XDG_CONFIG_HOME:-$HOME/.config}}/systemd/user/skygcs.service"
+unit=none
+[ -f {SYSTEM_UNIT} ] && unit=system
+[ -f "$user_unit" ] && unit=user
+XDG_RUNTIME_DIR="${{XDG_RUNTIME_DIR:-/run/user/$(id -u)}}"; export XDG_RUNTIME_DIR
+flag=; [ $unit = user ] && flag=--user
+echo "home=$HOME"
+echo "uid=$(id -u)"
+echo "machine=$(uname -m)"
+echo "python=$(python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)"
+echo "libc=$(getconf GNU_LIBC_VERSION 2>/dev/null)"
+echo "free_kb=$(df -Pk "$HOME" 2>/dev/null | awk 'NR == 2 {{ print $4 }}')"
+echo "program=$program"
+[ -z "$program" ] || echo "version=$("$program" --version 2>/dev/null)"
+echo "installed=$(readlink "$root/current" 2>/dev/null)"
+echo "unit=$unit"
+echo "state=$(systemctl $flag is-active skygcs 2>/dev/null)"
+echo "uptime=$(cut -d ' ' -f 1 /proc/uptime 2>/dev/null)"
+echo "unix=$(date +%s.%N)"
+"""
+"""Prints KEY=VALUE; what cannot be found out is empty."""
+
+Unit = Literal["system", "user", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What the script found."""
+
+    home: str
+    uid: int | None
+    machine: str
+    python: str
+    """ "3.11"; "" without one."""
+    libc: str
+    """ "glibc 2.36"; "" if it is another one."""
+    free_bytes: int | None
+    program: str
+    """Path of `skygcs` there; "" if it is not installed."""
+    version: str
+    installed: str
+    """The folder of the installed bundle, relative to `FOLDER`; "" if it was not installed from one."""
+    unit: Unit
+    state: str
+    """As systemd calls it: active, inactive, failed, …; "" if it does not answer."""
+    uptime_s: float | None
+    unix_s: float | None
+    """Its clock, when the script ended."""
+
+    @property
+    def folder(self) -> str:
+        return f"{self.home}/{FOLDER}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able, for `companions status`."""
+        return {
+            "machine": self.machine,
+            "python": self.python,
+            "free_bytes": self.free_bytes,
+            "version": self.version or None,
+            "service": self.unit,
+            "state": self.state or None,
+            "uptime_s": self.uptime_s,
+        }
+
+
+async def probe(session: Session) -> Facts:
+    """Find out about a companion. Raises CompanionError."""
+    ran = await session.run(quoted("sh", "-c", SCRIPT))
+    if not ran.ok:
+        raise CompanionError("probe", f"a script of the shell there failed: {ran.why}", "it needs a POSIX sh")
+    return parsed(ran.stdout)
+
+
+def parsed(text: str) -> Facts:
+    """The output of `SCRIPT`. Raises CompanionError if it has no home."""
+    values = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+
+    def value(key: str) -> str:
+        return values.get(key, "").strip()[:500]
+
+    home, unit = value("home"), value("unit")
+    if not home.startswith("/"):
+        raise CompanionError("probe", "the shell there has no $HOME", "log in by hand and see why")
+    free_kb = value("free_kb")
+    return Facts(
+        home=home,
+        uid=int(value("uid")) if value("uid").isdecimal() else None,
+        machine=value("machine"),
+        python=value("python"),
+        libc=value("libc"),
+        free_bytes=int(free_kb) * 1024 if free_kb.isdecimal() else None,
+        program=value("program"),
+        version=value("version").removeprefix("skygcs").strip(),
+        installed=value("installed"),
+        unit="system" if unit == "system" else "user" if unit == "user" else "none",
+        state=value("state"),
+        uptime_s=_number(value("uptime")),
+        unix_s=_number(value("unix")),
+    )
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def require_room(facts: Facts, needed_bytes: int = MIN_FREE_BYTES) -> None:
+    """Raises CompanionError if the disk has less room; an unknown amount is enough."""
+    if facts.free_bytes is not None and facts.free_bytes < needed_bytes:
+        raise CompanionError(
+            "disk",
+            f"{_megabytes(facts.free_bytes)} free in {facts.home}, {_megabytes(needed_bytes)} needed",
+            f"remove old logs ({facts.folder}/logs) or other files there",
+        )
+
+
+def _megabytes(count: int) -> str:
+    return f"{count / 1e6:.0f} MB"
