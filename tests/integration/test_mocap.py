@@ -24,7 +24,7 @@ from skygcs.sim.vehicle import SimVehicle
 
 pytestmark = pytest.mark.looptime
 
-ORIGIN = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 180.0, "x_heading_deg": 30.0}
+ORIGIN = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 0.0, "x_heading_deg": 30.0}
 
 PARAMS = {
     "px4": {"EKF2_EV_CTRL": 11, "EKF2_HGT_REF": 3, "EKF2_GPS_CTRL": 0},
@@ -86,7 +86,7 @@ async def lab(
         if family == "px4":
             text = "".join(f"{number} 1 {key} {value} 6\n" for key, value in PARAMS[family].items())
         file.write_text(text)
-        place = {"lat_deg": ORIGIN["lat_deg"], "lon_deg": ORIGIN["lon_deg"] + 5e-5 * number, "alt_amsl_m": 180.0}
+        place = {"lat_deg": ORIGIN["lat_deg"], "lon_deg": ORIGIN["lon_deg"] + 5e-5 * number, "alt_amsl_m": 0.0}
         links[name] = {"type": "simulated", family: 1, "first_sysid": number, **place}
         if params:
             links[name]["params"] = file
@@ -214,6 +214,27 @@ async def test_a_vehicle_that_shares_its_link_gets_no_poses(tmp_path: Path) -> N
         poses = await gcs.poses()
         assert poses["link"] is None and "shares its link with v2" in poses["problem"]
         assert [sim.vision.count for sim in gcs.daemon.links.link("alpha").vehicles] == [0, 0]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("family", "gets_poses"), [("px4", False), ("ardupilot", True)])
+async def test_a_px4_whose_origin_is_not_at_altitude_zero_gets_no_poses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, gets_poses: bool
+) -> None:
+    """After a drop-out it would take the height of a pose for an altitude."""
+    monkeypatch.setitem(ORIGIN, "alt_amsl_m", 180.0)
+    async with lab(tmp_path, family) as gcs:
+        await gcs.until(lambda: gcs.sim().local_zero is not None)  # the origin was sent
+        await asyncio.sleep(20)
+        before = gcs.sim().vision.count
+        await asyncio.sleep(2)
+        assert (gcs.sim().vision.count > before) is gets_poses
+        problem = (await gcs.poses())["problem"]
+        report = (await gcs("preflight.run", targets="alpha"))["vehicles"]["alpha"]
+        verdict = next(f["verdict"] for f in report["findings"] if f["check"] == "poses")
+        if gets_poses:
+            assert problem is None and verdict == "pass"
+        else:
+            assert "altitude of 180.0 m" in problem and "alt_amsl_m = 0" in problem and verdict == "fail"
 
 
 async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(

@@ -1,8 +1,9 @@
 """Motion capture in front of a real autopilot's simulator: cameras that see the simulator's own truth, and a vehicle
 without GPS and compass that flies by what they see.
 
-The truth is SIM_STATE of ArduCopter's SITL. The frame of the cameras is turned and shifted against the world. Its poses
-go to a package `motioncapture` of our own, which the daemon's capture process imports as it would import the real one.
+The truth is SIM_STATE of ArduCopter's SITL and HIL_STATE_QUATERNION of PX4's SIH. The frame of the cameras is turned
+and shifted against the world. Its poses go to a package `motioncapture` of our own, which the daemon's capture process
+imports as it would import the real one.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 import os
 import random
 import socket
-import time
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,7 @@ NOISE_M = 0.0005
 NOISE_RAD = 0.002
 """Of good cameras. The truth of a vehicle at rest is bit for bit the same, which no camera's is."""
 
-SIM_STATE = 108
-SET_MESSAGE_INTERVAL = 511
+TRUTH = {"px4": "HIL_STATE_QUATERNION", "ardupilot": "SIM_STATE"}
 
 PACKAGE = """
 import json, socket
@@ -51,25 +51,34 @@ def connect(kind, config):
     return _System(int(config["port"]))
 """
 
-VISION_PARAMS = (
-    "VISO_TYPE=1",
-    "EK3_SRC1_POSXY=6",
-    "EK3_SRC1_VELXY=0",
-    "EK3_SRC1_POSZ=6",
-    "EK3_SRC1_VELZ=0",
-    "EK3_SRC1_YAW=6",
-    "GPS1_TYPE=0",
-    "SIM_GPS1_ENABLE=0",  # 4.7's name, SIM_GPS_DISABLE before: there is no receiver either
-    "SIM_GPS_DISABLE=1",
-    "FS_OPTIONS=0",  # copter.parm has it go on without a ground station, which preflight refuses
-    "COMPASS_USE=0",
-    "COMPASS_USE2=0",
-    "COMPASS_USE3=0",
-)
+INDOORS = {
+    "px4": (
+        "SENS_EN_GPSSIM=0",
+        "SYS_HAS_GPS=0",
+        "SENS_EN_MAGSIM=0",
+        "SYS_HAS_MAG=0",
+        "EKF2_MAG_TYPE=5",
+    ),
+    "ardupilot": (
+        "SIM_GPS1_ENABLE=0",  # 4.7's name, SIM_GPS_DISABLE before: there is no receiver
+        "SIM_GPS_DISABLE=1",
+        "FS_OPTIONS=0",  # copter.parm has it go on without a ground station, which preflight refuses
+        "EK3_SRC1_POSZ=6",  # a barometer's height is allowed as well
+        "COMPASS_USE=0",
+        "COMPASS_USE2=0",
+        "COMPASS_USE3=0",
+    ),
+}
+"""No receiver and no magnetometer. What a vehicle needs beyond that to fly by poses, preflight sets."""
+
+
+ORIGIN_ALT_AMSL_M = {"px4": 0.0, "ardupilot": HOME[2]}
+"""A PX4 takes the height of a pose for an altitude when it takes poses again: its origin has to be at 0."""
 
 
 class Cameras:
-    """`see` takes what the relay hears. ``hidden``: the body is in no frame; ``enu_m``: where it truly is."""
+    """`see` takes what the relay hears. ``hidden``: the body is in no frame; ``enu_m`` and ``heading_deg``: where it
+    truly is, and where it looks."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -77,6 +86,7 @@ class Cameras:
         self._random = random.Random(1)
         self.hidden = False
         self.enu_m = (math.nan, math.nan, math.nan)
+        self.heading_deg = math.nan
         self.track: list[tuple[float, tuple[float, float, float]]] = []
         """Time (monotonic) and place of every frame."""
 
@@ -85,13 +95,21 @@ class Cameras:
 
     def see(self, sysid: int, message: Any, now: float) -> None:
         """A message of the vehicle."""
-        if message.get_type() != "SIM_STATE":
+        kind = message.get_type()
+        if kind == "SIM_STATE":
+            lat_deg, lon_deg, alt_amsl_m = message.lat_int / 1e7, message.lon_int / 1e7, message.alt
+            roll, pitch, yaw = message.roll, message.pitch, message.yaw
+        elif kind == "HIL_STATE_QUATERNION":
+            lat_deg, lon_deg, alt_amsl_m = message.lat / 1e7, message.lon / 1e7, message.alt / 1000
+            roll, pitch, yaw = Quaternion(message.attitude_quaternion).euler
+        else:
             return
-        east = (message.lon_int / 1e7 - HOME[1]) * math.cos(math.radians(HOME[0])) * 111_319.5
-        north = (message.lat_int / 1e7 - HOME[0]) * 111_132.0
-        self.enu_m = (east, north, message.alt - HOME[2])
+        east = (lon_deg - HOME[1]) * math.cos(math.radians(HOME[0])) * 111_319.5
+        north = (lat_deg - HOME[0]) * 111_132.0
+        self.enu_m = (east, north, alt_amsl_m - HOME[2])
+        self.heading_deg = math.degrees(yaw) % 360
         self.track.append((now, self.enu_m))
-        frame = {} if self.hidden else {BODY: self._pose(message.roll, message.pitch, message.yaw)}
+        frame = {} if self.hidden else {BODY: self._pose(roll, pitch, yaw)}
         self._socket.sendto(json.dumps(frame).encode(), self._to)
 
     def _pose(self, roll: float, pitch: float, yaw: float) -> list[float]:
@@ -114,39 +132,33 @@ class Cameras:
 
 
 class CapturedField(Field):
-    """One ArduCopter without GPS and compass, filmed; it looks east-north-east."""
+    """One vehicle without GPS and compass, filmed. An ArduCopter looks east-north-east at first, a PX4 north."""
 
     heading_deg = 60.0
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__("ardupilot", folder)
+    def __init__(self, firmware: str, folder: Path) -> None:
+        super().__init__(firmware, folder)
         self.sysids, self.names = self.sysids[:1], self.names[:1]
         self.capture_port = free_port()
         self.cameras = Cameras(self.capture_port)
         self.relay.watch = self.cameras.see
-        head = self.daemon.file.read_text().partition("\nrecord_max_mb")[0]
-        self.daemon.file.write_text(f"{head}\n{self.captured_toml()}")
+        self._head = self.daemon.file.read_text().partition("\nrecord_max_mb")[0]
+        self.daemon.file.write_text(f"{self._head}\n{self.captured_toml('vision_position_estimate')}")
         (folder / "package").mkdir()
         (folder / "package" / "motioncapture.py").write_text(PACKAGE)
 
-    def captured_toml(self) -> str:
+    def captured_toml(self, message: str) -> str:
         return f"""
 [origin]
 lat_deg = {HOME[0]}
 lon_deg = {HOME[1]}
-alt_amsl_m = {HOME[2]}
+alt_amsl_m = {ORIGIN_ALT_AMSL_M[self.firmware]}
 
 [links.vehicles]
 type = "udp_server"
 host = "127.0.0.1"
 port = {self.daemon_port}
 role = "vehicle"
-
-[links.gcs]
-type = "udp_server"
-host = "127.0.0.1"
-port = {self.gcs_port}
-role = "gcs"
 
 [mocap]
 type = "qualisys"
@@ -155,22 +167,57 @@ port = {self.capture_port}
 bodies = {{ {self.one} = "{BODY}" }}
 rotation_deg = {ROTATION_DEG}
 offset_m = {list(OFFSET_M)}
+message = "{message}"
 
 [vehicles.{self.one}]
 sysid = {self.sysids[0]}
-autopilot = "ardupilot"
+autopilot = "{self.firmware}"
 """
 
     def kinds(self) -> list[str]:
-        return ["--ardupilot", "1"]
+        return [f"--{self.firmware}", "1"]
 
     def params(self) -> list[str]:
-        return [*PARAMS["ardupilot"], *VISION_PARAMS]
+        return [*PARAMS[self.firmware], *INDOORS[self.firmware]]
 
     def start(self) -> None:
         """Until the cameras film it; it has no place on earth by then."""
         self.relay.start()
         self.launch()
+        self._start_daemon()
+        self.watcher.start()
+        self.wait(lambda: self.daemon.known() == 1 and self.connected(), 60, "the daemon knows it")
+        self.film()
+
+    def film(self) -> None:
+        """Until the simulator streams the truth. The daemon requests it: the stream of a program that is gone would be
+        set back to its rate of before."""
+        began = len(self.cameras.track)
+        message = TRUTH[self.firmware]
+
+        def filmed() -> bool:
+            if len(self.cameras.track) - began > FRAMES_HZ:
+                return True
+            if len(self.cameras.track) == began:
+                self.daemon.call("vehicles.interval", targets=self.one, message=message, rate_hz=FRAMES_HZ)
+            return False
+
+        self.wait(filmed, 60, "its simulator sends the truth")
+
+    def power_cut(self) -> None:
+        """Its firmware begins again, with the parameters that it has."""
+        self.relaunch()
+        self.film()
+
+    def send_as(self, message: str) -> None:
+        """Start the daemon again, with this as the message of poses."""
+        self.daemon.stop()
+        self.daemon.file.write_text(f"{self._head}\n{self.captured_toml(message)}")
+        self._start_daemon()
+        self.wait(lambda: self.daemon.known() == 1 and self.connected(), 60, "the daemon knows it")
+        self.film()
+
+    def _start_daemon(self) -> None:
         before = os.environ.get("PYTHONPATH")
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(self.folder / "package"), before)))
         try:
@@ -180,26 +227,27 @@ autopilot = "ardupilot"
                 del os.environ["PYTHONPATH"]
             else:
                 os.environ["PYTHONPATH"] = before
-        self.watcher.start()
-        self.wait(lambda: self.daemon.known() == 1 and self.connected(), 60, "the daemon knows it")
-        with self.ground_station() as station:
-            self.wait(lambda: self._filmed(station), 60, "its simulator sends the truth")
-
-    def _filmed(self, station: Any) -> bool:
-        if len(self.cameras.track) > FRAMES_HZ:
-            return True
-        station.mav.heartbeat_send(6, 8, 0, 0, 4)
-        period_us = 1e6 / FRAMES_HZ
-        station.mav.command_long_send(self.sysids[0], 1, SET_MESSAGE_INTERVAL, 0, SIM_STATE, period_us, 0, 0, 0, 0, 0)
-        time.sleep(0.5)
-        return False
 
     def stop(self) -> None:
         super().stop()
         self.cameras.close()
 
-    def poses(self) -> dict[str, Any]:
-        """Of `mocap.status`, of the vehicle."""
-        (status,) = self.daemon.call("mocap.status")["vehicles"]
+    def status(self) -> dict[str, Any]:
+        """Of `mocap.status`."""
+        status = self.daemon.call("mocap.status")
         assert isinstance(status, dict)
         return status
+
+    def poses(self) -> dict[str, Any]:
+        """Of `mocap.status`, of the vehicle."""
+        (poses,) = self.status()["vehicles"]
+        assert isinstance(poses, dict)
+        return poses
+
+    def listened(self, topic: str) -> str:
+        """What a PX4 publishes on a topic, as its own shell shows it."""
+        assert self.px4
+        (pid,) = self.firmware_pids()
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        command = [str(Path(words[0]).parent / "px4-listener"), "--instance", words[words.index("-i") + 1], topic]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout

@@ -19,6 +19,7 @@ from skygcs.core.mocap.pose_messages import WIRE_BYTES, message_of, rate_that_fi
 from skygcs.core.mocap.pose_stream import PoseStream
 from skygcs.core.mocap.recording import CaptureFrameData
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.origin import why_no_poses
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet
@@ -231,6 +232,8 @@ class MocapFeed:
             return None, "it is not connected"
         if vehicle.duplicate:
             return None, "two vehicles have its system id"
+        if not vehicle.armed and (why := why_no_poses(vehicle)) is not None:
+            return None, why  # one that flies already needs its poses
         best = self._hub.channels_to(vehicle.sysid, vehicle.compid)
         others = self._hub.channels_to(vehicle.sysid, vehicle.compid, everywhere=True)
         shared_with: set[int] = set()

@@ -11,7 +11,7 @@ EK3_SRC1_POSXY     6                           AP_NavEKF_Source.h: ExternalNav
 EK3_SRC1_POSZ      6, or 1 (barometer)
 EK3_SRC1_VELXY     0 or 6                      3 is GPS
 EK3_SRC1_VELZ      0 or 6
-EK3_SRC1_YAW       6, or 1 (compass)           6: from the poses
+EK3_SRC1_YAW       6, or 1 (compass)           6: from the poses; 1 with a compass that is used (COMPASS_USE…)
 GPS1_TYPE          0                           GPS_TYPE up to 4.6; a GPS that is missing holds the arming up
 """
 
@@ -58,9 +58,13 @@ _PX4 = (
     _Wanted(("EKF2_GPS_CTRL",), (0,), "a GPS indoors contradicts the poses"),
 )
 
+COMPASSES = ("COMPASS_USE", "COMPASS_USE2", "COMPASS_USE3")
+
+YAW, YAW_COMPASS, YAW_POSES = "EK3_SRC1_YAW", 1, 6
+
 PX4_PARAMS = (("EKF2_EV_CTRL",), *(wanted.names for wanted in _PX4))
 
-COPTER_PARAMS = tuple(wanted.names for wanted in _COPTER)
+COPTER_PARAMS = (*(wanted.names for wanted in _COPTER), *((name,) for name in COMPASSES))
 
 
 def poses(facts: Facts, wanted: Expectations) -> Finding:
@@ -92,16 +96,8 @@ def external_vision(facts: Facts, wanted: Expectations) -> Finding:
         return skipped(NO_MOCAP)
     if facts.family not in ("px4", "ardupilot"):
         return skipped("neither PX4 nor ArduPilot")
-    wrong: list[tuple[str, Fix]] = []
     missing: list[str] = []
-    if facts.family == "px4":
-        control = facts.value("EKF2_EV_CTRL")
-        if control is None:
-            missing.append("EKF2_EV_CTRL")
-        elif ~int(control) & (EV_HPOS | EV_VPOS | EV_YAW):
-            to = (int(control) | EV_HPOS | EV_VPOS | EV_YAW) & ~EV_VEL
-            text = f"EKF2_EV_CTRL is {value_text(control)}: its estimator does not take position, height and yaw"
-            wrong.append((text, Fix("EKF2_EV_CTRL", to, control)))
+    wrong = _control_wrong(facts, missing) if facts.family == "px4" else _compass_wrong(facts)
     for one in _PX4 if facts.family == "px4" else _COPTER:
         answers = [facts.answer(name) for name in one.names]
         param = next((answer.param for answer in answers if answer.param is not None), None)
@@ -118,3 +114,24 @@ def external_vision(facts: Facts, wanted: Expectations) -> Finding:
     if missing:
         return unknown(f"{', '.join(missing)} not known", "repeat the preflight, or see whether its firmware has them")
     return passed("its estimator takes the poses")
+
+
+def _control_wrong(facts: Facts, missing: list[str]) -> list[tuple[str, Fix]]:
+    """What of the poses a PX4 does not take."""
+    control = facts.value("EKF2_EV_CTRL")
+    if control is None:
+        missing.append("EKF2_EV_CTRL")
+    elif ~int(control) & (EV_HPOS | EV_VPOS | EV_YAW):
+        to = (int(control) | EV_HPOS | EV_VPOS | EV_YAW) & ~EV_VEL
+        text = f"EKF2_EV_CTRL is {value_text(control)}: its estimator does not take position, height and yaw"
+        return [(text, Fix("EKF2_EV_CTRL", to, control))]
+    return []
+
+
+def _compass_wrong(facts: Facts) -> list[tuple[str, Fix]]:
+    """An ArduCopter whose yaw is a compass's while it uses none: its estimator never has a yaw."""
+    used = [value for name in COMPASSES if (value := facts.value(name)) is not None]
+    if facts.value(YAW) != YAW_COMPASS or not used or any(used):
+        return []
+    text = f"{YAW} is 1: its yaw is a compass's, and it uses none ({COMPASSES[0]} is 0)"
+    return [(text, Fix(YAW, YAW_POSES, YAW_COMPASS))]

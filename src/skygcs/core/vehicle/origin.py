@@ -42,6 +42,11 @@ FIX_3D = 3
 SAME_M = 0.5
 """PX4 keeps the altitude as a 32-bit float and reports rounded values; a difference of metres is another origin."""
 
+POSES_ALT_M = 0.5
+"""How far from 0 the altitude of a PX4's origin may be for it to fly by poses. PX4 1.16 takes the height of a pose for
+an altitude each time it begins with poses again (Ekf::controlEvHeightFusion, resetAltitudeTo(-measurement)): with the
+origin at 180 m one without poses for 0.6 s took itself for 180 m too low, and climbed at 2.8 m/s (SIH, 1.16.1)."""
+
 ORIGIN_MESSAGE = "GPS_GLOBAL_ORIGIN"
 SETTING_MESSAGE = "SET_GPS_GLOBAL_ORIGIN"
 
@@ -152,6 +157,17 @@ def off_m(vehicle: Vehicle, origin: Origin) -> float | None:
         return None
     across_m = distance_m(own["lat_deg"], own["lon_deg"], origin.lat_deg, origin.lon_deg)
     return math.hypot(across_m, own["alt_amsl_m"] - origin.alt_amsl_m)
+
+
+def why_no_poses(vehicle: Vehicle) -> str | None:
+    """Why a vehicle with this origin of its own must not fly by poses; None if it may."""
+    own = vehicle.telemetry("ekf_origin")
+    if vehicle.family != "px4" or own is None or abs(own["alt_amsl_m"]) <= POSES_ALT_M:
+        return None
+    return (
+        f"its origin is at an altitude of {own['alt_amsl_m']:.1f} m: after a drop-out a PX4 takes the height of a pose "
+        "for an altitude, and would climb or sink by that much; set alt_amsl_m = 0 in [origin], then reboot it"
+    )
 
 
 def kept(vehicle: Vehicle, origin: Origin) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink.param_encoding import Param, Value
-from skygcs.core.preflight import health, settings
+from skygcs.core.preflight import external_vision, health, settings
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
 from skygcs.core.preflight.losses import LossWindow
@@ -341,3 +341,26 @@ def test_losses_of_the_last_while() -> None:
     assert window.loss() == 0.0
     window.sample(5, 0, 60.0)  # the counters began anew
     assert window.loss() is None
+
+
+INDOORS: dict[str, Value | None] = {
+    **{"VISO_TYPE": 1, "EK3_SRC1_POSXY": 6, "EK3_SRC1_POSZ": 6, "EK3_SRC1_VELXY": 0, "EK3_SRC1_VELZ": 0},
+    **{"EK3_SRC1_YAW": 1, "GPS1_TYPE": 0, "GPS_TYPE": None},
+}
+
+
+@pytest.mark.parametrize(
+    ("compasses", "verdict"),
+    [
+        ({"COMPASS_USE": 1, "COMPASS_USE2": 0, "COMPASS_USE3": 0}, Verdict.PASS),
+        ({"COMPASS_USE": 0, "COMPASS_USE2": 0, "COMPASS_USE3": 1}, Verdict.PASS),
+        ({"COMPASS_USE": 0, "COMPASS_USE2": 0, "COMPASS_USE3": 0}, Verdict.FAIL),
+        ({"COMPASS_USE": 0, "COMPASS_USE2": None, "COMPASS_USE3": None}, Verdict.FAIL),
+        ({"COMPASS_USE": None, "COMPASS_USE2": None, "COMPASS_USE3": None}, Verdict.PASS),
+    ],
+)
+def test_a_yaw_of_compasses_that_are_not_used(compasses: dict[str, Value | None], verdict: Verdict) -> None:
+    finding = external_vision.external_vision(facts({**INDOORS, **compasses}), Expectations(mocap=True))
+    assert finding.verdict is verdict
+    assert [(fix.name, fix.value) for fix in finding.fixes] == ([("EK3_SRC1_YAW", 6)] if finding.fixes else [])
+    assert bool(finding.fixes) is (verdict is Verdict.FAIL)
