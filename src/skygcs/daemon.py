@@ -1,5 +1,8 @@
 """Composition root: config -> objects -> task groups; ordered shutdown.
 
+What only some fleet files ask for (motion capture, metrics, the web page) is imported by those daemons alone, before a
+link is open.
+
 Two nested groups: the inner one runs links and clocks, the outer one the recorder and the RPC server. A stop ends the
 inner group first, so that what links did last is still recorded and reported.
 """
@@ -11,7 +14,7 @@ import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skygcs import __version__
 from skygcs.config.files import open_regular
@@ -20,7 +23,6 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.errors import LinkError
-from skygcs.metrics.endpoint import MetricsEndpoint
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
@@ -33,8 +35,6 @@ from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
-from skygcs.runtime.mocap_feed import TICK_S as MOCAP_TICK_S
-from skygcs.runtime.mocap_feed import MocapFeed, unconfigured
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.planning_queue import PlanningQueue
@@ -44,7 +44,11 @@ from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.web_child import WebChild
+
+if TYPE_CHECKING:  # see above
+    from skygcs.metrics.endpoint import MetricsEndpoint
+    from skygcs.runtime.mocap_feed import MocapFeed
+    from skygcs.runtime.web_child import WebChild
 
 MAX_TOKEN_BYTES = 4096
 
@@ -123,17 +127,33 @@ class Daemon:
         self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token("daemon", own.token_file))
-        self.metrics: MetricsEndpoint | None = None
-        if config.metrics is not None:
-            token = _read_token("metrics", config.metrics.token_file)
-            self.metrics = MetricsEndpoint(config.metrics, token, self.event_log, self.now)
-        self.web = None if config.web is None else WebChild(config.web, self.socket_path, self.loop, publish)
+        self.metrics = self._metrics_endpoint()
+        self.web = self._web_child()
+
+    def _metrics_endpoint(self) -> MetricsEndpoint | None:
+        """What Prometheus scrapes; None without [metrics]."""
+        config = self.config.metrics
+        if config is None:
+            return None
+        from skygcs.metrics.endpoint import MetricsEndpoint
+
+        return MetricsEndpoint(config, _read_token("metrics", config.token_file), self.event_log, self.now)
+
+    def _web_child(self) -> WebChild | None:
+        """The process of the web page; None without [web]."""
+        if self.config.web is None:
+            return None
+        from skygcs.runtime.web_child import WebChild
+
+        return WebChild(self.config.web, self.socket_path, self.loop, self.event_log.publish)
 
     def _mocap_feed(self, view: LinkView) -> MocapFeed | None:
         """What feeds vehicles with poses; None without [mocap]."""
         config = self.config
         if config.mocap is None or not config.daemon.keep_vehicles:
             return None
+        from skygcs.runtime.mocap_feed import MocapFeed
+
         feed = MocapFeed(config, self.hub, self.fleet, self.links, self.loop, self.event_log.publish)
         view.pose_bytes_per_s = feed.bytes_per_s
         return feed
@@ -198,9 +218,11 @@ class Daemon:
                 clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
             if self.mocap is not None:
+                from skygcs.runtime.mocap_feed import TICK_S
+
                 mocap = self.mocap
                 clocks.append(group.create_task(mocap.run(), name="motion capture"))
-                tick = self._every(MOCAP_TICK_S, lambda: mocap.tick(self.now()))
+                tick = self._every(TICK_S, lambda: mocap.tick(self.now()))
                 clocks.append(group.create_task(tick, name="motion capture tick"))
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
@@ -303,7 +325,8 @@ class Daemon:
 
     def mocap_status(self) -> dict[str, Any]:
         """For mocap.status."""
-        return unconfigured() if self.mocap is None else self.mocap.status()
+        unconfigured: dict[str, Any] = {"configured": False, "vehicles": [], "bodies_seen": {}}
+        return unconfigured if self.mocap is None else self.mocap.status()
 
 
 def _read_token(table: str, path: Path | None) -> str | None:

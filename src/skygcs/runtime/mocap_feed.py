@@ -27,7 +27,6 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.mocap_child import MocapChild
 from skygcs.runtime.mocap_origin import OriginPushes
-from skygcs.runtime.mocap_simulated import SimulatedCapture
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -102,6 +101,8 @@ class MocapFeed:
         by_sysid = {fed.sysid: body for body, fed in self._fed.items()}
         self.capture: Capture
         if config.type == "simulated":
+            from skygcs.runtime.mocap_simulated import SimulatedCapture  # with it come the simulated vehicles
+
             self.capture = SimulatedCapture(config, by_sysid, self._origin, links, loop, self.on_frame)
         else:
             self.capture = MocapChild(config, loop, self.on_frame, on_event)
@@ -306,8 +307,3 @@ class MocapFeed:
                 for fed in self._fed.values()
             ],
         }
-
-
-def unconfigured() -> dict[str, Any]:
-    """The status without [mocap]."""
-    return {"configured": False, "vehicles": [], "bodies_seen": {}}
