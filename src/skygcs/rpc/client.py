@@ -28,6 +28,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
@@ -158,6 +159,14 @@ class Client:
 
     async def call(self, method: str, /, **params: Any) -> Any:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
+        return await self._answer(method, params, {})
+
+    async def call_by(self, deadline_s: float, method: str, /, **params: Any) -> Any:
+        """As `call`, refused by a daemon that reads it after ``deadline_s`` of its own clock (now_s of daemon.info)."""
+        return await self._answer(method, params, {"deadline_s": deadline_s})
+
+    async def _answer(self, method: str, params: dict[str, Any], members: dict[str, Any]) -> Any:
+        """``members``: of the request, besides those of JSON-RPC."""
         wire = self._connected()
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
@@ -169,7 +178,7 @@ class Client:
             else:
                 future.set_result(result)
 
-        wire.start(self._next_id(), method, params, on_answer)
+        wire.start(self._next_id(), method, params, on_answer, members)
         return await future
 
     # -- vehicles
@@ -620,11 +629,19 @@ class _Wire(asyncio.Protocol):
             inbox.fail(error)
         self.inboxes.clear()
 
-    def start(self, number: int, method: str, params: dict[str, Any], on_answer: _OnAnswer) -> None:
-        """Send a request; ``on_answer(result, error)`` is called once."""
+    def start(
+        self,
+        number: int,
+        method: str,
+        params: dict[str, Any],
+        on_answer: _OnAnswer,
+        members: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """Send a request with further ``members``; ``on_answer(result, error)`` is called once."""
         if self._lost is not None:
             raise self._lost
-        line = json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params}, allow_nan=False)
+        request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
+        line = json.dumps(request, allow_nan=False)
         self._calls[number] = on_answer
         self.transport.write(line.encode() + b"\n")
 

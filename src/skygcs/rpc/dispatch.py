@@ -169,6 +169,23 @@ def key_twice(line: bytes) -> str | None:
     return found[0] if found else None
 
 
+def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
+    """The reply to a request whose ``deadline_s`` has passed or is no number; None: it is to be carried out.
+
+    ``now``: the daemon's clock, which daemon.info shows.
+    """
+    deadline_s = request["deadline_s"]
+    request_id = request.get("id")
+    if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        request_id = None
+    if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float):
+        return error_reply(request_id, INVALID_REQUEST, "deadline_s must be a number: seconds of daemon.info's now_s")
+    if now <= deadline_s:
+        return None
+    text = f"read {now - deadline_s:.1f} s after its deadline; it was not carried out"
+    return error_reply(request_id, REFUSED, text)
+
+
 def result_reply(request_id: object, name: str, result: object) -> bytes:
     """NaN and Infinity, which JSON lacks, become null."""
     try:

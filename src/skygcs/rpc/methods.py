@@ -59,8 +59,8 @@ class SubscriptionNumber(Result):
 
 
 def daemon_info(context: Context, _: NoParams) -> JsonObject:
-    """Version, process id, uptime, own MAVLink ids, dialect, fleet file."""
-    return context.services.info()
+    """Version, process id, uptime, own MAVLink ids, dialect, fleet file; now_s, the clock of a request's deadline_s."""
+    return {**context.services.info(), "now_s": round(context.services.now(), 4)}
 
 
 def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:

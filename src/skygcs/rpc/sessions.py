@@ -386,6 +386,11 @@ class Session(asyncio.Protocol):
             if isinstance(method, str) and method not in answered and isinstance(request_id, str | int | None):
                 text = "skygcs is shutting down: it takes no further orders but those that end a flight"
                 return error_reply(request_id, dispatch.REFUSED, text) if "id" in request else None
+        if isinstance(request, dict) and "deadline_s" in request:
+            refusal = dispatch.deadline_refusal(request, self._hub.services.now())
+            if refusal is not None:
+                self._hub.counters["requests_late"] += 1
+                return refusal if "id" in request else None
         reply = self._hub.dispatcher.start(self, request, key_twice)
         if isinstance(reply, Coroutine):
             self._in_flight += 1

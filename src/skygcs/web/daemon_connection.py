@@ -7,19 +7,29 @@
 
 None of them counts for operator_timeout_s by itself (operator.relay): `operator_active` says when a person was there.
 They are connected all or not at all; a lost one ends the others, and all are made anew after a pause.
+
+    connecting   all four answer                                   -> connected
+                 an error, or no answer for LOST_AFTER_S           -> connecting, after a pause
+    connected    one has not answered for SLOW_AFTER_S             -> slow
+    slow         all have answered                                 -> connected
+    connected,   one was closed, or has not answered for
+    slow         LOST_AFTER_S                                      -> connecting, after a pause
+
+Orders are passed on to a slow daemon: each has a deadline, after which the daemon refuses it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable
+from collections.abc import Coroutine
 from typing import Any, Protocol
 
 import structlog
 
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.client import Client, Subscription, connect
+from skygcs.web.daemon_clock import DaemonClock
 from skygcs.web.roles import access
 from skygcs.web.state_batches import LatestStates
 
@@ -65,13 +75,21 @@ RATE_EVERY_S = 1.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 3.0
 """Between attempts to connect, doubling."""
 
-ALIVE_EVERY_S, ALIVE_WITHIN_S = 5.0, 10.0
-"""Each connection is used so often: an idle one would lose its place when all are taken; and a daemon that does not
-answer within this time has hung."""
+ALIVE_EVERY_S = 5.0
+"""Each connection is used so often: an idle one would lose its place when all are taken."""
+
+SLOW_AFTER_S, LOST_AFTER_S = 10.0, 60.0
+"""Without an answer for so long a daemon is shown as slow, and its connections are made anew. In between they stay: a
+daemon that was stopped, or shares a processor with twenty programs, goes on with them at once, and to be connected to
+four times and send the whole fleet is more work for it than to answer. What never answers is a tunnel that is cut."""
+
+STOOD_STILL_S = 0.1
+"""After a time limit, for what came while this process itself stood still: a loop runs its timers first, and reads
+then."""
 
 GONE_AFTER_S = 3.0
-"""A vehicle of which no state came for so long, while others came, is one that the daemon has forgotten. The slowest
-rate has a round every two seconds."""
+"""A vehicle of which no state came for so long, and none in the newest whole round, is one that the daemon has
+forgotten. The slowest rate has a round every two seconds."""
 
 NOT_ANSWERING = -32000
 """The code of DaemonUnreachable, whose text would say to start one."""
@@ -107,6 +125,7 @@ class DaemonConnection:
         self.address = address
         self.takes_orders = True
         self.connected = False
+        self.slow = False
         self.text = "not connected yet"
         self.loop = asyncio.get_running_loop()
         self.since = self.loop.time()
@@ -117,26 +136,38 @@ class DaemonConnection:
         self._token = token
         self._states = states
         self._clients: dict[str, Client] = {}
+        self._clock = DaemonClock()
+        self._silent: set[str] = set()
+        """Connections on which an answer is due for SLOW_AFTER_S."""
         self._waiting = 0
         self._operator_due = False
 
     # -- requests of pages
 
-    async def call(self, method: str, params: dict[str, Any]) -> Any:
-        """The daemon's answer. Raises RpcError; DaemonUnreachable at once while it is not connected."""
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
+        """The daemon's answer. Raises RpcError; DaemonUnreachable at once while it is not connected.
+
+        ``deadline_s``: of this process' clock; a daemon that reads the request later refuses it.
+        """
         kind = access(method)
         client = self._clients.get({"read": "reads", "ends flight": "ending"}.get(kind, "orders"))
         if client is None or not self.connected:
             raise DaemonUnreachable(self.address, self.text)
-        if kind == "order":
-            if self._waiting >= ORDERS_WAITING:
-                raise RpcError(-32005, f"{ORDERS_WAITING} orders wait for their outcome; this one was not carried out")
-            self._waiting += 1
-            try:
-                return await client.call(method, **params)
-            finally:
-                self._waiting -= 1
-        return await client.call(method, **params)
+        ahead_s = self._clock.ahead_s
+        if deadline_s is None or ahead_s is None:
+            answer = client.call(method, **params)
+        else:
+            answer = client.call_by(deadline_s + ahead_s, method, **params)
+        if kind != "order":
+            return await answer
+        if self._waiting >= ORDERS_WAITING:
+            answer.close()
+            raise RpcError(-32005, f"{ORDERS_WAITING} orders wait for their outcome; this one was not carried out")
+        self._waiting += 1
+        try:
+            return await answer
+        finally:
+            self._waiting -= 1
 
     def operator_active(self) -> None:
         """A person used a page that may give orders."""
@@ -164,16 +195,16 @@ class DaemonConnection:
         while True:
             try:
                 async with contextlib.AsyncExitStack() as stack:
-                    await self._connect(stack)
+                    await self._answered(self._connect(stack), "connecting", pages)
                     pause_s = FIRST_PAUSE_S
                     self._states.reset()
-                    self._change(True, "connected", pages)
+                    self._change("connected", pages, connected=True)
                     await self._serve(pages)
             except* RpcError as group:
                 error = _first(group)
                 self._clients = {}
                 self._states.reset()
-                self._change(False, str(error), pages)
+                self._change(str(error), pages)
             finally:
                 self._clients = {}
             if self.stopping:  # cancelled at the moment of the loss: a task group prefers its tasks' errors
@@ -183,21 +214,56 @@ class DaemonConnection:
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
     async def _connect(self, stack: contextlib.AsyncExitStack) -> None:
-        clients = {}
-        for name in ("feed", "reads", "orders", "ending"):
-            client = await stack.enter_async_context(connect(self.address, token=self._token))
-            await self._in_time(client.call("operator.relay"))
-            clients[name] = client
-        self.info = await self._in_time(clients["reads"].call("daemon.info"))
-        self._clients = clients
+        """All at once: one after another a slow daemon would take four times as long. Raises RpcError, in a group."""
+        clock = DaemonClock()
 
-    async def _in_time(self, answer: Awaitable[Any]) -> Any:
-        """The answer. Raises RpcError where a daemon takes connections and does not answer."""
+        async def one() -> Client:
+            client = await stack.enter_async_context(connect(self.address, token=self._token))
+            await client.call("operator.relay")
+            self.info = await self._ask_info(client, clock)
+            return client
+
+        async with asyncio.TaskGroup() as group:
+            tasks = {
+                name: group.create_task(one(), name=f"connect {name}") for name in ("feed", "reads", "orders", "ending")
+            }
+        self._clock = clock
+        self._clients = {name: task.result() for name, task in tasks.items()}
+
+    async def _ask_info(self, client: Client, clock: DaemonClock) -> dict[str, Any]:
+        sent_at = self.loop.time()
+        info: dict[str, Any] = await client.call("daemon.info")
+        clock.sample(sent_at, info.get("now_s"), self.loop.time())
+        return info
+
+    async def _answered(self, asked: Coroutine[Any, Any, Any], name: str, pages: Pages) -> None:
+        """Wait for an answer on the connection of this name. Raises what ``asked`` raises, and RpcError after
+        LOST_AFTER_S.
+
+        Not asyncio.wait_for: in Python 3.11 it returns an answer that comes together with a cancellation, and the
+        cancelled task goes on (CPython issue 86296). The group of tasks that a loss ends would then never end.
+        """
+        task = self.loop.create_task(asked, name=f"answer {name}")
         try:
-            return await asyncio.wait_for(answer, ALIVE_WITHIN_S)
-        except TimeoutError:
-            text = f"the daemon at {self.address} has not answered for {ALIVE_WITHIN_S:g} s"
-            raise RpcError(NOT_ANSWERING, text) from None
+            if not await _done_within(task, SLOW_AFTER_S):
+                self._silent.add(name)
+                self._show_slow(pages)
+                if not await _done_within(task, LOST_AFTER_S - SLOW_AFTER_S):
+                    text = f"the daemon at {self.address} has not answered for {LOST_AFTER_S:g} s"
+                    raise RpcError(NOT_ANSWERING, text)
+            task.result()
+        finally:
+            self._silent.discard(name)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+        self._show_slow(pages)
+
+    def _show_slow(self, pages: Pages) -> None:
+        if self._silent:
+            text = f"the daemon at {self.address} does not answer"
+            self._change(text, pages, connected=self.connected, slow=self.connected)
+        elif self.connected:
+            self._change("connected", pages, connected=True)
 
     async def _serve(self, pages: Pages) -> None:
         feed = self._clients["feed"]
@@ -206,7 +272,7 @@ class DaemonConnection:
             group.create_task(self._feed_events(feed.events(), pages), name="events")
             group.create_task(self._feed_plan(feed.plan(rate_hz=PLAN_RATE_HZ), pages), name="plan")
             for name, client in self._clients.items():
-                group.create_task(self._keep_alive(client), name=f"keep alive {name}")
+                group.create_task(self._keep_alive(name, client, pages), name=f"keep alive {name}")
 
     async def _feed_states(self, feed: Client, pages: Pages) -> None:
         """One subscription at the rate that the pages want; none while no page is there."""
@@ -234,17 +300,16 @@ class DaemonConnection:
 
     async def _read_states(self, subscription: Subscription, pages: Pages) -> None:
         states = self._states
-        checked_at = self.loop.time()
+        round_began = self.loop.time()
         async for update in subscription:
             now = self.loop.time()
             for name, state in update["states"].items():
                 states.put(name, state, now)
             if update["complete"]:
                 states.complete_round()
+                states.remove_older(min(round_began, now - GONE_AFTER_S))
+                round_began = now
             pages.on_states()
-            if now - checked_at > GONE_AFTER_S:
-                states.remove_older(min(checked_at, now - GONE_AFTER_S))
-                checked_at = now
 
     async def _feed_events(self, events: Subscription, pages: Pages) -> None:
         async for event in events:
@@ -257,19 +322,29 @@ class DaemonConnection:
         async for plan in plans:
             pages.notify("web.plan", plan, keep=True)
 
-    async def _keep_alive(self, client: Client) -> None:
+    async def _keep_alive(self, name: str, client: Client, pages: Pages) -> None:
         while True:
             await asyncio.sleep(ALIVE_EVERY_S)
-            await self._in_time(client.call("daemon.info"))
+            await self._answered(self._ask_info(client, self._clock), name, pages)
 
-    def _change(self, connected: bool, text: str, pages: Pages) -> None:
-        if (connected, text) == (self.connected, self.text):
+    def _change(self, text: str, pages: Pages, *, connected: bool = False, slow: bool = False) -> None:
+        before = (self.connected, self.slow)
+        if (connected, slow, text) == (*before, self.text):
             return
-        was = self.connected
-        self.connected, self.text, self.since = connected, text, self.loop.time()
-        if connected or was:
-            _log.info("daemon connected" if connected else "daemon lost", reason=text)
+        self.connected, self.slow, self.text = connected, slow, text
+        self.since = self.loop.time() - (SLOW_AFTER_S if slow else 0.0)
+        if connected:
+            _log.info("daemon is slow" if slow else "daemon connected", reason=text)
+        elif before[0]:
+            _log.info("daemon lost", reason=text)
         pages.on_daemon()
+
+
+async def _done_within(task: asyncio.Task[Any], seconds: float) -> bool:
+    await asyncio.wait({task}, timeout=seconds)
+    if not task.done():
+        await asyncio.wait({task}, timeout=STOOD_STILL_S)
+    return task.done()
 
 
 def feed_rate_hz(wanted_hz: float | None) -> float | None:

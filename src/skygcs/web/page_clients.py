@@ -63,11 +63,13 @@ class Source(Protocol):
     """Where states and answers come from: a daemon or a recording."""
 
     connected: bool
+    slow: bool
+    """Connected, and it has not answered for a while."""
     takes_orders: bool
     text: str
     since: float
 
-    async def call(self, method: str, params: dict[str, Any]) -> Any: ...
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any: ...
     def operator_active(self) -> None: ...
 
 
@@ -108,8 +110,9 @@ class PageClients:
             client.offer_event(body)
 
     def on_daemon(self) -> None:
-        """The connection to the daemon has come or gone."""
-        self._kept.clear()
+        """The connection to the daemon has come or gone, or the daemon is slow."""
+        if not self.source.connected:
+            self._kept.clear()
         self.notify("web.daemon", self.daemon_status())
         self.wake_all()
 
@@ -132,7 +135,8 @@ class PageClients:
 
     def daemon_status(self) -> dict[str, Any]:
         source = self.source
-        return {"connected": source.connected, "text": source.text, "since_s": round(source.since, 3)}
+        since_s = round(source.since, 3)
+        return {"connected": source.connected, "slow": source.slow, "text": source.text, "since_s": since_s}
 
     def rate_hz(self) -> float | None:
         """The highest rate that a page wants, of a large fleet less; None: no page wants states."""
@@ -311,7 +315,7 @@ class PageClient:
         if exceeded is not None:
             self._refuse(request_id, LIMIT_EXCEEDED, exceeded)
             return
-        self._start(self._answer(method, params, request_id, ends_flight), order=self._is_order(method))
+        self._start(self._answer(request, params, ends_flight), order=self._is_order(method))
 
     def _is_order(self, method: str) -> bool:
         return method not in self.pages.own and access(method) in ("order", "ends flight")
@@ -359,10 +363,15 @@ class PageClient:
         group.add(task)
         task.add_done_callback(group.discard)
 
-    async def _answer(self, method: str, params: dict[str, Any], request_id: object, ends_flight: bool) -> None:
+    async def _answer(self, request: Request, params: dict[str, Any], ends_flight: bool) -> None:
+        method, request_id = request["method"], request["id"]
         try:
             own = self.pages.own.get(method)
-            result = await (self.pages.source.call(method, params) if own is None else own(self, params))
+            if own is not None:
+                result = await own(self, params)
+            else:
+                deadline_s = request["deadline_s"] if self._is_order(method) else None
+                result = await self.pages.source.call(method, params, deadline_s)
             reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), _encode(result))
         except DaemonUnreachable as error:
             reply = _error(request_id, NO_DAEMON, str(error))

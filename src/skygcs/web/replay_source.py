@@ -150,7 +150,7 @@ class ReplaySource:
         self.loop = asyncio.get_running_loop()
         self.recording = Recording(path, dialect)
         self.takes_orders = False
-        self.connected = True
+        self.connected, self.slow = True, False
         self.text = f"a recording: {path.name}"
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
@@ -196,7 +196,7 @@ class ReplaySource:
             "ended": self.ended,
         }
 
-    async def call(self, method: str, params: dict[str, Any]) -> Any:
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
         """What a recording can answer. Raises RpcError."""
         match method:
             case "daemon.info":

@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, key_twice, parse
+from skygcs.rpc.dispatch import (
+    Dispatcher,
+    InvalidParams,
+    LimitExceeded,
+    Method,
+    Reply,
+    deadline_refusal,
+    key_twice,
+    parse,
+)
 from skygcs.rpc.models import MethodParams, NoParams
 
 
@@ -238,3 +247,19 @@ def test_any_json_gets_a_valid_answer_or_none(value: Any) -> None:
     if answer is not None:
         assert answer["jsonrpc"] == "2.0" and "id" in answer
         assert ("result" in answer) != ("error" in answer)
+
+
+def test_a_request_is_refused_after_its_deadline_only() -> None:
+    request = {"jsonrpc": "2.0", "id": 7, "method": "pair", "deadline_s": 10.0}
+    assert deadline_refusal(request, 10.0) is None
+    reply = json.loads(deadline_refusal(request, 12.5) or b"")
+    assert reply["id"] == 7 and reply["error"]["code"] == -32002
+    assert reply["error"]["message"] == "read 2.5 s after its deadline; it was not carried out"
+
+
+@pytest.mark.parametrize("deadline_s", [None, "10", True, [], {}])
+@pytest.mark.parametrize("request_id", [None, True, []])
+def test_a_deadline_that_is_no_time_is_refused(deadline_s: object, request_id: object) -> None:
+    reply = deadline_refusal({"id": request_id, "deadline_s": deadline_s}, 0.0)
+    assert reply is not None
+    assert json.loads(reply)["id"] is None and json.loads(reply)["error"]["code"] == -32600

@@ -230,6 +230,20 @@ async def test_a_request_may_come_byte_by_byte_and_many_at_once(bench: Bench) ->
     assert [(await peer.answer())["id"] for _ in range(1000)] == list(range(1000))
 
 
+async def test_an_order_that_is_read_after_its_deadline_is_not_carried_out(bench: Bench) -> None:
+    peer = await bench.connect()
+    now_s = (await peer.call("daemon.info"))["result"]["now_s"]
+    late, early = now_s - 0.5, now_s + 3600
+    notification = arm(targets="carol") | {"deadline_s": late}
+    del notification["id"]
+    peer.send(notification, arm(1, "alpha") | {"deadline_s": late}, arm(2, "bravo") | {"deadline_s": early})
+    refused, carried_out = await peer.answer(), await peer.answer()
+    assert refused["id"] == 1 and "after its deadline" in refused["error"]["message"]
+    assert carried_out["id"] == 2 and carried_out["result"]["outcomes"]["bravo"]["ok"]
+    assert bench.server.stats()["requests_late"] == 2
+    assert [bench.daemon.vehicle(name).orders for name in ("alpha", "carol")] == [[], []]
+
+
 async def test_slow_orders_do_not_hold_up_quick_answers(bench: Bench) -> None:
     peer = await bench.connect()
     bench.daemon.vehicle("alpha").delay_s = 0.2

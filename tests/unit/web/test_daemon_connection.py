@@ -22,8 +22,11 @@ class Pages:
     def __init__(self) -> None:
         self.wanted = asyncio.Event()
         self.woken = asyncio.Event()
+        self.rounds = 0
 
-    def on_states(self) -> None: ...
+    def on_states(self) -> None:
+        self.rounds += 1
+
     def on_event(self, event: dict[str, Any]) -> None: ...
     def on_daemon(self) -> None: ...
     def notify(self, method: str, params: Any, *, keep: bool = False) -> None: ...
@@ -35,25 +38,70 @@ class Pages:
         return 10.0
 
 
-@asynccontextmanager
-async def daemon(path: Path, *, answers: bool) -> AsyncIterator[None]:
-    """Takes connections; without ``answers`` as one that hangs. It has no vehicle."""
-    writers = []
+class Daemon:
+    """Takes connections. It answers while ``answers`` is set; ``requests`` are those that it has read. No vehicle."""
 
-    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writers.append(writer)
+    def __init__(self) -> None:
+        self.answers = asyncio.Event()
+        self.requests: list[dict[str, Any]] = []
+        self.writers: list[asyncio.StreamWriter] = []
+        self.ahead_s = 0.0
+        self.telemetry: list[tuple[asyncio.StreamWriter, int]] = []
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.writers.append(writer)
         while line := await reader.readline():
-            if answers:
-                answer = {"jsonrpc": "2.0", "id": json.loads(line)["id"], "result": {"subscription": 1}}
-                writer.write(json.dumps(answer).encode() + b"\n")
+            await self.answers.wait()
+            request = json.loads(line)
+            self.requests.append(request)
+            if "id" not in request:
+                continue
+            if request["params"].get("topic") == "telemetry":
+                self.telemetry.append((writer, request["id"]))
+            now_s = asyncio.get_running_loop().time() + self.ahead_s
+            answer = {"jsonrpc": "2.0", "id": request["id"], "result": {"subscription": request["id"], "now_s": now_s}}
+            writer.write(json.dumps(answer).encode() + b"\n")
 
-    server = await asyncio.start_unix_server(serve, path)
+    def send(self, *names: str, last: bool) -> None:
+        """States of these vehicles, the last of a round or not."""
+        writer, number = self.telemetry[-1]
+        for name in names:
+            params = {"state": {"name": name}, "subscription": number} | (
+                {"last": True} if last and name == names[-1] else {}
+            )
+            line = json.dumps({"jsonrpc": "2.0", "method": "telemetry", "params": params}, separators=(",", ":"))
+            writer.write(line.encode() + b"\n")
+
+    def asked(self, method: str) -> list[dict[str, Any]]:
+        return [request for request in self.requests if request["method"] == method]
+
+
+@asynccontextmanager
+async def serving(path: Path, *, answers: bool = True) -> AsyncIterator[Daemon]:
+    daemon = Daemon()
+    if answers:
+        daemon.answers.set()
+    server = await asyncio.start_unix_server(daemon.serve, path)
     try:
-        yield
+        yield daemon
     finally:
         server.close()
-        for writer in writers:
+        for writer in daemon.writers:
             writer.close()
+
+
+@asynccontextmanager
+async def connecting(path: Path, states: LatestStates | None = None) -> AsyncIterator[tuple[DaemonConnection, Pages]]:
+    pages = Pages()
+    connection = DaemonConnection(str(path), None, LatestStates() if states is None else states)
+    task = asyncio.create_task(connection.run(pages))
+    try:
+        yield connection, pages
+        assert not task.done()
+    finally:
+        connection.stopping = True
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
 
 
 async def until(condition: Any) -> None:
@@ -67,25 +115,123 @@ async def until(condition: Any) -> None:
 async def test_a_daemon_that_hangs_is_tried_again_until_it_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(daemon_connection, "ALIVE_WITHIN_S", 0.05)
-    path = tmp_path / "gcs.sock"
-    states = LatestStates()
-    connection = DaemonConnection(str(path), None, states)
-    task = asyncio.create_task(connection.run(Pages()))
-    try:
-        async with daemon(path, answers=False):
+    monkeypatch.setattr(daemon_connection, "SLOW_AFTER_S", 0.02)
+    monkeypatch.setattr(daemon_connection, "LOST_AFTER_S", 0.05)
+    path, states = tmp_path / "gcs.sock", LatestStates()
+    async with connecting(path, states) as (connection, _):
+        async with serving(path, answers=False):
             await until(lambda: connection.reconnects >= 2)
-            assert not connection.connected and "has not answered for" in connection.text
-            assert not task.done()
-        monkeypatch.setattr(daemon_connection, "ALIVE_WITHIN_S", 30.0)
-        async with daemon(path, answers=True):
+            assert not connection.connected and not connection.slow
+            await until(lambda: "has not answered for" in connection.text)
+        monkeypatch.setattr(daemon_connection, "LOST_AFTER_S", 30.0)
+        async with serving(path):
             await until(lambda: connection.connected)
         await until(lambda: not connection.connected)
         assert not states.complete
-    finally:
-        connection.stopping = True
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_a_daemon_that_stands_still_is_slow_and_goes_on_with_the_same_connections(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(daemon_connection, "ALIVE_EVERY_S", 0.02)
+    monkeypatch.setattr(daemon_connection, "SLOW_AFTER_S", 0.05)
+    path = tmp_path / "gcs.sock"
+    async with serving(path) as daemon, connecting(path) as (connection, _):
+        await until(lambda: connection.connected)
+        daemon.answers.clear()
+        await until(lambda: connection.slow)
+        assert connection.connected and "does not answer" in connection.text
+        monkeypatch.setattr(daemon_connection, "SLOW_AFTER_S", 30.0)  # a busy machine must not make it slow again
+        order = asyncio.create_task(connection.call("vehicles.hold", {"targets": "all"}, 12.5))
+        daemon.answers.set()
+        await until(lambda: not connection.slow)
+        await order
+        assert connection.connected and connection.text == "connected"
+        assert connection.reconnects == 0 and len(daemon.writers) == 4
+        [asked] = daemon.asked("vehicles.hold")
+        assert asked["deadline_s"] == 12.5
+
+
+async def test_a_daemon_that_stands_still_for_long_is_connected_to_anew_when_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(daemon_connection, "ALIVE_EVERY_S", 0.02)
+    monkeypatch.setattr(daemon_connection, "SLOW_AFTER_S", 0.02)
+    path = tmp_path / "gcs.sock"
+    async with serving(path) as daemon, connecting(path) as (connection, _):
+        await until(lambda: connection.connected)
+        monkeypatch.setattr(daemon_connection, "LOST_AFTER_S", 0.05)
+        daemon.answers.clear()
+        await until(lambda: connection.reconnects >= 2)
+        assert not connection.connected
+        monkeypatch.setattr(daemon_connection, "SLOW_AFTER_S", 10.0)
+        monkeypatch.setattr(daemon_connection, "LOST_AFTER_S", 30.0)
+        daemon.answers.set()
+        await until(lambda: connection.connected)
+
+
+@pytest.mark.parametrize("turns", range(5))
+async def test_an_answer_that_comes_with_the_loss_does_not_keep_the_lost_connection(tmp_path: Path, turns: int) -> None:
+    """asyncio.wait_for would: it returns the answer, and the cancellation is forgotten."""
+    connection = DaemonConnection(str(tmp_path / "gcs.sock"), None, LatestStates())
+    answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+    async def asked() -> int:
+        return await answer
+
+    async def keep_alive() -> None:
+        await connection._answered(asked(), "reads", Pages())
+        await asyncio.Event().wait()
+
+    keeping = asyncio.create_task(keep_alive())
+    await until_waiting()
+    answer.set_result(1)
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    keeping.cancel()
+    await until_waiting()
+    assert keeping.cancelled()
+
+
+async def until_waiting() -> None:
+    """More turns of the loop than any chain of callbacks here."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+async def test_deadlines_are_given_in_the_daemons_clock(tmp_path: Path) -> None:
+    path = tmp_path / "gcs.sock"
+    async with serving(path) as daemon:
+        daemon.ahead_s = 5000.0
+        async with connecting(path) as (connection, _):
+            await until(lambda: connection.connected)
+            await connection.call("vehicles.hold", {"targets": "all"}, 100.0)
+            await connection.call("vehicles.list", {})
+        [order], [listed] = daemon.asked("vehicles.hold"), daemon.asked("vehicles.list")
+        # the answers' way, on a busy machine too, is far below the difference
+        assert abs(order["deadline_s"] - 5100.0) < 1000.0
+        assert "deadline_s" not in listed
+
+
+async def test_a_round_that_takes_long_removes_no_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon_connection, "GONE_AFTER_S", 0.0)
+    path, states = tmp_path / "gcs.sock", LatestStates()
+    async with serving(path) as daemon, connecting(path, states) as (_, pages):
+        await until(lambda: daemon.telemetry)
+        daemon.send("a", "b", "c", last=True)
+        await until(lambda: len(states) == 3)
+        rounds = pages.rounds
+        daemon.send("a", last=False)
+        await until(lambda: pages.rounds > rounds)
+        assert len(states) == 3
+        daemon.send("b", "c", last=True)
+        await until(lambda: pages.rounds > rounds + 1)
+        assert len(states) == 3
+        for whole in (2, 3):  # b was forgotten; it is in none of two whole rounds
+            daemon.send("a", "c", last=True)
+            await until(lambda whole=whole: pages.rounds > rounds + whole)  # type: ignore[misc]
+        assert len(states) == 2
+        assert states.since(0)[1] == ["b"]
 
 
 async def test_a_daemon_without_a_vehicle_is_an_empty_fleet_after_a_while(
@@ -93,15 +239,8 @@ async def test_a_daemon_without_a_vehicle_is_an_empty_fleet_after_a_while(
 ) -> None:
     monkeypatch.setattr(daemon_connection, "GONE_AFTER_S", 0.05)
     monkeypatch.setattr(daemon_connection, "RATE_EVERY_S", 0.02)
-    path, states, pages = tmp_path / "gcs.sock", LatestStates(), Pages()
-    connection = DaemonConnection(str(path), None, states)
-    async with daemon(path, answers=True):
-        task = asyncio.create_task(connection.run(pages))
-        try:
-            async with asyncio.timeout(60):
-                await pages.woken.wait()
-            assert states.complete and len(states) == 0
-        finally:
-            connection.stopping = True
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
+    path, states = tmp_path / "gcs.sock", LatestStates()
+    async with serving(path), connecting(path, states) as (_, pages):
+        async with asyncio.timeout(60):
+            await pages.woken.wait()
+        assert states.complete and len(states) == 0

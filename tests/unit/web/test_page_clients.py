@@ -22,14 +22,17 @@ class FakeSource:
 
     def __init__(self) -> None:
         self.connected = self.takes_orders = True
+        self.slow = False
         self.text = "connected"
         self.since = 0.0
         self.calls: list[tuple[str, dict[str, Any]]] = []
+        self.deadlines: list[float | None] = []
         self.active = 0
         self.held: asyncio.Event | None = None
 
-    async def call(self, method: str, params: dict[str, Any]) -> Any:
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
         self.calls.append((method, params))
+        self.deadlines.append(deadline_s)
         if self.held is not None:
             await self.held.wait()
         if method == "vehicles.get":
@@ -107,6 +110,32 @@ async def test_a_request_is_passed_on_and_answered(bench: Bench) -> None:
     await asyncio.sleep(0.01)
     assert bench.source.calls == [("vehicles.list", {"targets": "all"})]
     assert socket.sent == [{"jsonrpc": "2.0", "id": "a", "result": {"called": "vehicles.list"}}]
+
+
+async def test_an_order_is_passed_on_with_its_deadline_and_a_question_without(bench: Bench) -> None:
+    page, _ = bench.page()
+    deadline_s = soon()
+    page.on_message(request("vehicles.arm", deadline_s=deadline_s))
+    page.on_message(request("vehicles.land", 2, deadline_s=deadline_s))
+    page.on_message(request("vehicles.list", 3, deadline_s="of no use"))
+    await asyncio.sleep(0.01)
+    assert bench.source.deadlines == [deadline_s, deadline_s, None]
+
+
+async def test_a_slow_daemon_is_shown_and_orders_go_on(bench: Bench) -> None:
+    page, socket = bench.page()
+    bench.pages.notify("web.plan", {"state": "flying"}, keep=True)
+    bench.source.slow = True
+    bench.pages.on_daemon()
+    page.on_message(request("vehicles.hold", deadline_s=soon()))
+    await asyncio.sleep(0.01)
+    shown = next(sent["params"] for sent in socket.sent if sent.get("method") == "web.daemon")
+    assert shown["connected"] and shown["slow"]
+    assert bench.source.calls == [("vehicles.hold", {})]
+    _, late = bench.page()
+    bench.pages.offer_kept(next(client for client in bench.pages.clients if client is not page))
+    await asyncio.sleep(0.01)
+    assert [sent["method"] for sent in late.sent] == ["web.plan"]
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
 
   function onDaemon(daemon: DaemonLink): void {
     store.dispatch({ type: "daemon", daemon });
-    if (daemon.connected) void fetchFromDaemon();
+    if (daemon.connected && !daemon.slow) void fetchFromDaemon();
   }
 
   const undo = [

@@ -65,10 +65,11 @@ export function Banner({ store, connection }: { store: Store; connection: Connec
     );
   }
   if (phase.kind === "connecting") return <div class="banner" role="status">Connecting …</div>;
-  if (daemon !== null && !daemon.connected) {
+  if (daemon !== null && (daemon.slow || !daemon.connected)) {
     return (
       <div class="banner danger" role="alert">
-        <span><b>No daemon.</b> {sentence(daemon.text)}, since {ageText(serverNowS(state, performance.now()) - daemon.since_s)}. Orders are not sent.</span>
+        <span><b>{daemon.slow ? "Slow daemon." : "No daemon."}</b> {sentence(daemon.text)}, since{" "}
+          {ageText(serverNowS(state, performance.now()) - daemon.since_s)}. {daemon.slow ? "It refuses orders that it reads too late." : "Orders are not sent."}</span>
       </div>
     );
   }

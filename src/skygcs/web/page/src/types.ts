@@ -134,6 +134,8 @@ export interface FleetEvent {
 
 export interface DaemonLink {
   connected: boolean;
+  /** Connected, and it has not answered for a while. */
+  slow: boolean;
   text: string;
   since_s: number;
 }
