@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.margins import DEFAULT
+from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.errors import RefusedError, SkygcsError, TargetError
 from skygcs.planning.process import OnProgress, ProcessLimits
 from skygcs.planning.worker import answered
@@ -74,6 +76,38 @@ async def test_formations_and_written_paths(tmp_path: Path) -> None:
         timed = {"points": [[0, 20, 10], [20, 20, 10]], "times_s": [0, 2]}
         found = await ask("plan.make", paths={"v1": timed}, within_limits=True)
         assert "v1: " in found["certificate"]["motion"][0], "10 m/s is above 5"
+
+
+async def test_a_formation_in_flight_is_moved_turned_and_scaled(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=3) as gcs:
+        ask = planning(gcs)
+        at = {name: gcs.place(name) for name in ("v1", "v2", "v3")}
+        names = list(at)
+        middle = [sum(place[k] for place in at.values()) / 3 for k in range(3)]
+        turned = {"vehicles": names, "shape": "current", "yaw_deg": 90.0, "scale": 2.0}
+        found = await ask("plan.make", formation=turned)
+        assert found["certificate"]["certified"], found["reasons"]
+        for name, (x, y, z) in at.items():
+            goal = (middle[0] - 2 * (y - middle[1]), middle[1] + 2 * (x - middle[0]), middle[2] + 2 * (z - middle[2]))
+            assert near(ends(found["plan"])[name], goal, 1.0)
+        points = [[0, 0, 0], [9, 0, 0], [0, 9, 2]]
+        star = {"vehicles": names, "shape": "points", "points_m": points, "middle_m": [50, 0, 15]}
+        found = await ask("plan.make", formation=star)
+        assert found["certificate"]["certified"]
+        wanted = [(x + 47.0, y - 3.0, z + 15.0 - 2.0 / 3.0) for x, y, z in points]
+        assert all(any(near(list(goal), place, 0.01) for place in wanted) for goal in ends(found["plan"]).values())
+        with pytest.raises(RefusedError, match="2 points for 3 vehicles"):
+            await ask("plan.make", formation=star | {"points_m": points[:2]})
+        with pytest.raises(RefusedError, match="a circle needs its middle"):
+            await ask("plan.make", formation={"vehicles": names, "shape": "circle"})
+
+
+def ends(content: dict[str, Any]) -> dict[str, list[float]]:
+    """The last place of each vehicle of a plan as JSON."""
+    plan, _ = plan_from_json("the plan", content)
+    if isinstance(plan, TimedPlan):
+        return {name: list(path.end_enu_m) for name, path in plan.trajectories.items()}
+    return {name: list(leg[1]) for name, leg in plan.legs()[-1][1].items()}
 
 
 async def test_what_cannot_be_planned_is_refused_with_a_reason(tmp_path: Path) -> None:

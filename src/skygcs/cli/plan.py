@@ -19,8 +19,17 @@ import typer
 from skygcs.cli import plan_run
 from skygcs.cli.connection import run, run_offline
 from skygcs.cli.options import Json, with_groups
-from skygcs.cli.parsing import finite
 from skygcs.cli.plan_certificates import Answer, asked, computed, print_answer, print_refusal
+from skygcs.cli.plan_inputs import (
+    Files,
+    FormationOptions,
+    Places,
+    origin_of_fleet,
+    print_notes,
+    read_files,
+    starts_and_goals,
+    vehicles_of,
+)
 from skygcs.cli.plan_options import (
     Fleet,
     Limits,
@@ -29,19 +38,15 @@ from skygcs.cli.plan_options import (
     SpaceOptions,
     motion_limits,
     origin_of,
-    vector,
 )
 from skygcs.cli.render import console, print_json, table
 from skygcs.core.geo import Origin
-from skygcs.core.plan.file_reading import MAX_FILE_BYTES
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
-from skygcs.core.plan.formations import SHAPES, formation
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.plan.plan_files import ReadPlan, read_plan
+from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_content
-from skygcs.core.trajectory import MotionLimits, Trajectory
-from skygcs.core.trajectory.piecewise import Vector
-from skygcs.errors import PlanFileError, RefusedError, SkygcsError
+from skygcs.core.trajectory import MotionLimits
+from skygcs.errors import RefusedError
 from skygcs.planning.request import check_request, make_request
 from skygcs.rpc.client import Client
 
@@ -57,14 +62,13 @@ class Kind(StrEnum):
     PHASED = "phased"
 
 
-Files = Annotated[
+Tasks = Annotated[
     list[Path],
     typer.Argument(
-        metavar="FILE…", help=".json, .skyc or .csv; Crazyswarm has a file per vehicle.", show_default=False
+        metavar="FILE…",
+        help="Starts and goals: CSV or TOML; or paths: CSV, or .plan files, one for each vehicle.",
+        show_default=False,
     ),
-]
-OneFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Starts and goals, or paths: CSV or TOML.", show_default=False)
 ]
 
 
@@ -88,14 +92,16 @@ def check(
         params = margins.asked_of_daemon()
 
         async def by_daemon(gcs: Client) -> int:
-            found = _read(files, motion, here or await _origin_of_fleet(gcs))
+            found = await asyncio.to_thread(read_files, files, motion, here or await origin_of_fleet(gcs, files))
+            print_notes(found)
             return await _certified_by_daemon(gcs, found, added, motion, params, limits is not None, json_output)
 
         run(by_daemon)
     rule = margins.rule()
 
     def command() -> int:
-        found = _read(files, motion, here)
+        found = read_files(files, motion, here)
+        print_notes(found)
         space = found.space.joined(added)
         request = check_request(found.plan, rule, motion, space, within_limits=limits is not None)
         return print_answer(computed(request, json_output), json_output, found.format)
@@ -106,41 +112,31 @@ def check(
 @app.command()
 @with_groups
 def make(
-    file: OneFile,
+    files: Tasks,
     margins: MarginOptions,
     place: SpaceOptions,
+    shape: FormationOptions,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help=".json, .skyc, or a folder for Crazyswarm CSV files."),
     ] = None,
     exchange: Annotated[bool, typer.Option("--exchange", help="Any vehicle may take any goal.")] = False,
     kind: Annotated[Kind, typer.Option("--kind", help="Only plans of this kind.")] = Kind.AUTO,
-    shape: Annotated[
-        str | None, typer.Option("--formation", metavar="SHAPE", help=f"The goals: {', '.join(SHAPES)}.")
-    ] = None,
-    spacing: Annotated[
-        float, typer.Option("--spacing", metavar="M", help="Between neighbours of the formation.", parser=finite)
-    ] = 5.0,
-    at: Annotated[str | None, typer.Option("--at", metavar="X,Y,Z", help="Middle of the formation.")] = None,
-    heading: Annotated[
-        float, typer.Option("--yaw", metavar="DEG", help="It looks there, counter-clockwise from x.", parser=finite)
-    ] = 0.0,
     limits: Limits = None,
+    origin: OriginOption = None,
     fleet: Fleet = False,
     json_output: Json = False,
 ) -> None:
     """Make a certified plan from starts and goals, from a formation, or from paths.
 
     FILE is a table of initial and final positions, or CSV vehicle,t,x,y,z,yaw: two rows of a vehicle without times are
-    its start and its goal (with --formation or --fleet one is enough), anything else is a path that is kept as it is.
+    its start and its goal (with --formation or --fleet one is enough), anything else is a path that is kept as it is,
+    as are .plan files of QGroundControl. With --fleet and --formation vehicles may be named instead of a file.
     Exit code 0: certified and written, 1: refused.
     """
-    motion, space = motion_limits(limits), place.space()
-    middle = None if at is None else vector("--at", at)
-    wanted = None if shape is None else (shape, spacing, middle, heading)
-    if shape is not None and middle is None:
-        raise typer.BadParameter("--formation needs --at X,Y,Z")
-    question = _Question(file, wanted, exchange or shape is not None, kind, motion, limits is not None)
+    motion, space, here = motion_limits(limits), place.space(), origin_of(origin)
+    shape.require_valid()
+    question = _Question(tuple(files), shape, exchange, kind, motion, limits is not None, here)
     if fleet:
         params = margins.asked_of_daemon()
 
@@ -170,7 +166,8 @@ def show(
         raise typer.BadParameter(f"--output: {output.name!r} ends neither in .svg nor in .html")
 
     def command() -> None:
-        found = _read(files, motion, place)
+        found = read_files(files, motion, place)
+        print_notes(found)
         _show(found, motion, output, json_output)
 
     run_offline(command)
@@ -180,65 +177,7 @@ def add_to(app_: typer.Typer) -> None:
     app_.add_typer(app, name="plan", rich_help_panel="Orders")
 
 
-# --- files ------------------------------------------------------------------------------------------------------------
-
-
-def _bytes(file: Path) -> bytes:
-    try:
-        with file.open("rb") as opened:
-            return opened.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise SkygcsError(f"{file}: {error.strerror or error}") from None
-
-
-def _read(files: Sequence[Path], limits: MotionLimits, origin: Origin | None) -> ReadPlan:
-    """One plan; several files are one timed plan together."""
-    found = [read_plan(str(file), _bytes(file), limits, origin) for file in files]
-    if len(found) == 1:
-        return found[0]
-    trajectories: dict[str, Trajectory] = {}
-    for file, part in zip(files, found, strict=True):
-        if not isinstance(part.plan, TimedPlan) or part.space != FlightSpace():
-            raise PlanFileError(str(file), "", "only files of trajectories can be put together")
-        if twice := trajectories.keys() & part.plan.trajectories.keys():
-            raise PlanFileError(str(file), "", f"vehicle {min(twice)} is in two files")
-        trajectories.update(part.plan.trajectories)
-    return ReadPlan(TimedPlan(trajectories), FlightSpace(), f"{len(found)} files")
-
-
-Places = dict[str, Vector]
-
-Wanted = tuple[str, float, Vector | None, float]
-"""Shape, spacing, middle and heading (degrees) of a formation."""
-
-
-def _ends(file: Path, wanted: Wanted | None, *, one_is_enough: bool = False) -> tuple[Places, Places | None]:
-    """Starts and goals; no goals where the file holds paths. ``one_is_enough``: a single place is a goal."""
-    from math import radians
-
-    if file.suffix.lower() == ".toml" or any(column in _bytes(file)[:4096] for column in (b"initial_x", b"final_x")):
-        from skygcs.cli.table import read_table
-        from skygcs.core.plan.position_table import spots
-
-        places = read_table(file)
-        starts = {name: spot.position_m for name, spot in spots(places, "initial").items()}
-        goals = {name: spot.position_m for name, spot in spots(places, "final").items()}
-    else:
-        from skygcs.core.plan.trajectory_csv import read_paths
-
-        if file.suffix.lower() != ".csv":
-            raise PlanFileError(str(file), "", "starts and goals are in a .csv or .toml")
-        paths = read_paths(str(file), _bytes(file))
-        starts = {name: path.points[0] for name, path in paths.items()}
-        counts = {len(path.points) for path in paths.values()}
-        if wanted is None and (any(path.times for path in paths.values()) or counts - {2, 1 if one_is_enough else 2}):
-            return starts, None
-        goals = {name: path.points[-1] for name, path in paths.items()}
-    if wanted is not None:
-        shape, spacing, middle, heading = wanted
-        placed = formation(shape, len(starts), spacing, middle or (0.0, 0.0, 0.0), radians(heading))
-        goals = dict(zip(starts, placed, strict=True))
-    return starts, goals
+# --- questions and answers --------------------------------------------------------------------------------------------
 
 
 def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits) -> str:
@@ -269,29 +208,43 @@ def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits
     return f"written to {output}"
 
 
-# --- questions and answers --------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Question:
     """What `plan make` is asked for."""
 
-    file: Path
-    wanted: Wanted | None
+    files: tuple[Path, ...]
+    shape: FormationOptions
     exchangeable: bool
     kind: Kind
     limits: MotionLimits
     within_limits: bool
+    origin: Origin | None
 
     def request(self, rule: MarginRule, space: FlightSpace) -> dict[str, Any]:
         """For a planning process. Raises SkygcsError."""
-        starts, goals = _ends(self.file, self.wanted)
+        wanted = self.shape.wanted()
+        starts, goals = self.ends(one_is_enough=wanted is not None)
+        if wanted is not None:
+            if not starts:
+                raise RefusedError(f"{self.files[0]} names no vehicles and where they start, which a formation takes")
+            goals = wanted.places(list(starts), starts)
         if goals is None:
-            plan = _read([self.file], self.limits, None).plan
+            plan = self.paths(self.origin).plan
             return check_request(plan, rule, self.limits, space, within_limits=self.within_limits, keep=True)
-        return make_request(
-            starts, goals, rule, self.limits, space, exchangeable=self.exchangeable, kind=self.kind.value
-        )
+        exchange = self.exchangeable or (wanted is not None and wanted.exchangeable)
+        return make_request(starts, goals, rule, self.limits, space, exchangeable=exchange, kind=self.kind.value)
+
+    def ends(self, *, one_is_enough: bool) -> tuple[Places, Places | None]:
+        """Starts and goals; several files are paths. Raises SkygcsError."""
+        if len(self.files) > 1:
+            return {}, None
+        return starts_and_goals(self.files[0], one_is_enough=one_is_enough)
+
+    def paths(self, origin: Origin | None) -> ReadPlan:
+        """The files as paths. Raises SkygcsError."""
+        found = read_files(self.files, self.limits, origin)
+        print_notes(found)
+        return found
 
 
 def _answered(answer: Answer, output: Path | None, limits: MotionLimits, json_output: bool) -> int:
@@ -308,19 +261,30 @@ def _answered(answer: Answer, output: Path | None, limits: MotionLimits, json_ou
     return print_answer(answer, json_output, "paths", written)
 
 
-async def _origin_of_fleet(gcs: Client) -> Origin | None:
-    known = (await gcs.call("origin.get"))["origin"]
-    return None if known is None else Origin(**known)
-
-
 async def _made_by_daemon(
     gcs: Client, question: _Question, space: FlightSpace, params: Mapping[str, Any], json_output: bool
 ) -> Answer:
     """The daemon takes measured positions as starts. Raises SkygcsError."""
-    _, goals = await asyncio.to_thread(_ends, question.file, question.wanted, one_is_enough=True)
     common = {**params, "space": space_content(space), "limits": asdict(question.limits)}
+    kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
+    wanted = await asyncio.to_thread(question.shape.wanted)
+    if wanted is not None:
+        if len(question.files) > 1:
+            raise RefusedError("a formation takes one file, or targets with commas")
+        formation = {
+            "vehicles": await vehicles_of(gcs, question.files[0]),
+            "shape": wanted.shape,
+            "middle_m": wanted.middle_m,
+            "spacing_m": wanted.spacing_m,
+            "yaw_deg": question.shape.heading,
+            "scale": wanted.scale,
+            "points_m": wanted.points_m,
+        }
+        return await asked(gcs, "plan.make", json_output, formation=formation, **kind, **common)
+    _, goals = await asyncio.to_thread(question.ends, one_is_enough=True)
     if goals is None:
-        found = _read([question.file], question.limits, None)
+        origin = question.origin or await origin_of_fleet(gcs, question.files)
+        found = await asyncio.to_thread(question.paths, origin)
         content = plan_content(found.plan, FlightSpace())
         more = {"within_limits": question.within_limits}
         answer = await asked(gcs, "plan.certify", json_output, plan=content, **more, **common)
@@ -329,7 +293,6 @@ async def _made_by_daemon(
         certified_in = space_content(space)
         certified_in["standing"] |= answer["standing"]
         return {**answer, "plan": content | {"space": certified_in, "certificate": answer["certificate"]}}
-    kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
     return await asked(gcs, "plan.make", json_output, goals=goals, **kind, **common)
 
 

@@ -14,10 +14,8 @@ import typer
 from skygcs.cli.connection import Exit, fail, run, run_show, show, waiting
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
+from skygcs.cli.plan_inputs import origin_of_fleet, print_notes, read_files
 from skygcs.cli.render import LiveView, duration, fixed, print_json, print_lines, table
-from skygcs.core.geo import Origin
-from skygcs.core.plan.file_reading import MAX_FILE_BYTES
-from skygcs.core.plan.plan_files import ReadPlan, read_plan
 from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
@@ -43,7 +41,10 @@ class ControlModeName(StrEnum):
 
 Force = Annotated[bool, typer.Option("--force", help="Although checks refuse it that can be insisted on.")]
 File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A plan: .json, .skyc or .csv of several vehicles.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="FILE", help="A plan: .json, .skyc or .csv of several vehicles; .plan of one.", show_default=False
+    ),
 ]
 Vehicles = Annotated[
     str | None,
@@ -105,22 +106,12 @@ def run_plan(
 
 async def _load(gcs: Client, file: Path) -> dict[str, Any]:
     """Give the file's plan to the daemon. Raises PlanFileError."""
-    known = (await gcs.call("origin.get"))["origin"]
-    origin = None if known is None else Origin(**known)
-    found = await asyncio.to_thread(_read, file, origin)
+    origin = await origin_of_fleet(gcs, [file])
+    found = await asyncio.to_thread(read_files, [file], MotionLimits(), origin)
+    print_notes(found)
     text = await asyncio.to_thread(write_plan_json, found.plan, found.space)
     kept: dict[str, Any] = await gcs.call("plan.load", **await gcs.given_plan(text), name=file.stem[:64] or "plan")
     return kept
-
-
-def _read(file: Path, origin: Origin | None) -> ReadPlan:
-    try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise PlanFileError(str(file), "", f"larger than {MAX_FILE_BYTES >> 20} MiB")
-        data = file.read_bytes()
-    except OSError as error:
-        raise PlanFileError(str(file), "", f"cannot be read: {error.strerror}") from None
-    return read_plan(str(file), data, MotionLimits(), origin)
 
 
 async def _vehicles(gcs: Client, planned: Sequence[str], targets: str | None) -> dict[str, str] | None:

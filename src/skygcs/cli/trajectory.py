@@ -13,18 +13,15 @@ import typer
 from skygcs.cli.connection import print_outcomes, run, run_order, run_show
 from skygcs.cli.options import Json, OptionalTargets, Targets
 from skygcs.cli.parsing import finite, within
-from skygcs.core.geo import Origin
+from skygcs.cli.plan_inputs import origin_of_fleet, print_notes, read_files
 from skygcs.core.plan.fleet_plan import TimedPlan
-from skygcs.core.plan.plan_files import read_plan
+from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
 from skygcs.rpc.client import Client
 
 app = typer.Typer(help="Load timed trajectories and fly them on one clock.", no_args_is_help=True)
-
-MAX_FILE_BYTES = 64 << 20
-"""Larger than any show; a file is read as a whole."""
 
 LARGEST_REQUEST = 1_000_000
 """Bytes; the daemon's limit of a line is 1 MiB."""
@@ -38,7 +35,7 @@ State = Mapping[str, Any]
 def load(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="skygcs plan (.json), .csv, or Skybrush show (.skyc).", show_default=False),
+        typer.Argument(metavar="FILE", help="skygcs plan (.json), .csv, .plan, or show (.skyc).", show_default=False),
     ],
     targets: OptionalTargets = "all",
     json_output: Json = False,
@@ -51,9 +48,10 @@ def load(
     """
 
     async def command(gcs: Client) -> int:
-        data = await asyncio.to_thread(_bytes_of, file)
-        known = (await gcs.call("origin.get"))["origin"]
-        plan = _timed_plan(file, data, None if known is None else Origin(**known))
+        origin = await origin_of_fleet(gcs, [file])
+        found = await asyncio.to_thread(read_files, [file], MotionLimits(), origin)
+        print_notes(found)
+        plan = _timed(file, found)
         names = [state["name"] for state in await gcs.vehicles(targets)]
         chosen = _chosen(file, plan, names, targets)
         outcomes: dict[str, Any] = {}
@@ -73,22 +71,11 @@ def load(
     run(command)
 
 
-def _bytes_of(file: Path) -> bytes:
-    """What a file holds. Raises PlanFileError."""
-    try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise PlanFileError(str(file), "", f"larger than {MAX_FILE_BYTES >> 20} MiB")
-        return file.read_bytes()
-    except OSError as error:
-        raise PlanFileError(str(file), "", f"cannot be read: {error.strerror}") from None
-
-
-def _timed_plan(file: Path, data: bytes, origin: Origin | None) -> TimedPlan:
+def _timed(file: Path, found: ReadPlan) -> TimedPlan:
     """Raises PlanFileError."""
-    plan = read_plan(str(file), data, MotionLimits(), origin).plan
-    if not isinstance(plan, TimedPlan):
+    if not isinstance(found.plan, TimedPlan):
         raise PlanFileError(str(file), "", "it has phases and no times: only a timed plan is a trajectory")
-    return plan
+    return found.plan
 
 
 def _chosen(file: Path, plan: TimedPlan, names: list[str], targets: str) -> dict[str, Trajectory]:

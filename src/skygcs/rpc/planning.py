@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from skygcs.core.plan.file_reading import MAX_VEHICLES
 from skygcs.core.plan.fleet_plan import FlightSpace
-from skygcs.core.plan.formations import SHAPES, formation
+from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import MAX_BOXES, MAX_CORNERS
 from skygcs.core.trajectory import MotionLimits
@@ -55,10 +55,28 @@ class LimitsParams(MethodParams):
 
 class FormationParams(MethodParams):
     vehicles: Annotated[list[str], Field(min_length=1, max_length=MAX_VEHICLES)]
-    shape: str = Field(description=f"One of {', '.join(SHAPES)}.")
-    middle_m: Point
-    spacing_m: float = Field(5.0, description="Between neighbours.")
-    yaw_deg: float = Field(0.0, description="It looks there, counter-clockwise from x.")
+    shape: str = Field(
+        description=f"One of {', '.join(SHAPES)}; {POINTS}: points_m; {CURRENT}: where they are, each keeps its place."
+    )
+    middle_m: Point | None = Field(None, description="null: where the middle of the points, or of the vehicles, is.")
+    spacing_m: float = Field(5.0, description="Between neighbours of a shape.")
+    yaw_deg: Annotated[float, Field(ge=-MAX_YAW_DEG, le=MAX_YAW_DEG)] = Field(
+        0.0, description="A shape looks there, points are turned by it; counter-clockwise."
+    )
+    scale: float = Field(1.0, description="Times all distances from the middle.")
+    points_m: Annotated[list[Point], Field(max_length=MAX_VEHICLES)] = Field(
+        [], description="Of the shape points: [x, y, up] for each vehicle, about any point."
+    )
+
+    def wanted(self) -> WantedFormation:
+        return WantedFormation(
+            self.shape,
+            None if self.middle_m is None else _vector(self.middle_m),
+            math.radians(self.yaw_deg),
+            self.scale,
+            self.spacing_m,
+            tuple(_vector(point) for point in self.points_m),
+        )
 
 
 class PathParams(MethodParams):
@@ -111,7 +129,8 @@ class PlanMakeParams(CertifyParams):
     )
     formation: FormationParams | None = Field(
         None,
-        description="Or vehicles, shape, middle_m, spacing_m, yaw_deg of a formation; any vehicle may take any place.",
+        description=f"Or vehicles, shape ({', '.join((*SHAPES, POINTS, CURRENT))}), middle_m, spacing_m, yaw_deg, "
+        "scale, points_m of a formation; any vehicle may take any place, in the current formation each keeps its own.",
     )
     paths: Annotated[dict[str, PathParams], Field(min_length=1, max_length=MAX_VEHICLES)] | None = Field(
         None, description="Or written paths by vehicle: points, and times_s and yaws_deg for each point or not at all."
@@ -203,15 +222,14 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
         facts.require_each_once(params.paths)
         request = paths_request(paths, facts.rule(), limits, facts.space(paths), within_limits=params.within_limits)
     else:
-        goals = facts.goals(params)
-        starts = facts.starts(goals, params.starts)
+        starts, goals, exchangeable = facts.task(params)
         request = make_request(
             starts,
             goals,
             facts.rule(),
             limits,
             facts.space(goals),
-            exchangeable=params.exchangeable or params.formation is not None,
+            exchangeable=exchangeable,
             kind=params.kind,
         )
     return await _run(context, "make", request, facts, params.progress)
@@ -286,20 +304,20 @@ class _Facts:
             twice = next(name for name in names if names.count(name) > 1)
             raise InvalidParams(("", f"{twice} is there twice, by its name and by its system id"))
 
-    def goals(self, params: PlanMakeParams) -> dict[str, Vector]:
-        """Final positions by the vehicles' names. Raises RefusedError, TargetError."""
+    def task(self, params: PlanMakeParams) -> tuple[dict[str, Vector], dict[str, Vector], bool]:
+        """Initial and final positions by the vehicles' names, and whether goals may be exchanged. Raises RefusedError,
+        TargetError."""
         if params.formation is None:
             assert params.goals is not None
             self.require_each_once(params.goals)
-            return {self.name(key): _vector(point) for key, point in params.goals.items()}
-        shape = params.formation
-        self.require_each_once(shape.vehicles)
-        names = [self.name(key) for key in shape.vehicles]
-        middle, yaw_rad = _vector(shape.middle_m), math.radians(shape.yaw_deg)
-        places = formation(shape.shape, len(names), shape.spacing_m, middle, yaw_rad)
-        return dict(zip(names, places, strict=True))
+            goals = {self.name(key): _vector(point) for key, point in params.goals.items()}
+            return self.starts(goals, params.starts), goals, params.exchangeable
+        self.require_each_once(params.formation.vehicles)
+        names = [self.name(key) for key in params.formation.vehicles]
+        starts, wanted = self.starts(names, params.starts), params.formation.wanted()
+        return starts, wanted.places(names, starts), params.exchangeable or wanted.exchangeable
 
-    def starts(self, goals: Mapping[str, Vector], given: Mapping[str, list[float]] | None) -> dict[str, Vector]:
+    def starts(self, names: Iterable[str], given: Mapping[str, list[float]] | None) -> dict[str, Vector]:
         """Initial positions: those given, else where the vehicles are now. Raises RefusedError."""
         if given is not None:
             self.require_each_once(given)
@@ -307,7 +325,7 @@ class _Facts:
         if self._services.fleet.origin is None:
             raise RefusedError("the fleet has no frame yet, so positions mean nothing: origin.set")
         now = self._services.now()
-        found = {name: fleet_margins.place(one_vehicle(self._services, name), now, fresh=True) for name in goals}
+        found = {name: fleet_margins.place(one_vehicle(self._services, name), now, fresh=True) for name in names}
         if nowhere := [name for name, place in found.items() if place is None]:
             raise RefusedError(f"{', '.join(nowhere)}: its position is not known; give starts")
         starts = {name: place for name, place in found.items() if place is not None}

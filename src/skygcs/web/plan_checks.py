@@ -13,16 +13,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from skygcs.core.geo import Origin
 from skygcs.core.plan.certificate import Certificate
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.formations import formation
 from skygcs.core.plan.margins import MarginRule, Uncertainty
-from skygcs.core.plan.plan_files import ReadPlan, read_plan
+from skygcs.core.plan.plan_files import NamedFile, read_together
 from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
-from skygcs.errors import PlanFileError, RefusedError
+from skygcs.errors import RefusedError
 from skygcs.web.dropped import DroppedFile, Metres, Name, OriginKeys, Place, Point, Request, parsed
 
 MAX_FILES = 255
@@ -134,29 +133,17 @@ def _certified(
     from skygcs.core.plan.certify import certify
 
     origin = None if asked.origin is None else asked.origin.origin()
-    found = _read(files, motion, origin)
+    found = read_together([NamedFile(file.name, file.content()) for file in files], motion, origin)
+    if origin is None and found.origin is not None:
+        raise RefusedError("its positions are by latitude and longitude, and the fleet has no origin yet")
     # a vehicle of the plan does not stand aside, wherever the page saw it
     names = found.plan.trajectories if isinstance(found.plan, TimedPlan) else found.plan.starts
     others = {name: place for name, place in asked.standing.items() if name not in names}
     space = _space(asked.model_copy(update={"standing": others}), found.space)
     certificate = certify(found.plan, rule, space, limits=None if asked.limits is None else motion)
     name = files[0].name if len(files) == 1 else f"{len(files)} files"
-    return _answer(name, found.format, found.plan, space, certificate, motion)
-
-
-def _read(files: Sequence[DroppedFile], motion: MotionLimits, origin: Origin | None) -> ReadPlan:
-    """One plan; several files are one timed plan together."""
-    found = [read_plan(file.name, file.content(), motion, origin) for file in files]
-    if len(found) == 1:
-        return found[0]
-    trajectories: dict[str, Trajectory] = {}
-    for file, part in zip(files, found, strict=True):
-        if not isinstance(part.plan, TimedPlan) or part.space != FlightSpace():
-            raise PlanFileError(file.name, "", "only files of trajectories can be put together")
-        if twice := trajectories.keys() & part.plan.trajectories.keys():
-            raise PlanFileError(file.name, "", f"vehicle {min(twice)} is in two files")
-        trajectories.update(part.plan.trajectories)
-    return ReadPlan(TimedPlan(trajectories), FlightSpace(), f"{len(found)} files")
+    what = "; ".join((found.format, *found.notes))
+    return _answer(name, what, found.plan, space, certificate, motion)
 
 
 # --- a task -----------------------------------------------------------------------------------------------------------

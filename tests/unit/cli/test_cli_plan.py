@@ -99,6 +99,74 @@ def test_a_formation_is_the_goal(goals: str) -> None:
     assert json.loads(made.output)["closest"]["distance_m"] >= 2.5
 
 
+def test_a_formation_from_a_file_is_moved_turned_and_scaled(goals: str, tmp_path: Path) -> None:
+    star, output = tmp_path / "star.csv", tmp_path / "plan.json"
+    star.write_text("x,y,z\n100,0,1\n108,0,3\n100,8,1\n")
+    made = plan("make", goals, "--formation", star, "--at", "0,0,15", "--yaw", 90, "--scale", 2, "-o", output)
+    assert made.exit_code == 0, made.output
+    ends = [v["end_m"] for v in json.loads(plan("show", output, "--json").output)["vehicles"].values()]
+    # about their middle (102.667, 2.667, 1.667): x → y, y → -x, twice as large
+    assert sorted(ends) == [[-10.667, -5.333, 13.667], [5.333, -5.333, 13.667], [5.333, 10.667, 17.667]]
+
+
+def test_the_current_formation_is_turned_about_its_middle(goals: str, tmp_path: Path) -> None:
+    output = tmp_path / "plan.json"
+    made = plan("make", goals, "--formation", "current", "--yaw", 180, "--scale", 2, "-o", output)
+    assert made.exit_code == 0, made.output
+    shown = json.loads(plan("show", output, "--json").output)["vehicles"]
+    assert shown["alpha"]["end_m"] == pytest.approx([30.0, -10.0, 10.0], abs=0.001)
+    assert shown["bravo"]["end_m"] == pytest.approx([-10.0, -10.0, 10.0], abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (("--formation", "star", "--at", "0,0,9"), 2, "none of line, column"),
+        (("--formation", "line"), 2, "needs --at"),
+        (("--formation", "line", "--at", "0,0"), 2, "not 3 numbers"),
+        (("--formation", "missing.csv"), 1, "missing.csv: No such file"),
+        (("--formation", "current", "--scale", 0), 1, "a scale of 0"),
+    ],
+)
+def test_a_formation_that_is_none_is_an_error(goals: str, options: tuple[object, ...], code: int, words: str) -> None:
+    made = plan("make", goals, *options)
+    assert made.exit_code == code and words in made.output, made.output
+
+
+MISSION = {
+    "fileType": "Plan",
+    "version": 1,
+    "mission": {
+        "version": 2,
+        "plannedHomePosition": [47.0, 8.0, 400.0],
+        "items": [
+            {"type": "SimpleItem", "command": 22, "frame": 3, "params": [0, 0, 0, None, 47.0, 8.0, 10]},
+            {"type": "SimpleItem", "command": 16, "frame": 3, "params": [0, 0, 0, None, 47.0005, 8.0, 10]},
+            {"type": "SimpleItem", "command": 20, "frame": 2, "params": [0, 0, 0, 0, 0, 0, 0]},
+        ],
+    },
+}
+
+
+def test_missions_of_qgroundcontrol_are_paths_of_vehicles(tmp_path: Path) -> None:
+    file, output = tmp_path / "alpha.plan", tmp_path / "plan.json"
+    file.write_text(json.dumps(MISSION))
+    shown = plan("show", file, f"bravo={file}", "--json")
+    assert json.loads(shown.stdout)["vehicles"].keys() == {"alpha", "bravo"}
+    assert "positions are about 47.0000000, 8.0000000, 400.00 m AMSL" in shown.stderr
+    refused = plan("check", file, f"bravo={file}")
+    assert refused.exit_code == 1 and "alpha and bravo come within 0.000 m" in refused.output
+    assert plan("make", file, "-o", output).exit_code == 0
+    assert json.loads(output.read_text())["vehicles"].keys() == {"alpha"}
+    twice = plan("check", file, file)
+    assert twice.exit_code == 1 and "vehicle alpha is in two files; NAME=FILE" in twice.output
+    camera = json.loads(json.dumps(MISSION))
+    camera["mission"]["items"][1]["command"] = 2000
+    file.write_text(json.dumps(camera))
+    other = plan("check", file)
+    assert other.exit_code == 1 and "alpha.plan: item 2: IMAGE_START_CAPTURE" in other.output
+
+
 def test_a_table_of_positions_is_planned(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     table.write_text("vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z\na,0,0,5,9,0,5\nb,0,9,5,9,9,5\n")

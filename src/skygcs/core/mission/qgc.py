@@ -101,6 +101,8 @@ def read_qgc(text: str, source: str) -> tuple[MissionPlan, tuple[str, ...]]:
         raise file.error(f"line {error.lineno}", f"not JSON: {error.msg}") from None
     except RecursionError:
         raise file.error("", "not a plan: nested too deeply") from None
+    except ValueError as error:  # a number of more digits than Python converts
+        raise file.error("", f"not JSON: {error}") from None
     plan = _plan(file, root) if "fileType" in root or "mission" in root else _old_mission(file, root)
     return plan, tuple(file.notes)
 

@@ -99,6 +99,16 @@ def json_of(source: str, data: bytes) -> Any:
         raise PlanFileError(source, "", f"not JSON: {str(error)[:200]}") from None
 
 
+def require_unique_keys(source: str, text: str) -> None:
+    """Raise PlanFileError for text that is not JSON, or in which an object has a key twice; NaN passes."""
+    try:
+        json.loads(text, object_pairs_hook=_unique)
+    except RecursionError:
+        raise PlanFileError(source, "", "nested too deeply") from None
+    except ValueError as error:
+        raise PlanFileError(source, "", f"not JSON: {str(error)[:200]}") from None
+
+
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):

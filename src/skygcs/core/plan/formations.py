@@ -2,16 +2,18 @@
 
     line     beside each other, across the heading         grid     rows and columns, the front row full
     column   behind each other, along the heading          circle   evenly around, the first ahead
-    V        the first at the point, ahead                 points   from a file, as they are
+    V        the first at the point, ahead                 points   given ones, of a file for example
+                                                           current  where the vehicles are, each keeps its place in it
 
-``spacing_m`` is the least distance between neighbours. The heading is ENU yaw: 0 looks along x. The middle of the
-places is the middle of the formation, so turning and scaling keep it. Pure geometry: no vehicle is assigned to a place.
+``spacing_m`` is the least distance between neighbours of a shape. The heading is ENU yaw: 0 looks along x, and leaves
+points as they were given. The middle of the places is the middle of the formation, so turning and scaling keep it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from skygcs.core.plan.file_reading import MAX_VEHICLES
 from skygcs.core.trajectory.piecewise import MAX_POSITION_M, Vector
@@ -19,12 +21,56 @@ from skygcs.errors import RefusedError
 
 SHAPES = ("line", "column", "v", "circle", "grid")
 
+POINTS, CURRENT = "points", "current"
+
 MAX_SPACING_M = 1000.0
 
 V_ANGLE_RAD = math.radians(35.0)
 """Between an arm of the V and the line it flies along."""
 
 Flat = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class WantedFormation:
+    """A formation that vehicles are to take. ``shape``: one of `SHAPES`, `POINTS` or `CURRENT`."""
+
+    shape: str
+    middle_m: Vector | None = None
+    """None: where the middle of the points, or of the vehicles, is."""
+    yaw_rad: float = 0.0
+    """Heading of a shape; by how much points are turned, counter-clockwise seen from above."""
+    scale: float = 1.0
+    spacing_m: float = 5.0
+    """Of a shape."""
+    points_m: tuple[Vector, ...] = ()
+    """Of `POINTS`: one for each vehicle."""
+
+    @property
+    def exchangeable(self) -> bool:
+        """Whether any vehicle may take any place; in the current formation each keeps its own."""
+        return self.shape != CURRENT
+
+    def places(self, names: Sequence[str], starts: Mapping[str, Vector]) -> dict[str, Vector]:
+        """A place for each vehicle; ``starts`` is where they are. Raises RefusedError."""
+        if self.shape in SHAPES:
+            if self.middle_m is None:
+                raise RefusedError(f"a {self.shape} needs its middle")
+            middle, spacing_m = self.middle_m, self.spacing_m * self.scale
+            return dict(zip(names, formation(self.shape, len(names), spacing_m, middle, self.yaw_rad), strict=True))
+        if self.shape == CURRENT:
+            if unknown := [name for name in names if name not in starts]:
+                raise RefusedError(f"{unknown[0]}: its place in the current formation is not known")
+            points: Sequence[Vector] = [starts[name] for name in names]
+        elif self.shape == POINTS:
+            points = self.points_m
+        else:
+            known = ", ".join((*SHAPES, POINTS, CURRENT))
+            raise RefusedError(f"no formation {self.shape[:40]!r}; there are {known}")
+        if len(points) != len(names):
+            raise RefusedError(f"{len(points)} points for {len(names)} vehicles; it takes one for each")
+        middle = middle_of(points) if self.middle_m is None else self.middle_m
+        return dict(zip(names, placed(points, middle, self.yaw_rad, self.scale), strict=True))
 
 
 def formation(
@@ -43,12 +89,9 @@ def placed(
     points_m: Sequence[Vector], middle_m: Vector = (0.0, 0.0, 0.0), yaw_rad: float = 0.0, scale: float = 1.0
 ) -> list[Vector]:
     """The points with their middle moved to ``middle_m``, turned by ``yaw_rad`` and scaled. Raises RefusedError."""
-    if not points_m:
-        raise RefusedError("a formation has one point at least")
     if not (0.01 <= scale <= 100.0 and math.isfinite(yaw_rad)):  # also for NaN
         raise RefusedError(f"a scale of {scale:g} is not between 0.01 and 100, or a yaw of {yaw_rad:g} is no angle")
-    n = len(points_m)
-    middle = [sum(point[k] for point in points_m) / n for k in range(3)]
+    middle = middle_of(points_m)
     cos, sin = math.cos(yaw_rad) * scale, math.sin(yaw_rad) * scale
     found = []
     for point in points_m:
@@ -58,6 +101,14 @@ def placed(
             raise RefusedError(f"a place of the formation is not within ±{MAX_POSITION_M:g} m")
         found.append(place)
     return found
+
+
+def middle_of(points_m: Sequence[Vector]) -> Vector:
+    """The mean of one point or more. Raises RefusedError."""
+    if not points_m:
+        raise RefusedError("a formation has one point at least")
+    x, y, z = (math.fsum(point[k] for point in points_m) / len(points_m) for k in range(3))
+    return x, y, z
 
 
 def _shape(shape: str, count: int) -> list[Flat]:

@@ -71,6 +71,23 @@ def read_points(source: str, data: bytes) -> dict[str, list[Vector]]:
     return {name: path.points for name, path in read_paths(source, data).items()}
 
 
+def read_formation_csv(source: str, data: bytes) -> tuple[Vector, ...]:
+    """The points of a formation: rows x,y,z in metres, about any point. Raises PlanFileError."""
+    lines = rows(source, text_of(source, data))
+    header = _header(source, lines)
+    if header.columns.keys() != {"x", "y", "z"}:
+        raise PlanFileError(source, f"line {header.line}", "the columns of a formation are x, y, z")
+    points: list[Vector] = []
+    for number, cells in lines:
+        where = f"line {number}"
+        row = _row(source, where, header, cells)
+        x, y, z = (number_of(source, where, axis, row[axis]) for axis in ("x", "y", "z"))
+        points.append((x, y, z))
+        require_vehicles(source, len(points))
+    require_vehicles(source, len(points))
+    return tuple(points)
+
+
 def read_paths(source: str, data: bytes, vehicle: str | None = None) -> Mapping[str, _Path]:
     """The rows by vehicle. ``vehicle``: whose they are in a file without that column; None: it must be there. Raises
     PlanFileError."""

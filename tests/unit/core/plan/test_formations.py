@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.plan.formations import SHAPES, formation, placed
+from skygcs.core.plan.formations import SHAPES, WantedFormation, formation, placed
 from skygcs.errors import RefusedError
 
 NINETY = math.radians(90.0)
@@ -52,3 +52,48 @@ def test_what_is_no_formation_is_refused(shape: str, count: int, spacing: float,
             placed([(0.0, 0.0, 0.0)], scale=scale, yaw_rad=yaw)
     with pytest.raises(RefusedError, match="not within"):
         placed([(0.0, 0.0, 0.0)], (math.inf, 0.0, 0.0))
+
+
+STARTS = {"alpha": (0.0, 0.0, 10.0), "bravo": (10.0, 0.0, 12.0), "charlie": (5.0, 0.0, 14.0)}
+
+
+def test_the_current_formation_is_moved_turned_and_scaled_and_each_keeps_its_place() -> None:
+    wanted = WantedFormation("current", (100.0, 0.0, 12.0), NINETY, 2.0)
+    found = wanted.places(list(STARTS), STARTS)
+    assert not wanted.exchangeable
+    assert found["alpha"] == pytest.approx((100.0, -10.0, 8.0))
+    assert found["bravo"] == pytest.approx((100.0, 10.0, 12.0))
+    assert found["charlie"] == pytest.approx((100.0, 0.0, 16.0))
+    stays = WantedFormation("current").places(["bravo", "alpha"], STARTS)  # about the middle of those two
+    assert stays == {"bravo": pytest.approx(STARTS["bravo"]), "alpha": pytest.approx(STARTS["alpha"])}
+
+
+def test_points_and_shapes_are_for_as_many_vehicles() -> None:
+    points = ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 1.0))
+    wanted = WantedFormation("points", points_m=points)
+    assert wanted.exchangeable
+    assert list(wanted.places(list(STARTS), {}).values()) == [pytest.approx(point) for point in points]
+    shape = WantedFormation("line", (0.0, 0.0, 5.0), 0.0, 2.0, 3.0)
+    assert [y for _, y, _ in shape.places(list(STARTS), {}).values()] == pytest.approx([6.0, 0.0, -6.0])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        (WantedFormation("points", points_m=((0.0, 0.0, 0.0),)), "1 points for 3 vehicles"),
+        (WantedFormation("points"), "0 points for 3 vehicles"),
+        (WantedFormation("line"), "a line needs its middle"),
+        (WantedFormation("star"), "no formation 'star'"),
+        (WantedFormation("current", scale=math.nan), "scale of nan"),
+        (WantedFormation("current", yaw_rad=math.inf), "no angle"),
+        (WantedFormation("current", (math.nan, 0.0, 0.0)), "not within"),
+    ],
+)
+def test_what_cannot_be_taken_is_refused(wanted: WantedFormation, words: str) -> None:
+    with pytest.raises(RefusedError, match=words):
+        wanted.places(list(STARTS), STARTS)
+
+
+def test_the_current_formation_needs_the_place_of_each() -> None:
+    with pytest.raises(RefusedError, match="delta: its place in the current formation is not known"):
+        WantedFormation("current").places(["alpha", "delta"], STARTS)
