@@ -8,6 +8,7 @@ from typing import Any
 
 from skygcs.bring_up.probe import FOLDER, SYSTEM_SOCKET, Facts
 from skygcs.bring_up.ssh_session import Session, printable, quoted
+from skygcs.core.vehicle.state import AIRBORNE
 from skygcs.errors import CompanionError
 
 UNIT = "skygcs"
@@ -52,21 +53,25 @@ def require_service(facts: Facts) -> None:
 
 async def require_at_rest(session: Session, facts: Facts) -> None:
     """Raises CompanionError if a vehicle of a running service is armed or in the air, or if its state is not known."""
+    flying = await active_vehicles(session, facts)
+    if flying:
+        reason = f"{', '.join(flying)} is armed or in the air"
+        raise CompanionError("refused", reason, f"land and disarm first; {INSIST}")
+
+
+async def active_vehicles(session: Session, facts: Facts) -> list[str]:
+    """Vehicles of a companion's daemon that are armed or in the air; none if it does not run. Raises CompanionError."""
     if facts.state != "active":
-        return
+        return []
     vehicles = await ask(session, facts, "status")
     if not isinstance(vehicles, list):
         raise CompanionError("status", "the daemon there gives no list of vehicles", INSIST)
-    flying = [str(v.get("name")) for v in vehicles if isinstance(v, Mapping) and is_active(v)]
-    if flying:
-        raise CompanionError(
-            "refused", f"{', '.join(flying)} is armed or in the air", f"land and disarm first; {INSIST}"
-        )
+    return [str(v.get("name")) for v in vehicles if isinstance(v, Mapping) and is_active(v)]
 
 
 def is_active(vehicle: Mapping[str, Any]) -> bool:
     """True if a vehicle of `vehicles.list` is armed, or not known to be disarmed, or in the air."""
-    return vehicle.get("armed") is not False or vehicle.get("landed") is False
+    return vehicle.get("armed") is not False or vehicle.get("landed") in AIRBORNE
 
 
 async def ask(session: Session, facts: Facts, *words: str) -> Any:

@@ -1,4 +1,4 @@
-"""The same work on many companions at once: a bound on how many, a limit of time for each, one outcome each."""
+"""The same work for many companions or vehicles at once: a bound on how many, a limit of time, an outcome for each."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import asyncio
 import os
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
-from skygcs.bring_up.inventory import Companion
 from skygcs.errors import SkygcsError
 
 AT_ONCE = 8
@@ -19,7 +18,7 @@ DEBUG_VARIABLE = "SKYGCS_DEBUG"
 
 @dataclass(slots=True)
 class Progress:
-    """What is going on with one companion. ``step`` is for a person."""
+    """What is going on with one of them. ``step`` is for a person."""
 
     name: str
     step: str = "waiting"
@@ -49,51 +48,59 @@ class Progress:
         }
 
 
-Work = Callable[[Companion, Progress], Awaitable[str]]
+class Named(Protocol):
+    """What has a name: a companion, a vehicle to be made ready."""
+
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=Named)
+Work = Callable[[T, Progress], Awaitable[str]]
 """Does it, names its step in the progress, and returns the message of its success."""
 
 
 async def side_by_side(
-    companions: Sequence[Companion],
-    work: Work,
+    targets: Sequence[T],
+    work: Work[T],
     *,
     at_once: int = AT_ONCE,
     timeout_s: float,
     on_change: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, Progress]:
-    """Run ``work`` on each companion; never raises what it raises, but for cancellation.
+    """Run ``work`` for each target; never raises what it raises, but for cancellation.
 
     ``on_change`` is called when one begins and when it ends. ``timeout_s`` counts for each from its own beginning.
     """
     slots = asyncio.Semaphore(at_once)
     loop = asyncio.get_running_loop()
-    all_progress = {companion.name: Progress(companion.name) for companion in companions}
+    all_progress = {target.name: Progress(target.name) for target in targets}
 
-    async def one(companion: Companion) -> None:
-        progress = all_progress[companion.name]
+    async def one(target: T) -> None:
+        progress = all_progress[target.name]
         async with slots:
             progress.began, progress.step = loop.time(), "connecting"
             on_change(progress)
-            await _guarded(companion, work, progress, timeout_s)
+            await _guarded(target, work, progress, timeout_s)
             progress.ended = loop.time()
             on_change(progress)
 
     async with asyncio.TaskGroup() as group:
-        for companion in companions:
-            group.create_task(one(companion), name=f"companion {companion.name}")
+        for target in targets:
+            group.create_task(one(target), name=f"work for {target.name}")
     return all_progress
 
 
-async def _guarded(companion: Companion, work: Work, progress: Progress, timeout_s: float) -> None:
+async def _guarded(target: T, work: Work[T], progress: Progress, timeout_s: float) -> None:
     try:
         async with asyncio.timeout(timeout_s):
-            progress.message = await work(companion, progress)
+            progress.message = await work(target, progress)
         progress.ok = True
     except TimeoutError:
         progress.ok, progress.message = False, f"{progress.step}: not done within {timeout_s:g} s (--timeout)"
     except (SkygcsError, OSError) as error:
         progress.ok, progress.message = False, str(error)
-    except Exception as error:  # a fault with one companion leaves the others alone
+    except Exception as error:  # a fault with one leaves the others alone
         if os.environ.get(DEBUG_VARIABLE):
             raise
         text = f"internal error: {type(error).__name__}: {error} (set {DEBUG_VARIABLE}=1 to see where)"

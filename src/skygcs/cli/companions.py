@@ -87,7 +87,7 @@ def connector(ssh: Ssh) -> Connector:
 
 
 async def watched(
-    chosen: Sequence[Companion], work: Work, ssh: Ssh, timeout_s: float, *, live: bool
+    chosen: Sequence[Companion], work: Work[Companion], ssh: Ssh, timeout_s: float, *, live: bool
 ) -> dict[str, Progress]:
     """`side_by_side`, shown while it runs: a table on a terminal, otherwise nothing."""
     loop = asyncio.get_running_loop()
@@ -125,7 +125,9 @@ def _mark(row: Progress) -> str:
     return "done" if row.ok else "FAILED"
 
 
-def run_on(targets: str, ssh: Ssh, timeout_s: float, json_output: bool, work: Callable[[Connector], Work]) -> None:
+def run_on(
+    targets: str, ssh: Ssh, timeout_s: float, json_output: bool, work: Callable[[Connector], Work[Companion]]
+) -> None:
     """Run the work on the chosen companions, print one outcome each, and exit 0 if all succeeded."""
 
     def command() -> int:
@@ -145,7 +147,7 @@ def run_on(targets: str, ssh: Ssh, timeout_s: float, json_output: bool, work: Ca
 def status(ssh: Ssh, targets: AllCompanions = "all", json_output: Json = False) -> None:
     """Show version, service, free disk and uptime of each; exit 0 if all are reached and their services run."""
 
-    def work(connect: Connector) -> Work:
+    def work(connect: Connector) -> Work[Companion]:
         async def look(companion: Companion, progress: Progress) -> str:
             async with connect.open(companion, progress) as (_, facts):
                 progress.data = {"facts": facts.as_dict()}
@@ -233,8 +235,8 @@ def _agreed(shown: str, expected: str | None) -> bool:
 # --- services ---------------------------------------------------------------------------------------------------------
 
 
-def _service_work(action: Callable[[Session, Facts], Any], doing: str) -> Callable[[Connector], Work]:
-    def work(connect: Connector) -> Work:
+def _service_work(action: Callable[[Session, Facts], Any], doing: str) -> Callable[[Connector], Work[Companion]]:
+    def work(connect: Connector) -> Work[Companion]:
         async def act(companion: Companion, progress: Progress) -> str:
             async with connect.open(companion, progress) as (session, facts):
                 progress.step = doing
