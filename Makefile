@@ -7,7 +7,7 @@ DEMO   := $(VENV)/.installed-demo
 TEST   := $(VENV)/.installed-test
 DOCS   := $(VENV)/.installed-docs
 
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -75,6 +75,9 @@ bench-control: $(STAMP)
 
 bench-radio: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.radio
+
+bench-xbee: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.xbee
 
 bench-plans: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.plans

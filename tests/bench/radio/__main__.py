@@ -14,8 +14,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from bench.commanded_daemon import Column
 from bench.radio import report
-from bench.radio.cell import Column, measure
+from bench.radio.cell import measure
 
 OUT = Path(__file__).parents[3] / "build" / "bench"
 VEHICLES = (2, 4, 8, 10, 15)

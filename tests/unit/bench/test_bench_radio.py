@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from bench.commanded_daemon import Column, Measured, percentile
 from bench.radio import report
-from bench.radio.cell import Column, Measured, measure, percentile
+from bench.radio.cell import measure
 
 
 def test_a_planned_cell_is_measured_whole() -> None:
