@@ -47,6 +47,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:  # see above
     from skygcs.metrics.endpoint import MetricsEndpoint
+    from skygcs.rpc.companion_parts import CompanionParts
     from skygcs.runtime.mocap_feed import MocapFeed
     from skygcs.runtime.web_child import WebChild
 
@@ -54,6 +55,10 @@ MAX_TOKEN_BYTES = 4096
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
+
+GCS = 6
+ONBOARD_COMPUTER = 18
+"""MAV_TYPE of our heartbeats; a companion's must not look like a ground station's to the autopilot's failsafe."""
 
 UNDO_S = 3.0
 """For what undoes itself when the daemon is stopped: five round trips of a nine-node radio. With PARK_S after it the
@@ -126,9 +131,20 @@ class Daemon:
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
-        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token("daemon", own.token_file))
+        self.companions = self._companion_parts()
+        tls = None if self.companions is None else self.companions.listener
+        token = _read_token("daemon", own.token_file)
+        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token, tls=tls)
         self.metrics = self._metrics_endpoint()
         self.web = self._web_child()
+
+    def _companion_parts(self) -> CompanionParts | None:
+        """The daemon's part as a companion, or towards companions; None without their tables."""
+        if self.config.companion is None and self.config.companions is None:
+            return None
+        from skygcs.rpc.companion_parts import CompanionParts
+
+        return CompanionParts(self.config, self.links, self.loop, self.event_log.publish, self.hub.fault)
 
     def _metrics_endpoint(self) -> MetricsEndpoint | None:
         """What Prometheus scrapes; None without [metrics]."""
@@ -217,6 +233,8 @@ class Daemon:
                 heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
                 clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
+            if self.companions is not None:
+                clocks.append(group.create_task(self.companions.run(), name="companions"))
             if self.mocap is not None:
                 from skygcs.runtime.mocap_feed import TICK_S
 
@@ -288,7 +306,8 @@ class Daemon:
             await asyncio.sleep(period_s)
 
     def _heartbeat_task(self) -> None:
-        values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
+        kind = GCS if self.config.companion is None else ONBOARD_COMPUTER
+        values = {"type": kind, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
     # -- what a person asks
@@ -320,8 +339,14 @@ class Daemon:
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
             "web": None if self.web is None else self.web.status(),
+            "companion_of": None if self.config.companion is None else self.config.companion.vehicle,
             "to_undo": len(self.fleet.journal.left()),
         }
+
+    def companions_status(self) -> dict[str, Any]:
+        """For companions.status."""
+        unconfigured: dict[str, Any] = {"companions": [], "companion": None, "announced": None, "problem": None}
+        return unconfigured if self.companions is None else self.companions.status()
 
     def mocap_status(self) -> dict[str, Any]:
         """For mocap.status."""

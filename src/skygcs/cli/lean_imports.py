@@ -1,7 +1,7 @@
 """Import the daemon's libraries without what it never uses of them: a tenth of its resident memory.
 
-- asyncio and uvloop import ssl, and with it OpenSSL. The daemon speaks no TLS: they get a stand-in with the names that
-  they look up while they are imported. Any other name of it imports ssl itself.
+- asyncio and uvloop import ssl, and with it OpenSSL. A daemon without companions speaks no TLS: they get a stand-in
+  with the names that they look up while they are imported. Any other name of it imports ssl itself.
 - hashlib imports OpenSSL's hashes, too. Those built into the interpreter are the same, and 0.5 µs slower for a signed
   frame; where a distribution has built it without them, OpenSSL's are used.
 - pydantic imports importlib.metadata, and with it email and zipfile, to look for plugins, which are switched off.
@@ -15,8 +15,10 @@ from __future__ import annotations
 import contextlib
 import importlib
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import util
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -42,13 +44,34 @@ _NUMBERS = {"SSL_ERROR_WANT_READ": 2, "SSL_ERROR_WANT_WRITE": 3, "SSL_ERROR_SYSC
 """As in OpenSSL's ssl.h; uvloop keeps them as C integers."""
 
 
-def prepare_daemon() -> None:
-    """Import asyncio, uvloop, hashlib and pydantic as above; does nothing for those that are imported already."""
-    if "_hashlib" not in sys.modules and all(util.find_spec(name) for name in BUILT_IN_HASHES):
+def needs_tls(arguments: list[str]) -> bool:
+    """Whether one of these files has a table [companion] or [companions]: such a daemon speaks TLS."""
+    for argument in arguments:
+        try:
+            text = Path(argument).read_bytes() if argument.endswith(".toml") else b""
+        except OSError:
+            continue  # what is wrong with it is reported when it is read
+        if b"companion" in text and _has_companions(text):
+            return True
+    return False
+
+
+def _has_companions(text: bytes) -> bool:
+    try:
+        table = tomllib.loads(text.decode("utf-8-sig"))
+    except (ValueError, RecursionError):
+        return False
+    return "companion" in table or "companions" in table
+
+
+def prepare_daemon(*, tls: bool = False) -> None:
+    """Import asyncio, uvloop, hashlib and pydantic as above; does nothing for those that are imported already. ``tls``:
+    with OpenSSL, as the daemon connects to companions or is one."""
+    if not tls and "_hashlib" not in sys.modules and all(util.find_spec(name) for name in BUILT_IN_HASHES):
         with _instead_of("_hashlib", None):
             importlib.import_module("hashlib")
             importlib.import_module("hmac")
-    if "ssl" not in sys.modules and "asyncio" not in sys.modules:
+    if not tls and "ssl" not in sys.modules and "asyncio" not in sys.modules:
         with _instead_of("ssl", StandIn("ssl", _ssl_names())):
             importlib.import_module("asyncio")
             if util.find_spec("uvloop") is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skygcs import __version__
+from skygcs.cli.companion_keys import add_companion
 from skygcs.cli.process import (
     EXIT_FAILED,
     EXIT_OK,
@@ -56,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_sim(commands)
     _add_sitl(commands)
     add_web(commands)
+    add_companion(commands)
     return parser
 
 

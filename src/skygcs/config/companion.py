@@ -54,6 +54,8 @@ class CompanionConfig(Model):
     """"mdns", or the address of the ground's link: udp:HOST:PORT, tcp:HOST:PORT."""
     ground_name: Annotated[str, Field(min_length=1, max_length=63)] | None = None
     """With "mdns": the only ground station to follow, by the name of its computer; None: the first one found."""
+    interfaces: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = ()
+    """With "mdns": the addresses of this computer on which it is used; (): all."""
     rpc_listen: RpcAddress | None = None
     """``HOST:PORT`` where the ground gives orders, by JSON-RPC over mutual TLS; None: nowhere but the Unix socket."""
     key_dir: Path = Path("keys")
@@ -63,6 +65,7 @@ class CompanionConfig(Model):
 
     @model_validator(mode="after")
     def _named_ground(self) -> Self:
-        if self.ground_name is not None and self.ground != MDNS:
-            raise ValueError('ground_name has no meaning without ground = "mdns"')
+        for key, value in (("ground_name", self.ground_name), ("interfaces", self.interfaces)):
+            if value and self.ground != MDNS:
+                raise ValueError(f'{key} has no meaning without ground = "mdns"')
         return self

@@ -67,6 +67,8 @@ class CompanionsConfig(Model):
     """Announce this ground station by mDNS, for companions with ground = "mdns"."""
     link: str | None = None
     """The link of type udp_server or tcp_server that is announced; None: the only one of them."""
+    interfaces: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = ()
+    """The addresses of this computer that are announced, where it has several; (): all."""
     key_dir: Path = Path("keys")
     """Holds ground.crt and ground.key, and companions/NAME.crt for each companion; relative to the fleet file."""
 

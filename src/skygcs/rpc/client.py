@@ -29,10 +29,13 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address, tcp_address
+
+if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
+    from skygcs.rpc.tls import Identity, PinnedTls
 
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
 Targets = str | int | Sequence[str | int]
@@ -48,6 +51,9 @@ CONNECT_AGAIN_S = 0.01
 
 INBOX = 1000
 """Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
+
+MAX_REPLY_BYTES = 32 << 20
+"""Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
 
 MAX_NUMBER_CHARS = 20
 """Of a subscription's number."""
@@ -96,6 +102,7 @@ EVENT_KINDS = (
     "undo",
     "separation",
     "mocap",
+    "companion",
     "uplink_lost",
     "uplink_back",
     "warning",
@@ -112,12 +119,23 @@ def connect(address: str | os.PathLike[str] | None = None, *, token: str | None 
     return Client(client_address(address), token)
 
 
+async def connect_pinned(host: str, port: int, identity: Identity) -> Client:
+    """A client of a companion, connected over TLS with pinned certificates. Raises LinkError for files that cannot be
+    used, DaemonUnreachable."""
+    from skygcs.rpc.tls import PinnedTls
+
+    client = Client(f"tls://{host}:{port}", tls=PinnedTls(identity, server=False))
+    await client.open()
+    return client
+
+
 class Client:
     """A connection; made by `connect`. Usable from many tasks of one loop."""
 
-    def __init__(self, address: str, token: str | None = None) -> None:
+    def __init__(self, address: str, token: str | None = None, tls: PinnedTls | None = None) -> None:
         self.address = address
         self._token = token
+        self._tls = tls
         self._wire: _Wire | None = None
         self._last_id = 0
 
@@ -132,8 +150,10 @@ class Client:
         """Connect. Raises DaemonUnreachable, and RpcError for a wrong token."""
         loop = asyncio.get_running_loop()
         try:
-            tcp = tcp_address(self.address)
-            if tcp is not None:
+            tcp = None if self._tls is not None else tcp_address(self.address)
+            if self._tls is not None:
+                self._wire = await _connected_over_tls(self.address, self._tls)
+            elif tcp is not None:
                 _, self._wire = await loop.create_connection(lambda: _Wire(self.address), *tcp)
             else:
                 sock = await _connected_to(self.address)
@@ -373,6 +393,30 @@ class Client:
         return self._last_id
 
 
+async def _connected_over_tls(address: str, tls: PinnedTls) -> _Wire:
+    """A connection to the holder of the pinned certificate. Raises DaemonUnreachable, OSError."""
+    from skygcs.rpc.tls import HANDSHAKE_S, SHUTDOWN_S, explain_tls
+
+    host, _, port = address.removeprefix("tls://").rpartition(":")
+    try:
+        transport, wire = await asyncio.get_running_loop().create_connection(
+            lambda: _Wire(address),
+            host,
+            int(port),
+            ssl=tls.context,
+            ssl_handshake_timeout=HANDSHAKE_S,
+            ssl_shutdown_timeout=SHUTDOWN_S,
+        )
+    except OSError as error:
+        if (reason := explain_tls(error)) is not None:
+            raise DaemonUnreachable(address, reason) from None
+        raise
+    if not tls.is_pinned(transport):
+        transport.abort()
+        raise DaemonUnreachable(address, "it shows a certificate that the pinned one has issued, not that one itself")
+    return wire
+
+
 async def _connected_to(path: str) -> socket.socket:
     """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment, which
     asyncio mistakes for a connection in progress. Raises OSError."""
@@ -585,6 +629,7 @@ class _Wire(asyncio.Protocol):
         self._address = address
         self._calls: dict[int, _OnAnswer] = {}
         self._partial: list[bytes] = []
+        self._partial_bytes = 0
         self._lost: DaemonUnreachable | None = None
         self._refused: RpcError | None = None
 
@@ -595,12 +640,25 @@ class _Wire(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         if b"\n" not in data:
             self._partial.append(data)
+            self._partial_bytes += len(data)
+            if self._partial_bytes > MAX_REPLY_BYTES:
+                self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
             return
         *lines, rest = b"".join([*self._partial, data]).split(b"\n")
         self._partial = [rest]
+        self._partial_bytes = len(rest)
         for line in lines:
-            if line and not self._on_encoded(line):
-                self._on_answer(json.loads(line))
+            if line and self._lost is None and not self._on_encoded(line):
+                try:
+                    self._on_answer(json.loads(line))
+                except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+                    self._give_up(f"it sent what is no answer of skygcs ({type(error).__name__})")
+
+    def _give_up(self, reason: str) -> None:
+        """Close the connection because of what came."""
+        self._partial.clear()
+        self.lose(reason)
+        self.transport.abort()
 
     def _on_encoded(self, line: bytes) -> bool:
         """True for a state that goes on as it is. Anything written otherwise than here expected is read as JSON."""
@@ -615,7 +673,12 @@ class _Wire(asyncio.Protocol):
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.lose("it closed the connection")
+        reason = None
+        if isinstance(exc, OSError) and type(exc).__module__ == "ssl":
+            from skygcs.rpc.tls import explain_tls
+
+            reason = explain_tls(exc)
+        self.lose(reason or "it closed the connection")
 
     def lose(self, reason: str) -> None:
         """End every waiting call and subscription with the reason. Idempotent."""

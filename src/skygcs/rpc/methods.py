@@ -15,6 +15,7 @@ from pydantic import Field, TypeAdapter
 
 from skygcs import __version__
 from skygcs.rpc import (
+    companions,
     control,
     dispatch,
     links,
@@ -183,6 +184,7 @@ METHODS: dict[str, Method[Context]] = {
         *plans.METHODS,
         *planning.METHODS,
         *mocap.METHODS,
+        *companions.METHODS,
         *monitor.METHODS,
         *missions.METHODS,
         *links.AIR,

@@ -1,4 +1,5 @@
-"""The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, and on TCP loopback if a token is configured.
+"""The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, on TCP loopback if a token is configured, and on a
+companion over mutual TLS (`tls_listener`).
 
 Every client is a session of its own with bounds on all it can make the daemon keep or do. Its errors are answered to
 it and counted, and do not affect other clients.
@@ -28,6 +29,7 @@ from skygcs.errors import LinkError
 if TYPE_CHECKING:  # pydantic and its models are heavy: see above
     from skygcs.rpc.context import JsonObject, Services
     from skygcs.rpc.sessions import Sessions
+    from skygcs.rpc.tls_listener import TlsListener
 
 MAX_SUN_PATH_BYTES = 107
 """Linux's sockaddr_un holds 108 bytes with the closing NUL."""
@@ -51,6 +53,7 @@ class RpcServer:
         socket_path: str | os.PathLike[str],
         tcp_port: int | None = None,
         token: str | None = None,
+        tls: TlsListener | None = None,
     ) -> None:
         """``token`` is required with ``tcp_port``; port 0 lets the system choose (see `tcp_address`)."""
         if tcp_port is not None and not token:
@@ -60,6 +63,8 @@ class RpcServer:
         self._services = services
         self._tcp_port = tcp_port
         self._token = token
+        self._tls = tls
+        self._tls_task: asyncio.Task[None] | None = None
         self._hub: Sessions | None = None
         self._servers: list[asyncio.Server] = []
         self._socket_inode: tuple[int, int] | None = None
@@ -106,6 +111,9 @@ class RpcServer:
             self._servers.append(server)
             if self._tcp_listener is not None:
                 await self._listen_tcp(self._tcp_listener, lambda: Session(hub, self._token))
+            if self._tls is not None:
+                accepting = self._tls.run(lambda admits: Session(hub, None, admits))
+                self._tls_task = loop.create_task(accepting, name="orders over tls")
         except BaseException:
             await self.close()
             raise
@@ -113,6 +121,10 @@ class RpcServer:
 
     async def close(self) -> None:
         """Stop listening, cancel every order, close all clients, remove the socket. Idempotent."""
+        if self._tls_task is not None:
+            self._tls_task.cancel()
+            await asyncio.wait({self._tls_task})
+            self._tls_task = None
         await self._stop_accepting()
         if self._hub is not None:
             await self._hub.close()

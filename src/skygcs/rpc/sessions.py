@@ -112,9 +112,12 @@ _log = structlog.get_logger(__name__)
 
 
 class Session(asyncio.Protocol):
-    """A connection. ``token`` is None where the socket's mode is the protection."""
+    """A connection. ``token`` is None where the socket's mode is the protection, or TLS; there ``admits`` has the last
+    word on a new connection's transport."""
 
-    def __init__(self, hub: Sessions, token: str | None) -> None:
+    def __init__(
+        self, hub: Sessions, token: str | None, admits: Callable[[asyncio.Transport], bool] | None = None
+    ) -> None:
         self.services = hub.services
         self.long_reads = hub.long_reads
         self.tasks: set[asyncio.Task[None]] = set()
@@ -126,6 +129,7 @@ class Session(asyncio.Protocol):
         self.writable = True
         self._hub = hub
         self._token = token
+        self._admits = admits
         self._transport: asyncio.Transport | None = None
         self._buffer = bytearray()
         self._scanned = 0
@@ -144,6 +148,9 @@ class Session(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
         hub = self._hub
+        if self._admits is not None and not self._admits(transport):
+            transport.abort()
+            return
         self._transport = transport
         transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
         hub.counters["connections"] += 1

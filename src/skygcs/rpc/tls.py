@@ -52,6 +52,17 @@ class Identity:
         """On the ground, for the connection to one companion."""
         return cls(folder / "ground.crt", folder / "ground.key", folder / "companions" / f"{companion}.crt")
 
+    def changed(self) -> object:
+        """Another value after any of the files was replaced, removed or made."""
+        found: list[tuple[int, int, int, int] | None] = []
+        for path in (self.certificate, self.key, self.pinned):
+            try:
+                status = path.stat()
+                found.append((status.st_ino, status.st_size, status.st_mtime_ns, status.st_mode))
+            except OSError:
+                found.append(None)
+        return tuple(found)
+
 
 class PinnedTls:
     """A TLS context that accepts one certificate, and the check to make after each handshake."""
@@ -60,10 +71,14 @@ class PinnedTls:
         """Raises LinkError if a file is missing, not what it should be, or a key that others can read."""
         import ssl
 
-        remedy = "skygcs companion identity makes it" if server else "skygcs companion identity --ground makes it"
+        folder = identity.certificate.parent
+        remedy = f"`skygcs companion identity {'companion' if server else 'ground'} --dir {folder}` makes it"
+        name = "" if server else f" {identity.pinned.stem}"
         _require(identity.certificate, remedy)
         _require(identity.key, remedy)
-        _require(identity.pinned, "skygcs companion pin FILE stores the other side's certificate")
+        _require(
+            identity.pinned, f"`skygcs companion pin FILE{name} --dir {folder}` stores the other side's certificate"
+        )
         if stat.S_IMODE(identity.key.stat().st_mode) & 0o077:
             raise LinkError(f"{identity.key}: others can read this key; chmod 600 {identity.key}")
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if server else ssl.PROTOCOL_TLS_CLIENT)
@@ -91,6 +106,20 @@ class PinnedTls:
         connection = transport.get_extra_info("ssl_object")
         shown = None if connection is None else connection.getpeercert(binary_form=True)
         return shown is not None and hmac.compare_digest(hashlib.sha256(shown).digest(), self._pinned_sha256)
+
+
+def explain_tls(error: OSError) -> str | None:
+    """Why a handshake failed and what to do; None if ``error`` is not about TLS."""
+    import ssl
+
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"it shows another certificate than the pinned one, or one that has expired ({error.verify_message})"
+    if not isinstance(error, ssl.SSLError):
+        return None
+    alert = error.reason or str(error)
+    if "ALERT" in alert:
+        return f"it refuses our certificate ({alert.lower()}): pin ground.crt there with `skygcs companion pin`"
+    return f"no TLS 1.3 connection ({alert.lower()})"
 
 
 def read_certificate(path: Path) -> bytes:

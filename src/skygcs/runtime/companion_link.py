@@ -16,6 +16,7 @@ from typing import Any, Literal, Protocol
 from skygcs.core.clock_offset import ClockComparison, ClockOffset
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError, SkygcsError
 from skygcs.events import Event
+from skygcs.runtime.loop_clock import exact_clock
 
 JsonObject = dict[str, Any]
 LinkState = Literal["connecting", "up", "down"]
@@ -92,6 +93,7 @@ class CompanionLink:
         self._client: CompanionClient | None = None
         self._calls = 0
         self._answered_at = float("-inf")
+        self._now = exact_clock(loop)
         self._clock = ClockComparison()
         self._event_observers: list[Observer] = []
         self._state_observers: list[Observer] = []
@@ -107,7 +109,7 @@ class CompanionLink:
 
     def clock(self) -> ClockOffset | None:
         """The companion's monotonic clock (that of its `clock.read`) against the loop's; None while unknown."""
-        return self._clock.best(self._loop.time())
+        return self._clock.best(self._now())
 
     async def call(self, method: str, params: JsonObject | None = None, timeout_s: float = CALL_S) -> Any:
         """The result of one method of the companion.
@@ -185,6 +187,8 @@ class CompanionLink:
             await self._attend(client)
         except TimeoutError:
             return f"no answer within {CONNECT_S:g} s"
+        except DaemonUnreachable as error:
+            return error.reason
         except SkygcsError as error:
             return str(error)
         except Exception as error:  # an answer that is none of ours fails this connection only
@@ -225,14 +229,14 @@ class CompanionLink:
 
     async def _read_clock(self, client: CompanionClient) -> None:
         while True:
-            sent = self._loop.time()
+            sent = self._now()
             try:
                 answer = await self._call(client, "clock.read", {}, SILENT_S)
             except LinkError:
                 if self._loop.time() - self._answered_at >= SILENT_S:
                     raise
                 continue
-            received = self._loop.time()
+            received = self._now()
             self._clock.add(
                 sent,
                 received,

@@ -12,7 +12,7 @@ from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError, SkygcsError
 from skygcs.events import Event
-from skygcs.links.base import Link
+from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.runtime.hub import Hub
@@ -141,6 +141,11 @@ class LinkTable:
         self.require(name)
         supervisor = self._entries[name].supervisor
         return None if supervisor is None else supervisor.link
+
+    def link_channels(self, name: str) -> list[Channel]:
+        """The open channels of a link; none if it is switched off, or there is no link of that name."""
+        entry = self._entries.get(name)
+        return [] if entry is None or entry.supervisor is None else entry.supervisor.link.channels
 
     # -- one change
 

@@ -14,7 +14,9 @@ Access = Literal["read", "order", "ends flight", "refused"]
 
 READ = frozenset(
     {
+        "clock.read",
         "commands.list",
+        "companions.status",
         "components.list",
         "control.status",
         "corrections.status",
