@@ -30,6 +30,7 @@ from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.ground_orders import GroundOrders
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
@@ -90,14 +91,7 @@ class Daemon:
         # events, recorder, keys
         self.event_log = EventLog(self.loop.time)
         publish = self.event_log.publish
-        self.recorder: Recorder | None = None
-        if own.record:
-            self.recorder = Recorder(
-                own.log_dir,
-                max_bytes=int(own.record_max_mb * 1e6),
-                max_age_s=own.record_max_minutes * 60.0,
-                on_event=publish,
-            )
+        self.recorder = self._new_recorder() if own.record else None
         self.signing = Signing(dialect, publish, SigningStore(default_state_dir()))
         # links
         self.hub = Hub(config, dialect, self.loop, publish, recorder=self.recorder, signing=self.signing)
@@ -123,6 +117,7 @@ class Daemon:
         self.mocap = self._mocap_feed(view)
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
+        self.ground_orders = self._relayed_orders()
         self._observe()
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
@@ -163,6 +158,15 @@ class Daemon:
 
         return WebChild(self.config.web, self.socket_path, self.loop, self.event_log.publish)
 
+    def _new_recorder(self) -> Recorder:
+        own = self.config.daemon
+        return Recorder(
+            own.log_dir,
+            max_bytes=int(own.record_max_mb * 1e6),
+            max_age_s=own.record_max_minutes * 60.0,
+            on_event=self.event_log.publish,
+        )
+
     def _mocap_feed(self, view: LinkView) -> MocapFeed | None:
         """What feeds vehicles with poses; None without [mocap]."""
         config = self.config
@@ -174,6 +178,14 @@ class Daemon:
         view.pose_bytes_per_s = feed.bytes_per_s
         return feed
 
+    def _relayed_orders(self) -> GroundOrders | None:
+        """What carries out a ground's orders of control; None unless this is a companion."""
+        companion = self.config.companion
+        if companion is None:
+            return None
+        lost, lost_s = companion.ground_lost, companion.ground_lost_s
+        return GroundOrders(companion.vehicle, lost, lost_s, self.fleet, self.loop, self.event_log.publish)
+
     def _observe(self) -> None:
         """Give frames and events to what reads them."""
         known = set(self.dialect.messages)
@@ -183,6 +195,8 @@ class Daemon:
             self.hub.add_observer({HEARTBEAT}, None, self.operator_watchdog.on_frame)
         self.event_log.on("reboot", self.hub.on_reboot)
         self.event_log.on("reboot", self.leftover_streams.on_reboot)
+        if self.ground_orders is not None:
+            self.hub.add_observer({HEARTBEAT}, None, self.ground_orders.on_heartbeat)
         if self.mocap is not None:
             mocap = self.mocap
             self.event_log.on("reboot", mocap.on_reboot)
@@ -228,6 +242,10 @@ class Daemon:
                 ),
             ]
             clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
+            if self.ground_orders is not None:
+                orders = self.ground_orders
+                tick = self._every(FLEET_TICK_S, lambda: orders.tick(self.now()))
+                clocks.append(group.create_task(tick, name="watch over the ground"))
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
                 heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
@@ -258,6 +276,8 @@ class Daemon:
                 if self.mocap is not None:
                     self.mocap.close()
                 self.operator_watchdog.close()
+                if self.ground_orders is not None:
+                    self.ground_orders.close()
                 self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
@@ -268,7 +288,7 @@ class Daemon:
     async def _park(self) -> None:
         """Order vehicles that are flown by setpoints to hold before these stop: an ArduCopter in attitude control would
         only level."""
-        flown = [actor.name for actor in self.fleet.flown()]
+        flown = [actor.name for actor in self.fleet.flown() if actor.offboard.sends_setpoints]
         if flown:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PARK_S):

@@ -128,7 +128,7 @@ class ControlledVehicle(FakeVehicle):
     def control_state(self, now: float) -> dict[str, Any]:
         return self.control_told
 
-    def record_control(self, on: bool) -> str | None:
+    async def record_control(self, on: bool) -> str | None:
         return f"/logs/{self.name}.csv" if on else None
 
     def take(self, setpoint: dict[str, Any]) -> FakeOutcome:

@@ -320,11 +320,13 @@ async def flown(
     links: Mapping[str, Mapping[str, Any]] | None = None,
     tables: Mapping[str, Any] | None = None,
     takeoff: bool = True,
+    prepared: Callable[[FleetConfig], FleetConfig] = lambda config: config,
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
     defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4,
     any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further
-    ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground."""
+    ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground.
+    ``prepared``: what the daemon runs of the fleet file."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
@@ -334,6 +336,7 @@ async def flown(
             **(tables or {}),
         }
     )
+    config = prepared(config)
     daemon = Daemon(config, load_dialect(config.dialect))
     sims = make_vehicles(
         load_dialect("ardupilotmega"),

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from skygcs.config.companions import RpcAddress, host_and_port
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
+from skygcs.core.companion.ground_contact import GroundLost
 
 COMPANION_COMPID = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER."""
@@ -58,6 +59,11 @@ class CompanionConfig(Model):
     """With "mdns": the addresses of this computer on which it is used; (): all."""
     rpc_listen: RpcAddress | None = None
     """``HOST:PORT`` where the ground gives orders, by JSON-RPC over mutual TLS; None: nowhere but the Unix socket."""
+    ground_lost: GroundLost = "return"
+    """What becomes of a flight by setpoints of this companion (control.at = "companion" on the ground) when the ground
+    is lost: it returns, holds, lands, or flies its trajectory to the end and returns then."""
+    ground_lost_s: Annotated[float, Field(ge=2, le=600)] = 5.0
+    """The ground is lost when neither a heartbeat nor a call of it came for so long."""
     key_dir: Path = Path("keys")
     """Holds companion.crt, companion.key and ground.crt; relative to the fleet file."""
     signing: SigningSettings | None = None

@@ -116,6 +116,9 @@ class ControlSettings(Model):
     fence: ControlFenceSettings | None = None
     raw: RawSettings | None = None
     trajectory: TrajectorySettings | None = None
+    at: Literal["ground", "companion"] | None = None
+    """Where the control loops run: on the ground, or in the skygcs of the vehicle's companion, to which this one then
+    relays all orders of control: "ground"."""
     engage_after_takeoff: Literal["off", "position", "velocity", "attitude"] | None = None
     """Control is engaged in this mode when a take-off that was ordered through skygcs has reached its height: "off"."""
 

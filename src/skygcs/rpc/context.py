@@ -15,6 +15,7 @@ from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import KEPT, Fleet, Order
+from skygcs.runtime.ground_orders import GroundOrders
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
@@ -46,6 +47,7 @@ class Services(Protocol):
     recorder: Recorder | None
     signing: Signing
     event_log: EventLog
+    ground_orders: GroundOrders | None
 
     @property
     def stopping(self) -> bool: ...

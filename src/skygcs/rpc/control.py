@@ -215,9 +215,9 @@ def control_status(context: Context, params: ListParams) -> list[JsonObject]:
     return [{"vehicle": v.name, **v.control_state(now)} for v in resolve(context.services, params.targets)]
 
 
-def control_record(context: Context, params: ControlRecordParams) -> JsonObject:
+async def control_record(context: Context, params: ControlRecordParams) -> JsonObject:
     """Trace control at its full rate to a CSV file per vehicle (docs/reference/control-trace.md)."""
-    files = {v.name: v.record_control(params.on) for v in context.services.fleet.resolve(params.targets)}
+    files = {v.name: await v.record_control(params.on) for v in context.services.fleet.resolve(params.targets)}
     return {"files": files}
 
 

@@ -110,6 +110,8 @@ async def trajectory_start(context: Context, params: TrajectoryStartParams) -> J
     now = context.services.now()
     at_s = now + (1.0 if params.after_s is None else params.after_s) if params.at_s is None else params.at_s
     actors = fleet.resolve(params.targets)
+    if refused := await fleet.trajectories.prepare(actors):
+        return as_json(refused)
     if params.force:
         return as_json(fleet.trajectories.start(actors, at_s, params.speed))
     return as_json(await fleet.trajectories.start_apart(actors, at_s, params.speed))

@@ -193,7 +193,7 @@ class AirPlanner:
         rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
         if actor.streams.position_hz is not None:
             rates[POSITION] = max(rates.get(POSITION, 0.0), actor.streams.position_hz)
-        if actor.offboard.controller.active or actor.streams.position_hz is not None:
+        if actor.offboard.sends_setpoints or actor.streams.position_hz is not None:
             return RateDemand(rates, CONTROLLED)
         return RateDemand(rates, SELECTED if key in self.selected else NORMAL)
 

@@ -36,7 +36,7 @@ from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.vehicle_services import OnEvent, VehicleLinks, VehicleServices, WideLinks
+from skygcs.runtime.vehicle_services import CompanionCalls, OnEvent, VehicleLinks, VehicleServices, WideLinks
 from skygcs.runtime.world_frame import World
 
 MAX_VEHICLES_OF_LINK = 250
@@ -93,7 +93,8 @@ Actor = VehicleActor | ComponentActor
 
 
 class Fleet:
-    """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid."""
+    """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid.
+    ``companions``: the connections to those on vehicles, by vehicle."""
 
     def __init__(
         self,
@@ -112,8 +113,8 @@ class Fleet:
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
-        origin = None if config.origin is None else Origin(**config.origin.model_dump())
-        self.world = World(origin, self.vehicles, on_event)
+        self.companions: dict[str, CompanionCalls] = {}
+        self.world = World(config.origin and Origin(**config.origin.model_dump()), self.vehicles, on_event)
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -139,6 +140,7 @@ class Fleet:
             self.journal,
             self.monitor,
             log_dir=own.log_dir,
+            companions=self.companions,
             preflight_valid_s=60 * own.preflight_valid_minutes,
             probes=probes,
         )
@@ -444,8 +446,8 @@ class Fleet:
         return [actor for actor in self.vehicles.values() if actor.offboard.controller.active]
 
     def flown_vehicles(self) -> list[Vehicle]:
-        """The state of each vehicle of `flown`."""
-        return [actor.vehicle for actor in self.flown()]
+        """The state of each vehicle to which setpoints are sent over the daemon's links."""
+        return [actor.vehicle for actor in self.vehicles.values() if actor.offboard.sends_setpoints]
 
     async def _command(
         self, actors: list[Actor], order: Order, args: tuple[Any, ...], arguments: dict[str, Any]

@@ -109,7 +109,7 @@ class OffboardEngagement:
     ) -> None:
         """``streams``: sets the position's rate itself where a radio's plan is in force."""
         settings = config.control
-        self.controller = OffboardController(vehicle, _offboard_config(settings, None))
+        self.controller = OffboardController(vehicle, offboard_config(settings, None))
         phase = vehicle.sysid * GOLDEN_RATIO % 1.0
         self.clock = ControlClock(services.loop, self._tick, lambda: self.controller.period_s, phase=phase)
         self.tracking = TrackingRecord()
@@ -142,6 +142,11 @@ class OffboardEngagement:
     def flying(self) -> bool:
         """True while it flies by our setpoints."""
         return self.controller.state is OffboardState.FLYING
+
+    @property
+    def sends_setpoints(self) -> bool:
+        """Whether setpoints to it take a share of the daemon's links."""
+        return self.controller.active
 
     @property
     def recording(self) -> Path | None:
@@ -201,7 +206,7 @@ class OffboardEngagement:
         self._next_turn()
         self._apply(self.controller.release(reason))
 
-    def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
+    async def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
         """Move the reference. Refused outside the fence, and unless it flies by setpoints."""
         if not self.flying:
             return self._not_flying()
@@ -211,8 +216,9 @@ class OffboardEngagement:
         control_mode = self.controller.control_mode or self.controller.wanted
         return Outcome(True, "accepted", f"flying there by {control_mode.value} setpoints")
 
-    def follow(self, setpoint: Setpoint, valid_s: float) -> Outcome:
-        """One setpoint of a client's stream."""
+    def follow(self, setpoint: Setpoint, valid_s: float, *, given_at: float | None = None) -> Outcome:
+        """One setpoint of a client's stream. ``given_at``: the time it is for, if it was under way since; it is moved
+        on by its velocity and acceleration from then, and its deadline counts from now."""
         if not self.flying:
             return self._not_flying()
         if self.controller.flight is not None:
@@ -221,7 +227,7 @@ class OffboardEngagement:
         if (refusal := why or self._stream_refusal(valid_s)) is not None:
             return Outcome.refused(refusal)
         now = self._followed_at
-        if (why := self.controller.follow(setpoint, now, now + valid_s)) is not None:
+        if (why := self.controller.follow(setpoint, now if given_at is None else given_at, now + valid_s)) is not None:
             return Outcome.refused(why)
         return Outcome(True, "accepted", "followed")
 
@@ -243,6 +249,15 @@ class OffboardEngagement:
             self.clock.stop()  # the next tick of a position hold would come too late for the first one
             self.clock.start()
         return Outcome(True, "accepted", "followed")
+
+    async def prepare(self, loaded: LoadedTrajectory) -> str | None:
+        """Nothing is to be sent anywhere before a start; see `CompanionControl.prepare`."""
+        return None
+
+    @property
+    def lead_s(self) -> float:
+        """An order to a clock takes effect at once; see `CompanionControl.lead_s`."""
+        return 0.0
 
     def trajectory_refusal(self, loaded: LoadedTrajectory, speed_factor: float, *, placed: bool = False) -> str | None:
         """Why it cannot begin this trajectory now; None if it can. ``placed``: the caller knows it is at its begin."""
@@ -303,7 +318,7 @@ class OffboardEngagement:
         how = "by attitude, body rates or acceleration"
         return f"it is flown in raw, {how}; `skygcs-cli control set {name} position` first"
 
-    def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
+    async def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
         """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay
         with which attitude control may fly."""
         law = self.controller.config.law
@@ -328,23 +343,9 @@ class OffboardEngagement:
 
     def gains(self) -> dict[str, Any]:
         """The law's gains and limits, as control.gains shows them."""
-        law = self.controller.config.law
-        return {
-            "xy": asdict(law.xy),
-            "z": asdict(law.z),
-            "hover_thrust": law.hover_thrust,
-            "limits": {
-                "thrust_min": law.thrust_min,
-                "thrust_max": law.thrust_max,
-                "tilt_max_deg": round(math.degrees(law.tilt_max_rad), 2),
-                "vel_xy_max_mps": law.vel_xy_max_mps,
-                "vel_z_max_mps": law.vel_z_max_mps,
-                **({} if law.acc_xy_max_mps2 is None else {"acc_xy_max_mps2": law.acc_xy_max_mps2}),
-                **({} if law.acc_z_max_mps2 is None else {"acc_z_max_mps2": law.acc_z_max_mps2}),
-            },
-        }
+        return law_json(self.controller.config.law)
 
-    def record(self, on: bool) -> str | None:
+    async def record(self, on: bool) -> str | None:
         """Trace every tick while it flies. The path of the file that is being written, or was until now; None before
         the first."""
         path = self._trace.record(on)
@@ -502,7 +503,7 @@ class OffboardEngagement:
         Raises RefusedError if that cannot be right."""
         hover_thrust = offboard_entry.reported_hover_thrust(self._vehicle)
         try:
-            config = _offboard_config(self._settings, hover_thrust)
+            config = offboard_config(self._settings, hover_thrust)
             if self._law_changed:
                 law = self.controller.config.law
                 if not self._hover_thrust_set:  # only other gains were changed: the vehicle's own value still holds
@@ -677,13 +678,32 @@ def _superseded(elapsed_s: float) -> Outcome:
     return Outcome(False, "cancelled", SUPERSEDED, elapsed_s=elapsed_s)
 
 
-def _offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
+def offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
+    """How to fly by these settings; ``hover_thrust``: what the autopilot reports. Raises ConfigError."""
     config = OffboardConfig(settings.law(hover_thrust), settings.guard(), raw=settings.raw_limits())
     rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
     others = {"rate_min_hz": settings.rate_min_hz, "velocity_predictor": settings.velocity_predictor}
     given: dict[str, Any] = {k: v for k, v in {**rates, **others}.items() if v is not None}
     shared: OffboardConfig = _shared(replace(config, **given))
     return shared
+
+
+def law_json(law: ControlConfig) -> dict[str, Any]:
+    """Gains and limits, as control.gains shows them."""
+    return {
+        "xy": asdict(law.xy),
+        "z": asdict(law.z),
+        "hover_thrust": law.hover_thrust,
+        "limits": {
+            "thrust_min": law.thrust_min,
+            "thrust_max": law.thrust_max,
+            "tilt_max_deg": round(math.degrees(law.tilt_max_rad), 2),
+            "vel_xy_max_mps": law.vel_xy_max_mps,
+            "vel_z_max_mps": law.vel_z_max_mps,
+            **({} if law.acc_xy_max_mps2 is None else {"acc_xy_max_mps2": law.acc_xy_max_mps2}),
+            **({} if law.acc_z_max_mps2 is None else {"acc_z_max_mps2": law.acc_z_max_mps2}),
+        },
+    }
 
 
 @lru_cache(maxsize=256)

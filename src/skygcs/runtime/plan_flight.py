@@ -269,7 +269,8 @@ class FlightOrders:
         now, settings = self._loop.time(), flight.settings
         loaded = flight.loaded[flight.execution.index]
         chosen = {flight.actors[name]: one for name, one in loaded.items() if name in flight.actors}
-        begun = self._trajectories.begin(chosen, now + START_LEAD_S, settings.speed_factor, plan=settings.plan)
+        lead_s = max(START_LEAD_S, self._trajectories.lead_s(chosen))
+        begun = self._trajectories.begin(chosen, now + lead_s, settings.speed_factor, plan=settings.plan)
         if isinstance(begun, TrajectoryGroup):
             flight.group = begun
             return
@@ -328,7 +329,7 @@ class FlightOrders:
             if not outcome.ok:
                 return outcome
         lat_deg, lon_deg, alt_m = flight.frame.to_geodetic(*flight.execution.step.starts()[name])
-        outcome = actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
+        outcome = await actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
         if outcome.ok:
             flight.engaged.add(name)
         return outcome

@@ -250,11 +250,13 @@ class PlanRunner:
         self._busy = "the check before a flight"
         try:
             checked = await self._check(request, set_return_heights=set_return_heights)
+            report = checked.report(force=request.force)
+            if not report["ok"] or checked.execution is None or checked.origin is None:
+                return False, report
+            if (lacking := await self._relayed(checked.actors, checked.loaded)) is not None:
+                raise RefusedError(lacking)
         finally:
             self._busy = None
-        report = checked.report(force=request.force)
-        if not report["ok"] or checked.execution is None or checked.origin is None:
-            return False, report
         if self._ending:
             raise RefusedError("skygcs is shutting down")
         settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
@@ -437,6 +439,8 @@ class PlanRunner:
         prepared, loaded = await self._prepared(situation, rest)
         if prepared.problems or prepared.tubes is None:
             return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
+        if not in_place and (why := await self._relayed(actors, loaded)) is not None:
+            return False, f"refused: {why}", [why]
         if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED) or self._ending:
             raise RefusedError(f"the plan is {execution.state} by now")
         if in_place and not execution.left:
@@ -510,6 +514,16 @@ class PlanRunner:
     ) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
         prepared, loaded = await self.work(_prepared_and_loaded, situation, rest)
         return prepared, loaded
+
+    async def _relayed(
+        self, actors: Sequence[VehicleActor], steps: Sequence[Mapping[str, LoadedTrajectory]]
+    ) -> str | None:
+        """Bring the trajectories of all steps to the companions that fly them; why that is not possible."""
+        for loaded in steps:
+            for actor in actors:
+                if actor.name in loaded and (why := await actor.offboard.prepare(loaded[actor.name])) is not None:
+                    return f"{actor.name}: {why}"
+        return None
 
     def _knows(self, actor: VehicleActor) -> bool:
         return self._fleet.vehicles.get(actor.vehicle.key) is actor

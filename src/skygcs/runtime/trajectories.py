@@ -14,7 +14,7 @@ import asyncio
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -148,9 +148,22 @@ class Trajectories:
 
     # -- flight
 
+    def lead_s(self, actors: Iterable[VehicleActor]) -> float:
+        """How long before its time a start or an order to the clock must be given: above 0 where a companion flies."""
+        return max((actor.offboard.lead_s for actor in actors), default=0.0)
+
+    async def prepare(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
+        """Bring what is loaded to the companions that fly it; outcomes of refusal if that is not possible for all."""
+        chosen, refused = self._chosen(actors)
+        for actor, loaded in chosen.items():
+            if (why := await actor.offboard.prepare(loaded)) is not None:
+                refused[actor] = why
+        return self._none_starts(actors, refused) if refused else {}
+
     def start(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
         """Let all of them begin at ``at_s`` of the daemon's clock, or none. Distances are the caller's matter."""
         chosen, refused = self._chosen(actors)
+        at_s = max(at_s, self._loop.time() + self.lead_s(actors)) if self.lead_s(actors) > 0.0 else at_s
         if not refused:
             begun = self.begin(chosen, at_s, speed_factor)
             if isinstance(begun, TrajectoryGroup):
@@ -203,7 +216,7 @@ class Trajectories:
             return refused
         try:
             brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in chosen)
-            clock = common_clock(list(chosen.values()), brake, speed_factor)
+            clock = common_clock(list(chosen.values()), brake, speed_factor, self.lead_s(chosen))
             clock.start(self._loop.time(), at_s)
         except (RefusedError, TrajectoryError) as error:
             return dict.fromkeys(chosen, str(error))

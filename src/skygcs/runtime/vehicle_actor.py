@@ -44,6 +44,7 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient
+from skygcs.runtime.companion_control import CompanionControl
 from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
@@ -91,7 +92,11 @@ class VehicleActor:
         )
         self.streams = StreamRequester(vehicle, self.commands, services.dialect, config.streams)
         self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event)
-        self.offboard = OffboardEngagement(vehicle, config, self.commands, self._orders, self.streams, services)
+        self.offboard: OffboardEngagement | CompanionControl = (
+            CompanionControl(vehicle, config, self._orders, services)
+            if config.control.at == "companion" and not vehicle.replayed
+            else OffboardEngagement(vehicle, config, self.commands, self._orders, self.streams, services)
+        )
         after_takeoff = config.control.engage_after_takeoff or "off"
         self._after_takeoff = TakeoffEngagement(
             vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event
@@ -145,7 +150,9 @@ class VehicleActor:
     def state(self, now: float, names: frozenset[str] | None = None) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`): all keys, or those in ``names``."""
         state = dict(take_snapshot(self.vehicle, now, time.time(), names))
-        if "control" in state and self.offboard.controller.state is not OffboardState.OFF:
+        if "control" in state and (
+            self.offboard.controller.state is not OffboardState.OFF or isinstance(self.offboard, CompanionControl)
+        ):
             state["control"] = self.control_state(now)
         if "calibration" in state:
             state["calibration"] = self.calibration.status()
@@ -165,6 +172,8 @@ class VehicleActor:
 
     def control_state(self, now: float) -> dict[str, Any]:
         """Control by setpoints, in the fleet's world frame."""
+        if isinstance(self.offboard, CompanionControl):
+            return self.offboard.status(now)
         return shown(self.offboard.status(now), self.offboard.controller.frame, self.vehicle.origin)
 
     def describe(self, now: float) -> dict[str, Any]:
@@ -228,7 +237,9 @@ class VehicleActor:
             self._publish(events, now)
         self.streams.tick(now)
         self.calibration.tick(now)
-        if self.offboard.controller.active:
+        if isinstance(self.offboard, CompanionControl):
+            self.offboard.watch(now)
+        elif self.offboard.controller.active:
             self.offboard.refresh_budget()
         if self._probes and self.vehicle.connected and not self.vehicle.replayed:
             self._probe(now)
@@ -355,7 +366,7 @@ class VehicleActor:
             return self._orders.finish("goto", Outcome.refused(str(error)))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         return self._orders.finish(
-            "goto", self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+            "goto", await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         )
 
     async def calibrate(self, sensor: str) -> Outcome:
@@ -532,7 +543,7 @@ class VehicleActor:
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
-        return self._orders.finish("gains", self.offboard.change_gains(changes, force=force))
+        return await self._orders.track("gains", self.offboard.change_gains(changes, force=force))
 
     def setpoint(
         self,
@@ -564,9 +575,9 @@ class VehicleActor:
             return Outcome.refused(why)
         return self.offboard.follow(wanted, valid_s)
 
-    def record_control(self, on: bool) -> str | None:
+    async def record_control(self, on: bool) -> str | None:
         """See `OffboardEngagement.record`."""
-        return self.offboard.record(on)
+        return await self.offboard.record(on)
 
     def gains(self) -> dict[str, Any]:
         """See `OffboardEngagement.gains`."""

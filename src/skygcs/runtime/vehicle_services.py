@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.preflight.facts import LinkFacts
@@ -104,6 +104,28 @@ class NoOrderChecks:
         return None
 
 
+class ClockDifference(Protocol):
+    """`core.clock_offset.ClockOffset`: add ``offset_s`` to a time of our clock to get the companion's."""
+
+    @property
+    def offset_s(self) -> float: ...
+    @property
+    def error_s(self) -> float: ...
+    @property
+    def round_trip_s(self) -> float: ...
+
+
+class CompanionCalls(Protocol):
+    """The connection to one companion (`runtime.companion_link.CompanionLink`)."""
+
+    name: str
+
+    @property
+    def is_up(self) -> bool: ...
+    def clock(self) -> ClockDifference | None: ...
+    async def call(self, method: str, params: dict[str, Any] | None = None, timeout_s: float = 5.0) -> Any: ...
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleServices:
     """Created once by the fleet and passed to every actor."""
@@ -124,6 +146,8 @@ class VehicleServices:
     order_checks: OrderChecks = field(default_factory=NoOrderChecks)
     log_dir: Path = Path("logs")
     """Folder for control traces and records of fence tests."""
+    companions: Mapping[str, CompanionCalls] = field(default_factory=dict)
+    """By vehicle, the connection to the companion on it."""
     preflight_valid_s: float = math.inf
     probes: bool = False
     """True if uplinks are probed."""

@@ -133,8 +133,14 @@ ORDERS = frozenset(
 )
 """What changes something, sends something to a vehicle or occupies the daemon for long."""
 
-NOT_PASSED_ON = frozenset({"auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"})
-"""The web process subscribes once for all pages; corrections are a stream of bytes that no page has."""
+NOT_PASSED_ON = frozenset(
+    {
+        *("auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"),
+        *("companion.contact", "companion.order", "companion.setpoint"),
+    }
+)
+"""The web process subscribes once for all pages; corrections are a stream of bytes that no page has; a
+companion is called by its ground, which keeps the numbers."""
 
 
 def access(method: str) -> Access:

@@ -295,7 +295,7 @@ async def test_attitude_is_flown_with_no_more_delay_than_the_gains_bear_on_this_
         await asyncio.sleep(5)
         assert f.offboard.controller.control_mode is ControlMode.VELOCITY and "(limit for attitude 0.06" in f.texts()
         slower = {"vel_p": 0.1, "pos_p_per_s": 0.5, "vel_i": 0.005}
-        assert f.offboard.change_gains({"z": slower}).ok
+        assert (await f.offboard.change_gains({"z": slower})).ok
         assert f.offboard.controller.config.guard.attitude_delay_s == 0.1, "these bear it, and more is not allowed"
 
 
@@ -327,12 +327,12 @@ async def test_the_vehicles_hover_thrust_counts_for_attitude_after_position(tmp_
 async def test_gains_that_somebody_insisted_on_are_flown_with_the_delay_that_is_set(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         stiff = {"z": {"vel_p": 1.5}}
-        refused = f.offboard.change_gains(stiff)
+        refused = await f.offboard.change_gains(stiff)
         assert refused.result == "refused" and "--force" in refused.message
-        assert f.offboard.change_gains(stiff, force=True).ok
+        assert (await f.offboard.change_gains(stiff, force=True)).ok
         assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
         assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
-        assert f.offboard.change_gains({"z": {"vel_p": 0.3}}).ok
+        assert (await f.offboard.change_gains({"z": {"vel_p": 0.3}})).ok
         f.offboard.refresh_budget()
         assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
 
@@ -378,7 +378,7 @@ async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
         await asyncio.sleep(4)
         assert f.offboard.controller.state is OffboardState.HELD
         assert [plan.order for plan in f.orders].count("hold") == 1
-        refused = f.offboard.fly_to(place(1, 1, 10), None)
+        refused = await f.offboard.fly_to(place(1, 1, 10), None)
         assert refused.result == "refused" and "it is held: state is" in refused.message
 
 
@@ -395,11 +395,11 @@ async def test_a_fault_of_ours_ends_control_and_holds(tmp_path: Path) -> None:
 async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the_fence(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         stream = Setpoint(place(1, 2, 10))
-        for refused in (f.offboard.fly_to(place(1, 1, 10), None), f.offboard.follow(stream, 0.5)):
+        for refused in ((await f.offboard.fly_to(place(1, 1, 10), None)), f.offboard.follow(stream, 0.5)):
             assert not refused.ok and "control set alpha position" in refused.message
         await f.offboard.engage(ControlMode.VELOCITY)
-        assert f.offboard.fly_to(place(10, -10, 12), 0.0).ok
-        assert "the fence less 2 m" in f.offboard.fly_to(place(49, 0, 12), None).message
+        assert (await f.offboard.fly_to(place(10, -10, 12), 0.0)).ok
+        assert "the fence less 2 m" in (await f.offboard.fly_to(place(49, 0, 12), None)).message
         assert f.offboard.follow(stream, 0.5).ok
         assert "valid_s 60" in f.offboard.follow(stream, 60.0).message
         assert "x 80.0" in f.offboard.follow(Setpoint(place(80, 0, 10)), 0.5).message
@@ -426,13 +426,13 @@ async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
 async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         await f.offboard.engage(ControlMode.ATTITUDE)
-        assert f.offboard.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5}).ok
+        assert (await f.offboard.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5})).ok
         assert f.offboard.gains()["xy"] == {"pos_p_per_s": 0.95, "vel_p": 0.07, "vel_i": 0.02, "vel_d": 0.0}
-        refused = f.offboard.change_gains({"hover_thrust": 0.95})
+        refused = await f.offboard.change_gains({"hover_thrust": 0.95})
         assert refused.result == "refused" and "hover_thrust" in refused.message and "\n" not in refused.message
-        assert "force" in f.offboard.change_gains({"z": {"vel_p": 2.0}}).message
+        assert "force" in (await f.offboard.change_gains({"z": {"vel_p": 2.0}})).message
         assert f.offboard.gains()["hover_thrust"] == 0.5
-        assert f.offboard.change_gains({"z": {"vel_p": 2.0}}, force=True).ok
+        assert (await f.offboard.change_gains({"z": {"vel_p": 2.0}}, force=True)).ok
         f.offboard.release("off")
         await asyncio.sleep(3)
         f.mode = PX4_LOITER
@@ -443,7 +443,7 @@ async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_pa
 
 async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) -> None:
     async with field(tmp_path / "logs") as f:
-        assert f.offboard.record(True) is None  # nothing to trace yet
+        assert await f.offboard.record(True) is None  # nothing to trace yet
         await f.offboard.engage(ControlMode.ATTITUDE)
         path = f.offboard.recording
         assert path is not None and f.offboard.status(f.loop.time())["recording"] == str(path)
@@ -460,7 +460,7 @@ async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) 
 async def test_a_full_disk_ends_the_trace_and_not_the_flight(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("no folder")
     async with field(tmp_path / "logs") as f:
-        f.offboard.record(True)
+        await f.offboard.record(True)
         assert (await f.offboard.engage(ControlMode.VELOCITY)).ok
         await asyncio.sleep(1)
         assert f.offboard.flying and f.offboard.recording is None and "trace has ended" in f.texts()

@@ -216,6 +216,11 @@ class TrajectoryClock:
         return time
 
     @property
+    def begins_at_s(self) -> float:
+        """When a clock that waits for its start begins; else when its present order was given."""
+        return self._phases[1].begin if self._state is ClockState.WAITING else self._phases[0].begin
+
+    @property
     def latest_rate(self) -> float:
         """As of the latest `at`."""
         return self._latest[0].rate

@@ -19,6 +19,7 @@ from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, Trajecto
 from skygcs.core.trajectory.bounding_box import Box, bounding_box
 from skygcs.core.trajectory.motion_limits import SLACK
 from skygcs.core.trajectory.piecewise import joints, require_continuous
+from skygcs.core.trajectory.replicated_clock import ReplicatedClock
 from skygcs.core.trajectory.trajectory_clock import (
     AT_REST_MPS,
     MAX_RATE_LIMIT_PER_S,
@@ -104,19 +105,22 @@ class LoadedTrajectory:
         return None
 
 
-def common_clock(loaded: list[LoadedTrajectory], brake_mps2: float, speed_factor: float) -> TrajectoryClock:
-    """One clock for several vehicles. Raises TrajectoryError, RefusedError."""
+def common_clock(
+    loaded: list[LoadedTrajectory], brake_mps2: float, speed_factor: float, lead_s: float = 0.0
+) -> TrajectoryClock:
+    """One clock for several vehicles. ``lead_s``: of its orders, where some of them run a replica of it elsewhere; it
+    is a `ReplicatedClock` then. Raises TrajectoryError, RefusedError."""
     fastest = max(one.peaks.speed_mps.at_most for one in loaded)
     limit = MAX_RATE_LIMIT_PER_S if fastest <= 0.0 else min(brake_mps2 / fastest, MAX_RATE_LIMIT_PER_S)
     if limit < MIN_RATE_LIMIT_PER_S:
         raise TrajectoryError(f"at {brake_mps2:g} m/s² a stop from {fastest:g} m/s takes longer than 100 s")
-    return TrajectoryClock(
-        max(one.trajectory.duration_s for one in loaded),
-        limit,
-        speed_factor=speed_factor,
-        rests_at_start=all(one.first_speed_mps <= AT_REST_MPS for one in loaded),
-        rests_at_end=all(one.last_speed_mps <= AT_REST_MPS for one in loaded),
-    )
+    duration_s = max(one.trajectory.duration_s for one in loaded)
+    rests_at_start = all(one.first_speed_mps <= AT_REST_MPS for one in loaded)
+    rests_at_end = all(one.last_speed_mps <= AT_REST_MPS for one in loaded)
+    rests = {"rests_at_start": rests_at_start, "rests_at_end": rests_at_end}
+    if lead_s > 0.0:
+        return ReplicatedClock(duration_s, limit, speed_factor=speed_factor, **rests, lead_s=lead_s)
+    return TrajectoryClock(duration_s, limit, speed_factor=speed_factor, **rests)
 
 
 class TrajectoryFlight:

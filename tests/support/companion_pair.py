@@ -1,0 +1,238 @@
+"""A ground's daemon and a companion's daemon in virtual time: the vehicle is behind the companion, the ground's way to
+both is as slow and lossy as a test sets it.
+
+    Flown: vehicle ── air ── companion's daemon ── "wifi" (MAVLink) ── ground's daemon
+                                    ^                                       │
+                                    └──────── CallsByMemory (RPC) ──────────┘
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import random
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.companion_role import as_companion
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.core.clock_offset import ClockOffset
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.daemon import Daemon
+from skygcs.errors import LinkError, RpcError, SkygcsError
+from skygcs.links.base import Channel
+from skygcs.links.memory import MemoryLink
+from skygcs.links.outgoing import OwnMessage
+from skygcs.rpc.dispatch import REFUSED
+from support.called import call
+from support.flown import FIELD, Flown, Told, flown
+
+
+class CallsByMemory:
+    """Calls another daemon in the same loop, as `CompanionLink` does; each message takes ``delay_s``, and some never
+    come."""
+
+    def __init__(self, daemon: Daemon, *, delay_s: float = 0.0, loss: float = 0.0, seed: int = 1) -> None:
+        self.name = "pi"
+        self.daemon = daemon
+        self.delay_s = delay_s
+        self.loss = loss
+        self.up = True
+        self.skew_s = 0.0
+        """Added by the companion's clock; the vehicle's times stay the loop's."""
+        self.calls: list[tuple[str, dict[str, Any]]] = []
+        self.served: list[asyncio.Task[Any]] = []
+        self.lose: Callable[[str, dict[str, Any]], bool] = lambda method, params: False
+        """Of calls that are lost on their way there."""
+        self.lose_answer: Callable[[str, dict[str, Any]], bool] = lambda method, params: False
+        self._random = random.Random(seed)
+
+    @property
+    def is_up(self) -> bool:
+        return self.up
+
+    def clock(self) -> ClockOffset:
+        return ClockOffset(0.0, 0.0, self.delay_s, 2 * self.delay_s, 0.0)
+
+    async def call(self, method: str, params: dict[str, Any] | None = None, timeout_s: float = 5.0) -> Any:
+        if not self.up:
+            raise LinkError("companion pi is not connected")
+        given = json.loads(json.dumps(params or {}))
+        self.calls.append((method, given))
+        answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self.served = [task for task in self.served if not task.done()]
+        self.served.append(asyncio.create_task(self._serve(method, given, answer)))
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await answer
+        except TimeoutError:
+            raise LinkError(f"companion pi: no answer to {method} within {timeout_s:g} s") from None
+
+    async def _serve(self, method: str, given: dict[str, Any], answer: asyncio.Future[Any]) -> None:
+        await asyncio.sleep(self.delay_s)
+        if not self.up or self._random.random() < self.loss or self.lose(method, given):
+            return
+        result: Any = None
+        failed: Exception | None = None
+        try:
+            result = json.loads(json.dumps(await call(self.daemon, method, **given)))
+        except SkygcsError as error:
+            failed = RpcError(REFUSED, str(error))
+        await asyncio.sleep(self.delay_s)
+        if not self.up or self._random.random() < self.loss or self.lose_answer(method, given) or answer.done():
+            return
+        if failed is None:
+            answer.set_result(result)
+        else:
+            answer.set_exception(failed)
+
+
+@dataclass
+class Pair:
+    """``pi`` is the companion and its vehicle; ``pair(method, …)`` asks the ground."""
+
+    pi: Flown
+    ground: Daemon
+    calls: CallsByMemory
+    ground_running: asyncio.Task[None]
+    told: list[Told] = field(default_factory=list)
+    """Events of the ground."""
+    from_ground: list[str] = field(default_factory=list)
+    """Names of the messages that the ground sent."""
+
+    @property
+    def now(self) -> float:
+        return self.pi.now
+
+    async def __call__(self, method_name: str, /, **params: Any) -> Any:
+        return await call(self.ground, method_name, **params)
+
+    async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
+        (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
+        return dict(outcome)
+
+    async def done(self, name: str, targets: str = "v1", **params: Any) -> None:
+        outcomes = (await self(name, targets=targets, **params))["outcomes"]
+        assert all(o["ok"] for o in outcomes.values()), outcomes
+
+    def control(self) -> dict[str, Any]:
+        """As the ground shows it."""
+        return self.ground.fleet.find("v1").control_state(self.now)
+
+    def texts(self, *kinds: str) -> list[str]:
+        return [t.text for t in self.told if t.kind in kinds]
+
+    async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> float:
+        return await self.pi.until(condition, timeout_s)
+
+    async def lose_ground(self) -> None:
+        """SIGKILL to the ground's daemon: nothing of it is sent or answered any more."""
+        self.calls.up = False
+        wifi = self.ground.links.link("wifi")
+        assert isinstance(wifi, MemoryLink)
+        wifi.peer.on_bytes = None
+        self.ground_running.cancel()
+        await asyncio.gather(self.ground_running, return_exceptions=True)
+
+    async def lose_companion(self) -> None:
+        """SIGKILL to the companion's daemon."""
+        self.calls.up = False
+        self.pi.cut = True
+        assert self.pi.running is not None
+        self.pi.running.cancel()
+        await asyncio.gather(self.pi.running, return_exceptions=True)
+
+
+@contextlib.asynccontextmanager
+async def companion_pair(
+    tmp_path: Path,
+    *,
+    delay_s: float = 0.0,
+    loss: float = 0.0,
+    companion: Mapping[str, Any] | None = None,
+    control: Mapping[str, Any] | None = None,
+    ground_tables: Mapping[str, Any] | None = None,
+    engaged: str | None = None,
+    **vehicle: Any,
+) -> AsyncIterator[Pair]:
+    """``delay_s``, ``loss``: of MAVLink and RPC between ground and companion, each way. ``engaged``: the control mode
+    that the ground has ordered. ``companion``: keys of [companion]. ``vehicle``: see `flown`."""
+    tables = {
+        "vehicles": {"v1": {"sysid": 1}},
+        "companion": {"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})},
+    }
+    air = {"ground-side": {"type": "memory", "role": "gcs"}}
+    (tmp_path / "pi").mkdir()
+    (tmp_path / "ground").mkdir()
+    async with flown(
+        tmp_path / "pi", control=control, tables=tables, links=air, prepared=_without_ground_link, **vehicle
+    ) as pi:
+        config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_tables)
+        ground = Daemon(config, load_dialect(config.dialect))
+        calls = CallsByMemory(pi.daemon, delay_s=delay_s, loss=loss)
+        ground.fleet.companions["v1"] = calls
+        running = asyncio.create_task(ground.run(), name="the ground's daemon")
+        await ground.ready.wait()
+        pair = Pair(pi, ground, calls, running)
+        before = ground.hub.on_sent
+
+        def on_sent(channel: Channel, message: OwnMessage, raw: bytes) -> None:
+            before(channel, message, raw)
+            frames = FrameParser(ground.dialect).feed_datagram(raw)
+            pair.from_ground.extend(frame.info.name for frame in frames if frame.info is not None)
+
+        ground.hub.on_sent = on_sent  # type: ignore[method-assign]
+        ground.event_log.subscribe(
+            lambda e: pair.told.append(Told(pair.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
+        )
+        here, there = ground.links.link("wifi"), pi.daemon.links.link("ground-side")
+        assert isinstance(here, MemoryLink) and isinstance(there, MemoryLink)
+        here.peer.on_bytes = there.peer.send
+        there.peer.on_bytes = here.peer.send
+        try:
+            await pair.until(lambda: ground.fleet.vehicles)
+            await asyncio.sleep(2 + 4 * delay_s)
+            if engaged is not None:
+                await pair.done("control.set", mode=engaged)
+            yield pair
+            faults = [t for t in pair.told if t.kind == "fault"]
+            assert not faults, faults
+        finally:
+            here.peer.on_bytes = there.peer.on_bytes = None
+            ground.stop()
+            await asyncio.gather(running, return_exceptions=True)
+            for task in calls.served:
+                task.cancel()
+            await asyncio.gather(*calls.served, return_exceptions=True)
+
+
+def _without_ground_link(config: FleetConfig) -> FleetConfig:
+    """As the loader makes it of [companion], but with our link to the ground."""
+    made = as_companion(config)
+    links = {name: link for name, link in made.links.items() if name != "ground"}
+    return made.model_copy(update={"links": links})
+
+
+def _ground_config(
+    folder: Path,
+    delay_s: float,
+    loss: float,
+    control: Mapping[str, Any] | None,
+    tables: Mapping[str, Any] | None,
+) -> FleetConfig:
+    origin = {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m}
+    wifi = {"type": "memory", "role": "vehicle", "delay_s": delay_s, "loss": loss, "seed": 5}
+    return FleetConfig.model_validate(
+        {
+            "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
+            "origin": origin,
+            "links": {"wifi": wifi},
+            "vehicles": {"v1": {"sysid": 1, "control": {"at": "companion"}}},
+            "defaults": {"control": dict(control or {})},
+            **(tables or {}),
+        }
+    )
