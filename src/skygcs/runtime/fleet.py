@@ -114,7 +114,7 @@ class Fleet:
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
         self.companions: dict[str, CompanionCalls] = {}
-        self.world = World(config.origin and Origin(**config.origin.model_dump()), self.vehicles, on_event)
+        self.world = World(_origin(config), self.vehicles, on_event)
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -725,6 +725,10 @@ class Fleet:
         if config.name in taken:
             config = config.model_copy(update={"name": f"{config.name}-{compid}"})
         return config
+
+
+def _origin(config: FleetConfig) -> Origin | None:
+    return None if config.origin is None else Origin(**config.origin.model_dump())
 
 
 def _succeeded(task: asyncio.Task[Outcome]) -> bool:
