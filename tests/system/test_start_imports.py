@@ -13,7 +13,16 @@ pytestmark = pytest.mark.system
 HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "lxml", "rich", "typer")
 """From 30 ms (rich) to 600 ms (pymavlink's generated dialects), and together three times a daemon's memory."""
 
-SPARED = ("_hashlib", "_ssl", "email", "greenlet", "importlib.metadata", "zipfile")
+SPARED = (
+    "_hashlib",
+    "_ssl",
+    "colorama",
+    "email",
+    "greenlet",
+    "importlib.metadata",
+    "skygcs.links.simulated",
+    "zipfile",
+)
 """Of libraries that the daemon loads, what it never uses of them: OpenSSL alone is 5 MB (`skygcs.cli.lean_imports`)."""
 
 NEEDED = (

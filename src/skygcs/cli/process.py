@@ -149,12 +149,12 @@ def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
 
 
 def import_structlog() -> ModuleType:
-    """Import structlog without rich, which it would import for a traceback format that is not used here, and without
-    greenlet, for which it looks.
+    """Import structlog without rich, which it would import for a traceback format that is not used here, without
+    greenlet, for which it looks, and without colorama, which it needs on Windows only.
 
-    Saves 40 ms and 6 MB, and 1 MB. A later import of these works as usual.
+    Saves 40 ms and 6 MB, 1 MB, and 0.8 MB. A later import of these works as usual.
     """
-    hidden = [name for name in ("greenlet", "rich") if name not in sys.modules]
+    hidden = [name for name in ("colorama", "greenlet", "rich") if name not in sys.modules]
     for name in hidden:
         sys.modules[name] = None  # type: ignore[assignment]  # for importlib: not installed
     try:
