@@ -141,8 +141,11 @@ class DaemonProcess:
 
     def cli(self, *words: str) -> subprocess.CompletedProcess[str]:
         """`skygcs-cli` against this daemon."""
-        command = [str(Path(sys.executable).with_name("skygcs-cli")), "--socket", str(self.socket), *words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+
+    def command(self, *words: str) -> list[str]:
+        """`skygcs-cli` against this daemon, to be started."""
+        return [str(Path(sys.executable).with_name("skygcs-cli")), "--socket", str(self.socket), *words]
 
     def kill(self) -> None:
         """kill -9."""

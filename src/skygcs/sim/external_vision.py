@@ -4,7 +4,8 @@
     ---------------------------   ----------------------------------------   -----------------------------------------
     flies by poses                EKF2_EV_CTRL bit 0, and no GPS             VISO_TYPE 1, EK3_SRC1_POSXY 6
     ODOMETRY                      any frame; here LOCAL_NED                  LOCAL_FRD with BODY_FRD only
-                                                                             (GCS_Common.cpp, handle_odometry)
+                                  of a visual estimator: one of MOCAP       (GCS_Common.cpp, handle_odometry)
+                                  is for other estimators than EKF2
     kept after the last pose      0.4 s (ev_control.cpp, 2 EV_MAX_INTERVAL)  0.3 s (AP_VISUALODOM_TIMEOUT_MS)
     begins with                   two within 0.2 s                           the same here
 
@@ -32,6 +33,9 @@ KEPT_S = {m.MAV_AUTOPILOT_PX4: 0.4, m.MAV_AUTOPILOT_ARDUPILOTMEGA: 0.3}
 LOCAL_FRD, BODY_FRD = 20, 12
 """MAV_FRAME."""
 
+VISUAL = frozenset({0, 1, 2, 3})
+"""MAV_ESTIMATOR_TYPE that PX4 publishes as vehicle_visual_odometry, which EKF2 reads (mavlink_receiver.cpp)."""
+
 
 class ExternalVision:
     """The poses of one vehicle since it started."""
@@ -55,8 +59,10 @@ class ExternalVision:
 
     def takes(self, name: str, fields: Mapping[str, Any]) -> bool:
         """Whether the firmware reads this message at all."""
-        if name != "ODOMETRY" or self._autopilot == m.MAV_AUTOPILOT_PX4:
+        if name != "ODOMETRY":
             return True
+        if self._autopilot == m.MAV_AUTOPILOT_PX4:
+            return int(fields["estimator_type"]) in VISUAL
         return (int(fields["frame_id"]), int(fields["child_frame_id"])) == (LOCAL_FRD, BODY_FRD)
 
     def on_pose(

@@ -10,6 +10,8 @@
                       the time of arrival
     covariance        first one NaN: EKF2_EVP_NOISE, EKF2_EVA_NOISE  first one NaN: VISO_POS_M_NSE, VISO_YAW_M_NSE
     velocity NaN      unknown                                        left out (NavEKF3, writeExtNavVelData)
+    estimator_type    MOCAP goes to vehicle_mocap_odometry, which EKF2     not looked at
+                      does not read; VISION is sent
     reset_counter     changed: the estimate is reset to the pose     changed: the same
 
 So the time stamp is the moment of the capture by our own clock for both, and PX4's TIMESYNC requests are answered by
@@ -29,8 +31,8 @@ PoseMessage = Literal["vision_position_estimate", "odometry"]
 LOCAL_NED, LOCAL_FRD, BODY_FRD = 1, 20, 12
 """MAV_FRAME."""
 
-MOCAP = 6
-"""MAV_ESTIMATOR_TYPE."""
+VISION = 2
+"""MAV_ESTIMATOR_TYPE. Not MOCAP (6): PX4's estimator does not use what came with that (vehicle_mocap_odometry)."""
 
 NAN = math.nan
 
@@ -71,7 +73,7 @@ def message_of(
         "pose_covariance": list(UNKNOWN_COVARIANCE),
         "velocity_covariance": list(UNKNOWN_COVARIANCE),
         "reset_counter": reset_counter,
-        "estimator_type": MOCAP,
+        "estimator_type": VISION,
         "quality": 0,
     }
 
