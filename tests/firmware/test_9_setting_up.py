@@ -4,7 +4,6 @@ parameters, and an ArduCopter's is ended by a reboot only."""
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import threading
 import time
@@ -44,6 +43,8 @@ def logged(field: Field, path: Path) -> dict[str, float]:
         if message.get_type() == "CTUN":
             times_us.append(message.TimeUS)
             up_m = max(up_m, message.Alt)
+    reader.data_map.close()
+    reader.filehandle.close()
     return {"messages": count, "s": (times_us[-1] - times_us[0]) / 1e6, "up m": up_m}
 
 
@@ -71,38 +72,55 @@ def flown(field: Field) -> None:
     field.land()
 
 
+def closed(field: Field, name: str) -> str:
+    """The id of the longest log that grows no more: the one of a flight. An ArduCopter may log while disarmed, too."""
+
+    def longest() -> dict[str, Any]:
+        logs: list[dict[str, Any]] = cli(field, "log", "list", name)[name]["logs"]
+        return max(logs, key=lambda log: log["size_bytes"])
+
+    found = [longest()]
+
+    def the_same() -> bool:
+        time.sleep(2.0)
+        found.append(longest())
+        return found[-1] == found[-2]
+
+    field.wait(the_same, 60, "its longest log grows no more")
+    return str(found[-1]["id"])
+
+
 def test_onboard_logs_come_byte_for_byte(field: Field, figures: dict[str, Any]) -> None:
     flown(field)
     listed = cli(field, "log", "list", "all")
     figures["listed"] = {name: len(listed[name]["logs"]) for name in field.names}
     for name in field.names:
         assert len(listed[name]["logs"]) == len(on_board(field, name)) > 0
-    began = time.monotonic()
-    got = cli(field, "log", "get", "all")
-    took_s = time.monotonic() - began
-    assert all(got[name]["ok"] for name in field.names), got
-    for name in field.names:
-        (file,) = got[name]["files"]
-        figures[name] = logged(field, Path(file["path"])) | {
-            "bytes": same(field, name, file),
-            "bytes/s": round(file["size_bytes"] / took_s),
-        }
+        number = closed(field, name)
+        began = time.monotonic()
+        outcome = cli(field, "log", "get", name, number)[name]
+        took_s = time.monotonic() - began
+        assert outcome["ok"], outcome
+        (file,) = outcome["files"]
+        figures[name] = {"bytes": same(field, name, file), "bytes/s": round(file["size_bytes"] / took_s)}
+        figures[name] |= logged(field, Path(file["path"]))
         assert figures[name]["up m"] > 5 and figures[name]["s"] > 10
-    again = cli(field, "log", "get", "all")
-    for name in field.names:  # unless it grows still, it is not read again
-        figures[f"{name} again"] = again[name]["message"]
-        assert again[name]["ok"]
+        again = cli(field, "log", "get", name, number)[name]["files"]
+        assert [(f["path"], f["resumed_at"]) for f in again] == [(file["path"], file["size_bytes"])]
+    together = cli(field, "log", "get", "all")
+    assert all(together[name]["ok"] for name in field.names), together
 
 
 def test_a_log_that_was_broken_off_is_resumed(field: Field, figures: dict[str, Any]) -> None:
     flown(field)
     name, sysid = field.one, field.sysids[0]
+    number = closed(field, name)
     folder = field.daemon.logs / "onboard" / name
 
     def part() -> int:
         return max((p.stat().st_size for p in folder.glob("*.part")), default=0)
 
-    command = field.daemon.command("log", "get", name)
+    command = field.daemon.command("log", "get", name, number)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
         field.wait(lambda: part() > LEAST_BYTES, 60, "a part of the log is on disk")
         field.relay.cut_up, field.relay.cut_down = {sysid}, {sysid}
@@ -112,13 +130,25 @@ def test_a_log_that_was_broken_off_is_resumed(field: Field, figures: dict[str, A
     assert client.returncode == 1 and part() > 0
     field.relay.clear()
     field.wait(field.connected, 30, "it is heard again")
-    outcome = cli(field, "log", "get", name)[name]
+    outcome = cli(field, "log", "get", name, number)[name]
     figures["message"] = outcome["message"]
     assert outcome["ok"], outcome
     (file,) = outcome["files"]
     figures |= {"resumed at": file["resumed_at"], "bytes": same(field, name, file)}
     assert file["resumed_at"] > 0 and part() == 0
     assert logged(field, Path(file["path"]))["up m"] > 5
+
+
+def test_no_vehicle_is_calibrated_that_is_armed(ground: Field, figures: dict[str, Any]) -> None:
+    ground.order("vehicles.arm", ground.one)
+    try:
+        for sensor in ("gyro", "level", "compass", "accel"):
+            answer = ground.daemon.call("vehicles.calibrate", targets=ground.one, sensor=sensor)
+            outcome = answer["outcomes"][ground.one]
+            figures[sensor] = outcome["message"]
+            assert outcome["result"] == "refused" and not outcome["ok"]
+    finally:
+        ground.order("vehicles.disarm", ground.one)
 
 
 def test_gyro_and_level_are_calibrated(ground: Field, figures: dict[str, Any]) -> None:
@@ -155,6 +185,16 @@ class Calibrating(threading.Thread):
         assert not self.outcome, self.outcome
 
 
+def arms_again(field: Field) -> None:
+    """It is as before; an ArduCopter after a reboot."""
+    if not field.px4:
+        began = time.monotonic()
+        field.order("vehicles.reboot", field.one)
+        field.wait(lambda: field.watcher.events_since(began, "reboot", vehicle=field.one), 60, "it has rebooted")
+    field.order("vehicles.arm", field.one, wait_s=100)
+    field.order("vehicles.disarm", field.one)
+
+
 def test_a_compass_calibration_is_cancelled(ground: Field, figures: dict[str, Any]) -> None:
     running = Calibrating(ground, "compass")
     running.waits_for(lambda status: status["percent"] is not None, "it shows how far it is")
@@ -165,18 +205,7 @@ def test_a_compass_calibration_is_cancelled(ground: Field, figures: dict[str, An
     figures |= {"cancel": outcome["message"], "ended s": time.monotonic() - began, "result": running.outcome["message"]}
     assert outcome["ok"] and running.outcome["result"] == "cancelled", (outcome, running.outcome)
     ground.wait(lambda: ground.state(ground.one)["calibration"] is None, 10, "none is under way")
-
-
-def test_no_vehicle_is_calibrated_that_is_armed(ground: Field, figures: dict[str, Any]) -> None:
-    ground.order("vehicles.arm", ground.one)
-    try:
-        for sensor in ("gyro", "level", "compass", "accel"):
-            answer = ground.daemon.call("vehicles.calibrate", targets=ground.one, sensor=sensor)
-            outcome = answer["outcomes"][ground.one]
-            figures[sensor] = outcome["message"]
-            assert outcome["result"] == "refused" and not outcome["ok"]
-    finally:
-        ground.order("vehicles.disarm", ground.one)
+    arms_again(ground)
 
 
 def test_accel_asks_for_its_poses(ground: Field, figures: dict[str, Any]) -> None:
@@ -192,10 +221,4 @@ def test_accel_asks_for_its_poses(ground: Field, figures: dict[str, Any]) -> Non
     running.join(150)
     figures |= {"cancel": outcome["message"], "result": running.outcome["message"]}
     assert running.outcome["result"] == "cancelled", running.outcome
-    if not ground.px4:
-        ground.order("vehicles.reboot", ground.one)
-        began = time.monotonic()
-        ground.wait(lambda: ground.watcher.events_since(began, "reboot", vehicle=ground.one), 60, "it has rebooted")
-    ground.order("vehicles.arm", ground.one, wait_s=100)
-    assert math.isfinite(ground.truth(ground.one).armed_at)
-    ground.order("vehicles.disarm", ground.one)
+    arms_again(ground)

@@ -197,7 +197,8 @@ class Calibration:
                 self.state, self._heard_at = CalibrationState.CANCELLING, now
             return CommandSpec(mav_cmd.PREFLIGHT_CALIBRATION, (0.0,) * 7)
         if self.sensor is Sensor.COMPASS:
-            self._end("cancelled", "cancelled", now)
+            # AP_Compass_Calibration.cpp sets _cal_requires_reboot when it begins
+            self._end("cancelled", "cancelled; it arms only after a reboot", now)
             return CommandSpec(mav_cmd.DO_CANCEL_MAG_CAL, (0.0,))
         # AP_AccelCal waits for the next pose without an end
         self._end("cancelled", "given up; an ArduCopter ends it only when it is rebooted", now)
