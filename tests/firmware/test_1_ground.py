@@ -133,7 +133,7 @@ def test_preflight_is_true_and_fixes_what_is_wrong(ground: Field, figures: dict[
     verdicts = {v: _verdict(again, v) for v in ground.names}
     figures["passed"] = verdicts
     assert all(verdicts.values()), _failures(again)
-    ground.order("vehicles.arm", "all")
+    ground.order("vehicles.arm", "all", wait_s=60)
     ground.order("vehicles.disarm", "all")
     assert after
 

@@ -20,10 +20,10 @@ def near(field: Field, name: str, enu_m: tuple[float, float, float]) -> bool:
 
 
 def test_arm_and_disarm_one_and_all(ground: Field, figures: dict[str, Any]) -> None:
-    ground.order("vehicles.arm", ground.one)
+    ground.order("vehicles.arm", ground.one, wait_s=60)
     assert not ground.truth(ground.two).armed
     ground.order("vehicles.disarm", ground.one)
-    outcomes = ground.order("vehicles.arm", "all")
+    outcomes = ground.order("vehicles.arm", "all", wait_s=60)
     figures["arm s"] = max(o["elapsed_s"] for o in outcomes.values())
     ground.wait(lambda: all(ground.truth(n).armed for n in ground.names), 5, "both are armed")
     ground.order("vehicles.disarm", "all")

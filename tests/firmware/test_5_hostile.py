@@ -142,7 +142,7 @@ def test_quick_orders_are_no_second_vehicle(ground: Field, figures: dict[str, An
     """Arming and modes that change several times in a few seconds are one vehicle that obeys."""
     began = time.monotonic()
     for _ in range(3):
-        ground.order("vehicles.arm", ground.one)
+        ground.order("vehicles.arm", ground.one, wait_s=60)
         ground.order("vehicles.disarm", ground.one)
     figures["seconds"] = time.monotonic() - began
     figures["events"] = [e["text"][:90] for e in ground.watcher.events_since(began, "duplicate", "conflict")]

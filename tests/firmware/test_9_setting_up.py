@@ -21,6 +21,10 @@ LEAST_BYTES = 300_000
 """On disk when the link is cut: by then the log has come in part."""
 
 
+OF_A_FLIGHT_BYTES = 1_500_000
+"""The log of a flight of half a minute has 3 MB (ArduCopter) or 10 MB (PX4)."""
+
+
 def on_board(field: Field, name: str) -> list[Path]:
     """The logs in the vehicle's own folder, oldest first."""
     folder = field.folder / "vehicles" / name
@@ -73,20 +77,20 @@ def flown(field: Field) -> None:
 
 
 def closed(field: Field, name: str) -> str:
-    """The id of the longest log that grows no more: the one of a flight. An ArduCopter may log while disarmed, too."""
+    """The id of the log of the last flight, once it grows no more. An ArduCopter may log while disarmed, too."""
 
-    def longest() -> dict[str, Any]:
+    def last() -> dict[str, Any]:
         logs: list[dict[str, Any]] = cli(field, "log", "list", name)[name]["logs"]
-        return max(logs, key=lambda log: log["size_bytes"])
+        return max((log for log in logs if log["size_bytes"] > OF_A_FLIGHT_BYTES), key=lambda log: log["id"])
 
-    found = [longest()]
+    found = [last()]
 
     def the_same() -> bool:
         time.sleep(2.0)
-        found.append(longest())
+        found.append(last())
         return found[-1] == found[-2]
 
-    field.wait(the_same, 60, "its longest log grows no more")
+    field.wait(the_same, 60, "the log of its last flight grows no more")
     return str(found[-1]["id"])
 
 

@@ -68,7 +68,7 @@ class Fleet:
             self.hosts[name] = host
             install_programs(host, "0.0.9" if name == OTHER_VERSION else None)
             self._add_service(host, COMPANION.format(name=name, port=self.udp, sysid=sysid))
-            text += f'[vehicles.{name}]\nsysid = {sysid}\n'
+            text += f"[vehicles.{name}]\nsysid = {sysid}\n"
             text += f'[companions.{name}]\nhost = "127.0.0.1"\nssh_port = {host.port}\n'
         (folder / "fleet.toml").write_text(text)
         (folder / "known_hosts").write_text("".join(host.public_key() + "\n" for host in self.hosts.values()))
