@@ -58,6 +58,7 @@ MAX_REPLY_BYTES = 32 << 20
 MAX_NUMBER_CHARS = 20
 """Of a subscription's number."""
 
+_RESULT = re.compile(rb'\{"jsonrpc":"2\.0","id":(\d{1,20}),"result":')
 _TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
 _STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
 
@@ -179,15 +180,26 @@ class Client:
 
     async def call(self, method: str, /, **params: Any) -> Any:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
-        return await self._answer(method, params, {})
+        return await self._answer(self._connected(), self._next_id(), method, params, {})
 
-    async def call_by(self, deadline_s: float, method: str, /, **params: Any) -> Any:
-        """As `call`, refused by a daemon that reads it after ``deadline_s`` of its own clock (now_s of daemon.info)."""
-        return await self._answer(method, params, {"deadline_s": deadline_s})
+    async def relay(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+        """The result as the daemon encoded it, for a program that passes it on: a list of parameters has megabytes.
 
-    async def _answer(self, method: str, params: dict[str, Any], members: dict[str, Any]) -> Any:
+        A daemon that reads the request after ``deadline_s`` of its own clock (now_s of daemon.info) refuses it.
+        """
+        wire, number = self._connected(), self._next_id()
+        wire.encoded.add(number)
+        members = {} if deadline_s is None else {"deadline_s": deadline_s}
+        try:
+            result = await self._answer(wire, number, method, params, members)
+        finally:
+            wire.encoded.discard(number)
+        return result if isinstance(result, bytes) else json.dumps(result).encode()
+
+    async def _answer(
+        self, wire: _Wire, number: int, method: str, params: dict[str, Any], members: Mapping[str, Any]
+    ) -> Any:
         """``members``: of the request, besides those of JSON-RPC."""
-        wire = self._connected()
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
         def on_answer(result: Any, error: RpcError | None) -> None:
@@ -198,7 +210,7 @@ class Client:
             else:
                 future.set_result(result)
 
-        wire.start(self._next_id(), method, params, on_answer, members)
+        wire.start(number, method, params, on_answer, members)
         return await future
 
     # -- vehicles
@@ -626,6 +638,8 @@ class _Wire(asyncio.Protocol):
         self.inboxes: dict[int, Inbox] = {}
         self.on_progress: Callable[[dict[str, Any]], None] | None = None
         """For notifications plan.progress."""
+        self.encoded: set[int] = set()
+        """Calls whose result is not to be read."""
         self._address = address
         self._calls: dict[int, _OnAnswer] = {}
         self._partial: list[bytes] = []
@@ -648,7 +662,7 @@ class _Wire(asyncio.Protocol):
         self._partial = [rest]
         self._partial_bytes = len(rest)
         for line in lines:
-            if line and self._lost is None and not self._on_encoded(line):
+            if line and self._lost is None and not self._on_encoded(line) and not self._on_encoded_result(line):
                 try:
                     self._on_answer(json.loads(line))
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -670,6 +684,16 @@ class _Wire(asyncio.Protocol):
         if not isinstance(inbox, Encoded) or not state.endswith(b"}") or (comma and last != b'"last":true'):
             return False
         inbox.put_encoded(state[len(_TELEMETRY) :], bool(comma))
+        return True
+
+    def _on_encoded_result(self, line: bytes) -> bool:
+        """True for a result that goes on as it is; an error, and anything written otherwise, is read as JSON."""
+        begin = _RESULT.match(line) if self.encoded else None
+        if begin is None or (number := int(begin[1])) not in self.encoded or not line.endswith(b"}"):
+            return False
+        on_answer = self._calls.pop(number, None)
+        if on_answer is not None:
+            on_answer(line[begin.end() : -1], None)
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
+from pydantic_core import to_json
 
-from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, is_name
 from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject
-from skygcs.rpc.dispatch import Method
+from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
+from skygcs.rpc.slices import encoded_list
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000
@@ -30,6 +31,10 @@ AT_ONCE = 8
 
 MAX_WITH_VALUES = 40
 """Vehicles whose values fit into one answer: each takes some 100 kB, and a client's unread output is bounded."""
+
+
+PARAMS_AT_ONCE = 50
+"""Encoded between two looks at the clock: .1 ms."""
 
 
 def _name(text: str) -> str:
@@ -159,31 +164,30 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
     return {"outcomes": await _each(context, params, write)}
 
 
-async def params_list(context: Context, params: ParamListParams) -> JsonObject:
+async def params_list(context: Context, params: ParamListParams) -> Encoded:
     """All parameters; one vehicle after another, so that they do not share a radio. Progress comes as events "params".
 
     What was read before is not read again while the vehicle confirms it: PX4 by a hash over all values, ArduPilot
     only by its firmware and their number.
     """
-    lists = {}
     vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:
         text = (
             f"{len(vehicles)} vehicles' values are too much for one answer; ask for at most {MAX_WITH_VALUES} at once"
         )
         raise dispatch.InvalidParams(("targets", text))
-    for vehicle in vehicles:
-        lists[vehicle.name] = await _list(context, vehicle, params)
-    return {"lists": lists}
+    lists = [to_json(vehicle.name) + b":" + await _list(context, vehicle, params) for vehicle in vehicles]
+    return Encoded(b'{"lists":{' + b",".join(lists) + b"}}")
 
 
-async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams) -> JsonObject:
+async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams) -> bytes:
+    """The answer for one vehicle, as `ParamsOfVehicle`."""
     loaded = await vehicle.params.load(refresh=params.refresh, burst=params.burst, bytes_per_s=params.bytes_per_s)
-    entries = [
-        {"name": p.name, "value": p.value if math.isfinite(p.value) else None, "type": p.type.name}
-        for p in (loaded.params if params.values else ())
-    ]
-    return {
+    entries = b"null"
+    if params.values:
+        async with context.long_reads:
+            entries = await encoded_list(map(_entry, loaded.params), PARAMS_AT_ONCE)
+    head = {
         "ok": loaded.ok,
         "result": loaded.result,
         "message": loaded.message,
@@ -194,9 +198,13 @@ async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams
         "elapsed_s": round(loaded.elapsed_s, 3),
         "sysid": vehicle.sysid,
         "compid": vehicle.compid,
-        "autopilot": vehicle.state(context.services.now())["autopilot"],
-        "params": entries if params.values else None,
+        "autopilot": vehicle.state(context.services.now(), frozenset({"autopilot"}))["autopilot"],
     }
+    return to_json(head)[:-1] + b',"params":' + entries + b"}"
+
+
+def _entry(param: Param) -> JsonObject:
+    return {"name": param.name, "value": param.value, "type": param.type.name}
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:

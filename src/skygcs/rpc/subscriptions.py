@@ -180,7 +180,7 @@ class TelemetryFeed:
         deadline = self._loop.time() + SLICE_S
         for subscription in list(self._subscriptions):
             while subscription.pending and subscription.sink.writable:
-                self._write_some(subscription)
+                self._write_some(subscription, deadline)
                 if self._loop.time() > deadline:
                     if self._subscriptions.pop(subscription, subscription) is None:
                         self._subscriptions[subscription] = None  # to the end: it is the others' turn
@@ -188,10 +188,13 @@ class TelemetryFeed:
                     self._loop.call_soon(self._drain)
                     return
 
-    def _write_some(self, subscription: TelemetrySubscription) -> None:
+    def _write_some(self, subscription: TelemetrySubscription, deadline: float) -> None:
+        """Encode and write until the deadline; one state at least."""
         pieces: list[bytes] = []
         pending = subscription.pending
         for key in list(pending)[:VEHICLES_PER_WRITE]:
+            if pieces and self._loop.time() > deadline:
+                break
             vehicle = pending.pop(key)
             if subscription.vehicles.pop(key, None) is not None:
                 subscription.vehicles[key] = (

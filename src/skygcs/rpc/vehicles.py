@@ -6,21 +6,17 @@ it out, and the daemon calls that for every target (`Fleet.command_all`).
 
 from __future__ import annotations
 
-import asyncio
 from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
-from pydantic_core import to_json
 
 from skygcs.core.vehicle.state import ComponentEntry, MessageRate, StatusTextEntry, VehicleState
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, Targets, TargetsParams
+from skygcs.rpc.slices import encoded_list
 from skygcs.runtime.vehicle_actor import VehicleActor
-
-SLICE_S = 0.002
-"""Then others have their turn: 50 whole states take 15 ms, in which no control tick and no stop would come through."""
 
 StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")
 for _typed in (StatusTextEntry, ComponentEntry, MessageRate, VehicleState):
@@ -153,16 +149,8 @@ class SetHomeParams(TargetsParams):
 async def vehicles_list(context: Context, params: ListParams) -> Encoded:
     """The state of some or all vehicles, by system id."""
     vehicles = resolve(context.services, params.targets)
-    loop = asyncio.get_running_loop()
-    bodies = []
     async with context.long_reads:
-        deadline = loop.time() + SLICE_S
-        for vehicle in vehicles:
-            bodies.append(to_json(state_of(context.services, vehicle), inf_nan_mode="null"))
-            if loop.time() > deadline:
-                await asyncio.sleep(0)
-                deadline = loop.time() + SLICE_S
-    return Encoded(b"[" + b",".join(bodies) + b"]")
+        return Encoded(await encoded_list(state_of(context.services, vehicle) for vehicle in vehicles))
 
 
 def vehicles_get(context: Context, params: TargetParams) -> JsonObject:

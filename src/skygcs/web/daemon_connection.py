@@ -144,8 +144,8 @@ class DaemonConnection:
 
     # -- requests of pages
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
-        """The daemon's answer. Raises RpcError; DaemonUnreachable at once while it is not connected.
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+        """The daemon's answer, encoded. Raises RpcError; DaemonUnreachable at once while it is not connected.
 
         ``deadline_s``: of this process' clock; a daemon that reads the request later refuses it.
         """
@@ -154,18 +154,14 @@ class DaemonConnection:
         if client is None or not self.connected:
             raise DaemonUnreachable(self.address, self.text)
         ahead_s = self._clock.ahead_s
-        if deadline_s is None or ahead_s is None:
-            answer = client.call(method, **params)
-        else:
-            answer = client.call_by(deadline_s + ahead_s, method, **params)
+        due_s = None if deadline_s is None or ahead_s is None else deadline_s + ahead_s
         if kind != "order":
-            return await answer
+            return await client.relay(method, params, due_s)
         if self._waiting >= ORDERS_WAITING:
-            answer.close()
             raise RpcError(-32005, f"{ORDERS_WAITING} orders wait for their outcome; this one was not carried out")
         self._waiting += 1
         try:
-            return await answer
+            return await client.relay(method, params, due_s)
         finally:
             self._waiting -= 1
 

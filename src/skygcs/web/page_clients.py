@@ -69,7 +69,10 @@ class Source(Protocol):
     text: str
     since: float
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any: ...
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+        """Its answer, encoded. Raises RpcError."""
+        ...
+
     def operator_active(self) -> None: ...
 
 
@@ -368,11 +371,11 @@ class PageClient:
         try:
             own = self.pages.own.get(method)
             if own is not None:
-                result = await own(self, params)
+                result = _encode(await own(self, params))
             else:
                 deadline_s = request["deadline_s"] if self._is_order(method) else None
                 result = await self.pages.source.call(method, params, deadline_s)
-            reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), _encode(result))
+            reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), result)
         except DaemonUnreachable as error:
             reply = _error(request_id, NO_DAEMON, str(error))
         except RpcError as error:

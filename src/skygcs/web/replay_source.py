@@ -196,8 +196,11 @@ class ReplaySource:
             "ended": self.ended,
         }
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
-        """What a recording can answer. Raises RpcError."""
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+        """What a recording can answer, encoded. Raises RpcError."""
+        return to_json(self._result(method, params), inf_nan_mode="null", serialize_unknown=True)
+
+    def _result(self, method: str, params: dict[str, Any]) -> Any:
         match method:
             case "daemon.info":
                 return {"version": __version__, "replay": True, "file": str(self.recording.path)}

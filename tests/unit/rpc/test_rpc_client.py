@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc import client, vehicles
+from skygcs.rpc import client, slices
 from skygcs.rpc.address import client_address, default_socket_path
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
@@ -74,7 +74,7 @@ async def test_states_and_messages_are_read_and_sent(served: Served, gcs: Client
 async def test_a_list_of_many_states_gives_others_their_turn(
     served: Served, gcs: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(vehicles, "SLICE_S", 0.0)  # after each state
+    monkeypatch.setattr(slices, "SLICE_S", -1.0)  # after each state
     turns: list[int] = []
     made = served.daemon.vehicle("alpha")
 
@@ -104,6 +104,34 @@ async def test_an_error_answer_is_raised_with_code_and_data(gcs: Client) -> None
     assert error.value.code == -32602 and error.value.data["problems"][0]["param"] == "hight_m"
     with pytest.raises(ValueError, match="JSON"):
         await gcs.call("vehicles.takeoff", targets="all", height_m=float("nan"))
+
+
+async def test_a_result_is_relayed_as_the_daemon_encoded_it(served: Served, gcs: Client) -> None:
+    states, plain, other = await asyncio.gather(
+        gcs.relay("vehicles.list", {"targets": "1-2"}), gcs.vehicles("3"), gcs.relay("operator.relay", {})
+    )
+    assert [state["name"] for state in json.loads(states)] == ["alpha", "bravo"]
+    assert [state["name"] for state in plain] == ["carol"]
+    assert isinstance(json.loads(other), dict)
+    with pytest.raises(RpcError) as refused:
+        await gcs.relay("vehicles.arm", {"targets": "nobody"})
+    assert refused.value.code == -32001
+    with pytest.raises(RpcError, match="after its deadline"):
+        await gcs.relay("vehicles.arm", {"targets": "alpha"}, deadline_s=0.0)
+    assert served.daemon.vehicle("alpha").orders == []
+    assert not gcs._connected().encoded
+
+
+@pytest.mark.parametrize(
+    "line", [b'{"jsonrpc": "2.0", "id": 1, "result": [1, 2]}', b'{"id":1,"result":[1,2],"jsonrpc":"2.0"}']
+)
+def test_a_result_that_is_written_otherwise_is_read_as_json(line: bytes) -> None:
+    wire = client._Wire("a socket")
+    wire.encoded.add(1)
+    answers: list[Any] = []
+    wire._calls[1] = lambda result, error: answers.append(result)
+    wire.data_received(line + b"\n")
+    assert answers == [[1, 2]]
 
 
 async def test_calls_from_many_tasks_find_their_own_answers(served: Served, gcs: Client) -> None:

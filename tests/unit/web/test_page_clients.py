@@ -30,7 +30,7 @@ class FakeSource:
         self.active = 0
         self.held: asyncio.Event | None = None
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> Any:
+    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
         self.calls.append((method, params))
         self.deadlines.append(deadline_s)
         if self.held is not None:
@@ -41,7 +41,7 @@ class FakeSource:
             raise DaemonUnreachable("sock", "gone")
         if method == "router.stats":
             raise KeyError("a fault")
-        return {"called": method}
+        return json.dumps({"called": method}).encode()
 
     def operator_active(self) -> None:
         self.active += 1
@@ -368,6 +368,7 @@ async def test_a_page_that_comes_later_gets_the_newest_plan_until_the_daemon_is_
     _, socket = bench.page(rate_hz=10)
     await asyncio.sleep(0.1)
     assert [(m["method"], m["params"]) for m in socket.sent] == [("web.plan", {"state": "flying"})]
+    bench.source.connected = False
     bench.pages.on_daemon()
     _, later = bench.page(rate_hz=10)
     await asyncio.sleep(0.1)

@@ -61,6 +61,9 @@ class Replayed:
     async def call(self, method: str, **params: Any) -> Any:
         return await self.source.own_methods()[method](self.page, params)
 
+    async def ask(self, method: str, **params: Any) -> Any:
+        return json.loads(await self.source.call(method, params))
+
     async def until(self, condition: Any) -> None:
         for _ in range(12_000):
             if condition():
@@ -149,12 +152,12 @@ async def test_the_newest_seek_wins() -> None:
 async def test_only_what_a_recording_knows_is_answered() -> None:
     async with replayed() as bench:
         await bench.until(lambda: bench.source.recording.scanned)
-        assert await bench.source.call("vehicles.list", {}) == []
+        assert await bench.ask("vehicles.list") == []
         await bench.call("replay.seek", position_s=100.0)
         await bench.until(lambda: bench.source._seek_s is None)
-        (state,) = await bench.source.call("vehicles.list", {})
-        assert (await bench.source.call("vehicles.get", {"target": state["name"]}))["sysid"] == state["sysid"]
-        events = await bench.source.call("events.recent", {"limit": 3})
+        (state,) = await bench.ask("vehicles.list")
+        assert (await bench.ask("vehicles.get", target=state["name"]))["sysid"] == state["sysid"]
+        events = await bench.ask("events.recent", limit=3)
         assert 1 <= len(events) <= 3
         for method, params in (
             ("vehicles.arm", {}),
