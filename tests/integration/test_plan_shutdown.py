@@ -20,6 +20,11 @@ async def begun(gcs: Flown) -> None:
     await run(gcs, timed(starts, {name: (x, y + 12.0, UP_M) for name, (x, y, _) in starts.items()}))
 
 
+def clock_state(gcs: Flown) -> str:
+    clock = gcs.daemon.fleet.plans.status()["clock"]
+    return "none" if clock is None else str(clock["state"])
+
+
 @KINDS
 async def test_while_they_arm_the_armed_are_disarmed_and_nobody_takes_off(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
@@ -33,7 +38,9 @@ async def test_while_they_arm_the_armed_are_disarmed_and_nobody_takes_off(tmp_pa
 
 
 @KINDS
-@pytest.mark.parametrize("when", ["takeoff", "engaging", "to_starts", "flying", "stopped", "aborting", "landing"])
+@pytest.mark.parametrize(
+    "when", ["takeoff", "engaging", "to_starts", "flying", "stopping", "paused", "aborting", "landing"]
+)
 async def test_in_the_air_each_holds_or_goes_on_landing(tmp_path: Path, kind: dict[str, int], when: str) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         await begun(gcs)
@@ -44,9 +51,13 @@ async def test_in_the_air_each_holds_or_goes_on_landing(tmp_path: Path, kind: di
         else:
             await gcs.until(lambda: state(gcs) == "flying", 90.0)
             await asyncio.sleep(5.0)
-        if when == "stopped":
+        if when in ("stopping", "paused"):
             await gcs("plan.pause")
             await asyncio.sleep(1.0)
+            if when == "paused":
+                await gcs.until(lambda: clock_state(gcs) == "paused", 30.0)
+                await asyncio.sleep(3.0)
+                assert state(gcs) == "paused"
         elif when == "aborting":
             await gcs("plan.abort")
         elif when == "landing":

@@ -220,6 +220,10 @@ class _Question:
     within_limits: bool
     origin: Origin | None
 
+    def given_limits(self) -> dict[str, Any]:
+        """For the daemon, which has each vehicle's own where none are given."""
+        return {"limits": asdict(self.limits)} if self.within_limits else {}
+
     def request(self, rule: MarginRule, space: FlightSpace) -> dict[str, Any]:
         """For a planning process. Raises SkygcsError."""
         wanted = self.shape.wanted()
@@ -265,7 +269,7 @@ async def _made_by_daemon(
     gcs: Client, question: _Question, space: FlightSpace, params: Mapping[str, Any], json_output: bool
 ) -> Answer:
     """The daemon takes measured positions as starts. Raises SkygcsError."""
-    common = {**params, "space": space_content(space), "limits": asdict(question.limits)}
+    common = {**params, "space": space_content(space), **question.given_limits()}
     kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
     wanted = await asyncio.to_thread(question.shape.wanted)
     if wanted is not None:
@@ -306,7 +310,8 @@ async def _certified_by_daemon(
     json_output: bool,
 ) -> int:
     content = plan_content(found.plan, found.space)
-    common = {**params, "space": space_content(added), "limits": asdict(limits), "within_limits": within_limits}
+    common = {**params, "space": space_content(added), "within_limits": within_limits}
+    common |= {"limits": asdict(limits)} if within_limits else {}
     answer = await asked(gcs, "plan.certify", json_output, plan=content, **common)
     return print_answer(answer, json_output, found.format)
 

@@ -19,7 +19,7 @@ from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
 from skygcs.core.plan.plan_files import NamedFile, ReadPlan, read_together
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
-from skygcs.errors import PlanFileError, SkygcsError
+from skygcs.errors import PlanFileError
 from skygcs.rpc.client import Client
 
 Files = Annotated[
@@ -38,12 +38,12 @@ Places = dict[str, Vector]
 
 
 def bytes_of(file: Path) -> bytes:
-    """What a file holds, one byte more than is read at most. Raises SkygcsError."""
+    """What a file holds, one byte more than is read at most. Raises PlanFileError."""
     try:
         with file.open("rb") as opened:
             return opened.read(MAX_FILE_BYTES + 1)
     except OSError as error:
-        raise SkygcsError(f"{file}: {error.strerror or error}") from None
+        raise PlanFileError(str(file), "", f"cannot be read: {error.strerror or error}") from None
 
 
 def read_files(files: Sequence[Path], limits: MotionLimits, origin: Origin | None) -> ReadPlan:

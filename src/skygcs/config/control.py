@@ -19,6 +19,7 @@ from skygcs.core.control.guard import GuardConfig
 from skygcs.core.control.predictor_margin import why_not_predicted
 from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, MAX_RATE_HZ, PX4_LOOP
 from skygcs.core.geo import Origin
+from skygcs.core.trajectory import MotionLimits
 from skygcs.core.vehicle.raw_setpoint import RawLimits
 from skygcs.core.vehicle.trajectory_flight import TrajectoryLimits
 from skygcs.errors import ConfigError
@@ -69,13 +70,16 @@ class RawSettings(Model):
 
 
 class TrajectorySettings(Model):
-    """What a vehicle may be sent along; see `core.vehicle.trajectory_flight.TrajectoryLimits`."""
+    """What a vehicle may be sent along; see `core.vehicle.trajectory_flight.TrajectoryLimits`. Plans are timed by the
+    speeds, acceleration and jerk; one that is not set has the default of `MotionLimits` there."""
 
     start_within_m: Annotated[float, Field(ge=0.1, le=100)] | None = None
     speed_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
     acceleration_mps2: Annotated[float, Field(ge=0.01, le=30)] | None = None
     climb_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
     descent_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    jerk_mps3: Annotated[float, Field(ge=0.01, le=1000)] | None = None
+    """Not limited unless it is set."""
     velocity_jump_mps: Annotated[float, Field(ge=0, le=100)] | None = None
     brake_mps2: Annotated[float, Field(ge=0.05, le=30)] | None = None
 
@@ -171,6 +175,12 @@ class ControlSettings(Model):
         """What it may be sent along. Raises ConfigError."""
         given = (self.trajectory or TrajectorySettings()).model_dump()
         return TrajectoryLimits(**{key: value for key, value in given.items() if value is not None})
+
+    def motion_limits(self) -> MotionLimits:
+        """Within which a plan for it is timed."""
+        keys = ("speed_mps", "acceleration_mps2", "jerk_mps3", "climb_mps", "descent_mps")
+        settings = self.trajectory or TrajectorySettings()
+        return MotionLimits(**{key: value for key in keys if (value := getattr(settings, key)) is not None})
 
     def fence_at(self, origin: Origin) -> Fence:
         """The box, standing on earth about this origin. Raises ConfigError."""

@@ -4,7 +4,8 @@
     {"do": "paths", "paths": {vehicle: {"points", "times_s", "yaws_rad"}}, "within_limits": …}   written paths
     {"do": "check", "plan": a plan of skygcs as JSON, "within_limits": …, "keep": …}     certify, in its own space, too
 
-All with "rule" (margins), "limits" and "space", and with "notes": keys that the answer has, too. The answer is one JSON
+All with "rule" (margins), "limits" and "space", "limits_of" (each vehicle's own, in place of "limits") where they are
+known, and "notes": keys that the answer has, too. The answer is one JSON
 object:
 
     {"certificate": … or null, "plan": the certified plan or null, "attempts": […], "reasons": […], and "notes"}

@@ -30,7 +30,7 @@ from skygcs.core.plan.flight_steps import starts_of
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_of
 from skygcs.core.plan.plan_search import Task, make_plan
-from skygcs.core.trajectory import MotionLimits
+from skygcs.core.trajectory import MotionLimits, least_limits
 from skygcs.errors import SkygcsError
 from skygcs.planning.process import CALL
 from skygcs.planning.request import JsonObject, path_of, rule_of, without_text
@@ -96,13 +96,13 @@ def _called(request: bytes, answer_bytes: int) -> str:
 
 def answered(request: JsonObject, report: Report) -> JsonObject:
     """The answer to a request. Raises SkygcsError."""
-    rule, limits = rule_of(request["rule"]), MotionLimits(**request["limits"])
+    rule, limits = rule_of(request["rule"]), _Limits(request)
     space = space_of("the request", json.loads(json.dumps(request["space"])))
     notes: JsonObject = request.get("notes", {})
     if request["do"] == "make":
         return _made(request, rule, limits, space, report) | notes
     if request["do"] == "paths":
-        plan: Plan = TimedPlan({name: path_of(name, path, limits) for name, path in request["paths"].items()})
+        plan: Plan = TimedPlan({name: path_of(name, path, limits.of(name)) for name, path in request["paths"].items()})
     else:
         plan, own = plan_from_json("the plan", request["plan"])
         heard: JsonObject = notes.get("standing", {})
@@ -114,7 +114,7 @@ def answered(request: JsonObject, report: Report) -> JsonObject:
         plan,
         rule,
         space,
-        limits=limits if request["within_limits"] else None,
+        limits={name: limits.of(name) for name in starts_of(plan)} if request["within_limits"] else None,
         progress=lambda done, total: report("certify", done, total),
     )
     found = certificate.as_dict()
@@ -123,12 +123,21 @@ def answered(request: JsonObject, report: Report) -> JsonObject:
     return {"certificate": found, "plan": content, "attempts": [], "reasons": certificate.reasons()} | notes
 
 
-def _made(
-    request: JsonObject, rule: MarginRule, limits: MotionLimits, space: FlightSpace, report: Report
-) -> JsonObject:
+class _Limits:
+    """Of a request: each vehicle's own, or those of all."""
+
+    def __init__(self, request: JsonObject) -> None:
+        self._of_all = MotionLimits(**request["limits"])
+        self._own = {name: MotionLimits(**given) for name, given in request.get("limits_of", {}).items()}
+
+    def of(self, name: str) -> MotionLimits:
+        return self._own.get(name, self._of_all)
+
+
+def _made(request: JsonObject, rule: MarginRule, limits: _Limits, space: FlightSpace, report: Report) -> JsonObject:
     starts, goals = ({name: (x, y, z) for name, (x, y, z) in request[which].items()} for which in ("starts", "goals"))
     task = Task(starts, goals, request["exchangeable"], request["kind"])
-    found = make_plan(task, rule, limits, space, report)
+    found = make_plan(task, rule, least_limits(limits.of(name) for name in starts), space, report)
     certificate = None if found.certificate is None else found.certificate.as_dict()
     return {
         "certificate": certificate,

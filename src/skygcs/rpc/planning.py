@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
@@ -44,7 +45,7 @@ class SpaceParams(MethodParams):
 
 
 class LimitsParams(MethodParams):
-    """What a vehicle can follow; null: the default."""
+    """What a vehicle can follow; null: its own of the fleet file, else the default."""
 
     speed_mps: float | None = None
     acceleration_mps2: float | None = None
@@ -107,7 +108,9 @@ class CertifyParams(MethodParams):
     margin_m: float | None = Field(None, description="For each pair, in place of its terms.")
     downwash_ratio: float | None = Field(None, description="null: the fleet file's.")
     limits: LimitsParams | None = Field(
-        None, description="speed_mps, acceleration_mps2, jerk_mps3, climb_mps, descent_mps: for timing."
+        None,
+        description="speed_mps, acceleration_mps2, jerk_mps3, climb_mps, descent_mps: for timing; null: "
+        "each vehicle's own of the fleet file (control.trajectory).",
     )
     within_limits: bool = Field(False, description="Refuse trajectories that exceed the limits.")
     space: SpaceParams | None = Field(
@@ -271,7 +274,7 @@ async def _run(
     def note(done: JsonObject) -> None:
         context.notify("plan.progress", done)
 
-    request["notes"] = facts.notes()
+    request["notes"], request["limits_of"] = facts.notes(), facts.limits_of()
     on_progress = note if progress else None
     return Encoded(await context.services.planning.run(id(context), what, request, on_progress, text))
 
@@ -342,6 +345,12 @@ class _Facts:
         ratio, margin = self._params.downwash_ratio, self._params.margin_m
         actors = self._services.fleet.vehicles.values()
         return fleet_margins.margin_rule(actors, margin_m=margin, downwash_ratio=ratio)
+
+    def limits_of(self) -> dict[str, JsonObject]:
+        """The limits of each vehicle of the fleet; those that the request gives count before."""
+        given = {} if self._params.limits is None else self._params.limits.model_dump(exclude_none=True)
+        actors = self._services.fleet.vehicles.values()
+        return {actor.name: asdict(actor.config.control.motion_limits()) | given for actor in actors}
 
     def space(self, names: Iterable[str]) -> FlightSpace:
         """What was given, and the fleet's vehicles that take no part. Raises RefusedError."""

@@ -50,6 +50,9 @@ COPTER_TAKEOFF_MODE = "GUIDED"
 HOLD_MODES = frozenset({"AUTO.LOITER", "BRAKE", "GUIDED"})
 """In which an autopilot holds its place by itself. Not ArduCopter's LOITER and POSHOLD, which follow the sticks."""
 
+PLAN_MODES = HOLD_MODES | {"AUTO.TAKEOFF", "OFFBOARD"}
+"""To which arming, take-off, control and hold of a plan lead. In any other one somebody else has the vehicle."""
+
 LONGEST_AGE_S = 2.0
 """A position is carried on with its velocity for no longer."""
 
@@ -96,6 +99,8 @@ class PlanFlight:
         self.engaged: set[str] = set()
         """Vehicles that are under control for this flight."""
         self.takeoffs: dict[str, TakeoffWatch] = {}
+        self.being_taken: set[str] = set()
+        """Vehicles whose take-off or control is ordered and not answered: the mode that they last reported is old."""
 
     def place_of(self, vehicle: Vehicle, now: float, delay_s: float = 0.0) -> tuple[Vector | None, float, float]:
         """Where a vehicle is by now, the age of that, and its speed."""
@@ -134,7 +139,16 @@ class PlanFlight:
             age_s + delay_s,
             holds=vehicle.mode in HOLD_MODES,
             forgotten=not self.known(actor),
+            foreign_mode=self.foreign_mode(name),
         )
+
+    def foreign_mode(self, name: str) -> str | None:
+        """As `Sight` has it."""
+        actor = self.actors[name]
+        ours = name in self.engaged or name in self.being_taken or actor.offboard.flying
+        if ours or not actor.vehicle.armed or actor.vehicle.mode in PLAN_MODES:
+            return None
+        return actor.vehicle.mode
 
     def _left(self, name: str, actor: VehicleActor, now: float) -> Left | None:
         """Why it does not follow; None: it does, or is not to yet."""
@@ -281,6 +295,8 @@ class FlightOrders:
     async def _order(self, flight: PlanFlight, kind: OrderKind, name: str) -> None:
         """One order to one vehicle, to its outcome."""
         actor = flight.actors[name]
+        if kind in (OrderKind.TAKEOFF, OrderKind.ENGAGE):
+            flight.being_taken.add(name)
         match kind:
             case OrderKind.ARM:
                 outcome = await self._arm(actor)
@@ -296,7 +312,9 @@ class FlightOrders:
             case _:
                 flight.engaged.discard(name)
                 outcome = await actor.land()
-        self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message))
+        flight.being_taken.discard(name)
+        mode = flight.foreign_mode(name)
+        self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message, mode))
 
     async def _arm(self, actor: VehicleActor) -> Outcome:
         """In the mode of the take-off that follows: after a landing an ArduCopter is in LAND, in which it does not

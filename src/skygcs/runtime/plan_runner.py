@@ -40,7 +40,7 @@ from skygcs.core.plan.flight_situation import Prepared, Situation
 from skygcs.core.plan.flight_steps import FlightStep, plan_of, renamed, rest_of, starts_of
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
-from skygcs.core.trajectory import ClockState, MotionLimits
+from skygcs.core.trajectory import ClockState, MotionLimits, least_limits
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, SkygcsError, TargetError
@@ -690,16 +690,8 @@ def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -
 
 
 def _limits(actors: Sequence[VehicleActor]) -> MotionLimits:
-    """Within which ways and phases are flown: the least of the vehicles' own, and of the defaults."""
-    default = MotionLimits()
-    own = [actor.offboard.trajectory_limits() for actor in actors]
-    return MotionLimits(
-        speed_mps=min(default.speed_mps, *(limit.speed_mps for limit in own)),
-        acceleration_mps2=min(default.acceleration_mps2, *(limit.acceleration_mps2 for limit in own)),
-        jerk_mps3=default.jerk_mps3,
-        climb_mps=min(default.climb_mps, *(limit.climb_mps for limit in own)),
-        descent_mps=min(default.descent_mps, *(limit.descent_mps for limit in own)),
-    )
+    """Within which ways and phases are flown: the least of the vehicles' own."""
+    return least_limits(actor.config.control.motion_limits() for actor in actors)
 
 
 def _returning(

@@ -124,7 +124,7 @@ def test_the_current_formation_is_turned_about_its_middle(goals: str, tmp_path: 
         (("--formation", "star", "--at", "0,0,9"), 2, "none of line, column"),
         (("--formation", "line"), 2, "needs --at"),
         (("--formation", "line", "--at", "0,0"), 2, "not 3 numbers"),
-        (("--formation", "missing.csv"), 1, "missing.csv: No such file"),
+        (("--formation", "missing.csv"), 1, "missing.csv: cannot be read: No such file"),
         (("--formation", "current", "--scale", 0), 1, "a scale of 0"),
     ],
 )

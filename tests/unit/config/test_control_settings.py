@@ -25,6 +25,7 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.geo import Origin
+from skygcs.core.trajectory import MotionLimits
 from skygcs.core.vehicle.offboard_controller import OffboardConfig
 from skygcs.errors import ConfigError
 
@@ -247,3 +248,26 @@ def test_what_is_wrong_only_over_the_lower_level_is_told_where_it_is_said(tmp_pa
         loaded(tmp_path, text)
     (problem,) = caught.value.problems
     assert problem.startswith("vehicles.a.control.thrust_max (line 6): ") and "0.6" in problem
+
+
+def test_plans_for_a_type_are_timed_within_its_limits(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(
+        "[defaults.control.trajectory]\nclimb_mps = 1.0\n"
+        "[types.heavy.control.trajectory]\nspeed_mps = 8.0\nacceleration_mps2 = 1.0\njerk_mps3 = 2.0\n"
+        '[vehicles.alpha]\nsysid = 1\ntype = "heavy"\n'
+        '[vehicles.bravo]\nsysid = 2\ntype = "heavy"\n[vehicles.bravo.control.trajectory]\nspeed_mps = 3.0\n'
+    )
+    alpha, bravo = load_fleet(path).vehicle_configs()
+    assert alpha.control.motion_limits() == MotionLimits(8.0, 1.0, 2.0, climb_mps=1.0)
+    assert bravo.control.motion_limits() == MotionLimits(3.0, 1.0, 2.0, climb_mps=1.0)
+    assert alpha.control.trajectory_limits().jerk_mps3 == 2.0
+    assert load_fleet(path).default_vehicle(9).control.motion_limits() == MotionLimits(climb_mps=1.0)
+
+
+def test_a_limit_of_a_type_that_is_none_is_named_with_its_file_and_key(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text("[types.heavy.control.trajectory]\njerk_mps3 = 0\n")
+    with pytest.raises(ConfigError, match=r"fleet\.toml") as caught:
+        load_fleet(path)
+    assert "types.heavy.control.trajectory.jerk_mps3" in str(caught.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -47,6 +48,23 @@ def test_direct_is_one_phase_of_straight_legs() -> None:
     behind = {"a": (10.0, 0.0, 10.0), "b": (20.0, 0.0, 10.0)}
     refused = answer(make_request(starts, behind, RULE, LIMITS, SPACE, kind="direct"))
     assert refused["plan"] is None and "a and b come within 0.000 m in phase straight" in refused["reasons"][0]
+
+
+def test_each_vehicle_is_timed_and_judged_by_its_own_limits() -> None:
+    starts = {"a": (0.0, 0.0, 10.0), "b": (0.0, 20.0, 10.0)}
+    goals = {"a": (30.0, 0.0, 10.0), "b": (30.0, 20.0, 10.0)}
+    slow = MotionLimits(speed_mps=1.0)
+    request = make_request(starts, goals, RULE, LIMITS, SPACE) | {"limits_of": {"b": asdict(slow)}}
+    assert answer(request)["certificate"]["duration_s"] > 30.0  # all by the slowest, as they fly on one time scaling
+    paths = {name: WrittenPath([starts[name], goals[name]]) for name in starts}
+    request = paths_request(paths, RULE, LIMITS, SPACE, within_limits=True) | {"limits_of": {"b": asdict(slow)}}
+    found = answer(request)
+    plan, _ = plan_from_json("it", found["plan"])
+    durations = {name: path.duration_s for name, path in plan.trajectories.items()}  # type: ignore[union-attr]
+    assert durations["a"] < 10.0 and durations["b"] > 30.0
+    again = check_request(plan, RULE, LIMITS, SPACE, within_limits=True) | {"limits_of": {"a": asdict(slow)}}
+    (why,) = answer(again)["certificate"]["motion"]
+    assert why.startswith("a: ") and "speed of 5 m/s" in why and "the limit is 1 m/s" in why
 
 
 def test_written_paths_become_trajectories() -> None:

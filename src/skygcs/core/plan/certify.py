@@ -36,10 +36,10 @@ def certify(
     rule: MarginRule,
     space: FlightSpace | None = None,
     *,
-    limits: MotionLimits | None = None,
+    limits: MotionLimits | Mapping[str, MotionLimits] | None = None,
     progress: Progress | None = None,
 ) -> Certificate:
-    """Judge the plan; ``limits``: the speeds and accelerations of a timed plan as well.
+    """Judge the plan; ``limits``: the speeds and accelerations of a timed plan as well, of all vehicles or by name.
 
     Raises TrajectoryError where a trajectory jumps, RefusedError for names that are there twice.
     """
@@ -56,7 +56,11 @@ def certify(
 
 
 def _certify_timed(
-    plan: TimedPlan, rule: MarginRule, space: FlightSpace, limits: MotionLimits | None, progress: Progress | None
+    plan: TimedPlan,
+    rule: MarginRule,
+    space: FlightSpace,
+    limits: MotionLimits | Mapping[str, MotionLimits] | None,
+    progress: Progress | None,
 ) -> Certificate:
     too_fast = []
     for name, trajectory in plan.trajectories.items():
@@ -65,8 +69,9 @@ def _certify_timed(
         except TrajectoryError as error:
             raise TrajectoryError(f"vehicle {name}: {error}") from None
         try:
-            if limits is not None:
-                require_within(trajectory, limits)
+            own = limits.get(name) if isinstance(limits, Mapping) else limits
+            if own is not None:
+                require_within(trajectory, own)
         except TrajectoryError as error:
             too_fast.append(f"{name}: {error}")
     motions = dict(zip(plan.trajectories, motions_of(list(plan.trajectories.values())), strict=True))

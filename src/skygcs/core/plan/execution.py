@@ -160,6 +160,9 @@ class Sight(NamedTuple):
     """Its autopilot holds it where it is, and needs nobody for that."""
     forgotten: bool = False
     """The fleet has it no more: no order reaches it, and no outcome comes."""
+    foreign_mode: str | None = None
+    """The mode in which it is, if no order of a plan leads to that one and it is not under control: its pilot's, or of
+    another program. It is never ordered to hold."""
 
 
 class Pair(NamedTuple):
@@ -238,6 +241,8 @@ class Execution:
         self._asked = False
         """Whether the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()
+        self._foreign: dict[str, str] = {}
+        """`Sight.foreign_mode` of those that have one, as of the last look."""
         self._progress: deque[tuple[float, float]] = deque(maxlen=PROGRESS)
         """Time and trajectory time of the last ticks of this step."""
 
@@ -358,8 +363,11 @@ class Execution:
 
     # -- outcomes and time
 
-    def outcome(self, kind: OrderKind, name: str, ok: bool, text: str) -> list[Order]:
-        """An order to one vehicle has ended."""
+    def outcome(self, kind: OrderKind, name: str, ok: bool, text: str, foreign_mode: str | None = None) -> list[Order]:
+        """An order to one vehicle has ended; ``foreign_mode``: as `Sight` has it, by now."""
+        self._foreign.pop(name, None)
+        if foreign_mode is not None:
+            self._foreign[name] = foreign_mode
         if kind is OrderKind.ARM:
             return self._on_armed(name, ok, text)
         if kind is OrderKind.TAKEOFF:
@@ -374,9 +382,9 @@ class Execution:
             return self._on_held(name, ok, text)
         if kind is OrderKind.HOLD and not ok:
             self._report(f"{name} was ordered to hold, but: {text}", name)
-        if kind is OrderKind.DISARM and not ok:
-            self._report(f"{name} could not be disarmed, it is ordered to hold: {text}", name)
-            return [Order(OrderKind.HOLD, (name,))]  # it has left the ground after all
+        if kind is OrderKind.DISARM and not ok:  # it has left the ground after all
+            self._report(f"{name} could not be disarmed: {text}", name)
+            return self._hold((name,))
         if kind is OrderKind.LAND and not ok and self.state is PlanState.LANDING:
             self._report(f"{name} does not land: {text}", name)
         return []
@@ -391,6 +399,7 @@ class Execution:
     ) -> list[Order]:
         """``clock``: the state of the step's clock; None: none runs."""
         self._progress.append((now, trajectory_s))
+        self._foreign = {name: sights[name].foreign_mode or "" for name in self.names if sights[name].foreign_mode}
         for name in list(self._armed):
             if not sights[name].on_ground or not sights[name].armed:
                 self._armed.discard(name)
@@ -450,11 +459,11 @@ class Execution:
         standing = self._disarm()
         climbing = tuple(n for n in self.names if n not in self._armed) if before is PlanState.TAKEOFF else ()
         self._asked = True
-        self._done = set(self.names) - set(climbing)
-        if not climbing:
-            self._enter(PlanState.ABORTED, "nobody took off")
-            return standing
-        return [*standing, Order(OrderKind.HOLD, climbing)]
+        holding = self._hold(climbing)
+        self._done = set(self.names) - {name for order in holding for name in order.vehicles}
+        if not holding:
+            self._enter(PlanState.ABORTED, "nobody follows it any more" if climbing else "nobody took off")
+        return [*standing, *holding]
 
     def _tick_takeoff(self, sights: Mapping[str, Sight]) -> list[Order]:
         waits = []
@@ -522,7 +531,7 @@ class Execution:
         self._started = False
         self.waits_for = ()
         self._enter(PlanState.FINISHED, "all are at their goals and hold")
-        return [Order(OrderKind.HOLD, self.names)]
+        return self._hold(self.names)
 
     def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Sight]) -> list[Order]:
         """Paused or stopped: report who leaves meanwhile."""
@@ -621,11 +630,20 @@ class Execution:
         self._done.clear()
         staying = tuple(n for n in self.names if n not in self.left and n not in self._armed)
         standing = self._disarm()
-        self._done.update(self.left, self._armed)
-        if not staying:
+        self._done.update(self.left, self._armed, self._foreign)
+        holding = self._hold(staying)
+        if not holding:
             self._enter(PlanState.ABORTED, "nobody follows it any more")
-            return standing
-        return [*standing, Order(OrderKind.HOLD, staying)]
+        return [*standing, *holding]
+
+    def _hold(self, names: Sequence[str]) -> list[Order]:
+        """Order these to hold, but none that its pilot has taken meanwhile."""
+        for name in names:
+            if name in self._foreign:
+                mode = self._foreign[name]
+                self._report(f"{name} is in {mode}, which this plan did not set: it is not ordered to hold", name)
+        ours = tuple(name for name in names if name not in self._foreign)
+        return [Order(OrderKind.HOLD, ours)] if ours else []
 
     def _tick_holding(self, sights: Mapping[str, Sight]) -> list[Order]:
         """Not wait for the hold of a vehicle that is forgotten."""

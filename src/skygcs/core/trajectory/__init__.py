@@ -1,6 +1,13 @@
 """Timed references: piecewise polynomial trajectories, their limits, their timing, and the clock that drives them."""
 
-from skygcs.core.trajectory.motion_limits import MotionLimits, MotionPeaks, Peak, motion_peaks, require_within
+from skygcs.core.trajectory.motion_limits import (
+    MotionLimits,
+    MotionPeaks,
+    Peak,
+    least_limits,
+    motion_peaks,
+    require_within,
+)
 from skygcs.core.trajectory.piecewise import (
     Joint,
     Piece,
@@ -32,6 +39,7 @@ __all__ = [
     "TrajectoryPoint",
     "hover",
     "joints",
+    "least_limits",
     "motion_peaks",
     "path_within",
     "rate_limit",

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 from skygcs.core.trajectory.bernstein import UNIT_ROUNDOFF, derivative, error_bound, from_power, halves, product
@@ -56,6 +56,12 @@ class MotionLimits:
             value = getattr(self, name)
             if not 1e-3 <= value <= largest:  # also for NaN
                 raise TrajectoryError(f"the limit {name} of {value:g} is not between 0.001 and {largest:g}")
+
+
+def least_limits(limits: Iterable[MotionLimits]) -> MotionLimits:
+    """What all of them can follow; the defaults of none."""
+    given = [asdict(one) for one in limits]
+    return MotionLimits(**{key: min(one[key] for one in given) for key in given[0]}) if given else MotionLimits()
 
 
 class Peak(NamedTuple):

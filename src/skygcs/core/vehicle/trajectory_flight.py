@@ -45,6 +45,8 @@ class TrajectoryLimits:
     climb_mps: float = 2.5
     descent_mps: float = 1.5
     """The firmwares' default speeds (ArduCopter WPNAV_SPEED_UP and _DN 2.5 and 1.5, PX4 3 and 1.5)."""
+    jerk_mps3: float | None = None
+    """Not limited unless it is set: setpoints of neither autopilot carry jerk."""
     velocity_jump_mps: float = 0.5
     """Where pieces meet, and at the start and the end: a path of straight lines turns by jumps."""
     brake_mps2: float = 1.0
@@ -58,6 +60,7 @@ class TrajectoryLimits:
             ("acceleration_mps2", 0.01, 30.0),
             ("climb_mps", 0.01, 100.0),
             ("descent_mps", 0.01, 100.0),
+            ("jerk_mps3", 0.01, 1000.0),
             ("velocity_jump_mps", 0.0, 100.0),
             ("brake_mps2", 0.05, 30.0),
         )
@@ -88,9 +91,10 @@ class LoadedTrajectory:
             ("climb rate", peaks.climb_mps.at_most * f, limits.climb_mps, "m/s"),
             ("descent rate", peaks.descent_mps.at_most * f, limits.descent_mps, "m/s"),
             ("acceleration", peaks.acceleration_mps2.at_most * f * f, limits.acceleration_mps2, "m/s²"),
+            ("jerk", peaks.jerk_mps3.at_most * f * f * f, limits.jerk_mps3, "m/s³"),
             ("jump of velocity between pieces", self.velocity_jump_mps * f, limits.velocity_jump_mps, "m/s"),
         ):
-            if not value <= limit * (1.0 + SLACK):  # also for NaN
+            if limit is not None and not value <= limit * (1.0 + SLACK):  # also for NaN
                 return f"its {what} of {value:.3g} {unit} is above {limit:g}"
         return None
 

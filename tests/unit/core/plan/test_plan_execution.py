@@ -177,6 +177,46 @@ def test_an_arming_that_comes_after_the_abort_is_undone() -> None:
     assert told.done(OrderKind.DISARM, "alpha", ok=False) == [Order(OrderKind.HOLD, ("alpha",))]
 
 
+def test_one_that_took_off_by_its_pilot_after_the_abort_is_left_to_him() -> None:
+    told = Told()
+    told.take(told.execution.abort())
+    assert told.done(OrderKind.ARM, "alpha") == [Order(OrderKind.DISARM, ("alpha",))]
+    refused = told.execution.outcome(OrderKind.DISARM, "alpha", False, "not landed", foreign_mode="POSCTL")
+    assert refused == []
+    said = [change.text for change in told.execution.changes if change.vehicle == "alpha"]
+    assert said[-2:] == [
+        "alpha could not be disarmed: not landed",
+        "alpha is in POSCTL, which this plan did not set: it is not ordered to hold",
+    ]
+
+
+def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has() -> None:
+    told = Told()
+    told.done(OrderKind.ARM)
+    for name in NAMES:
+        told.see(name, armed=True, on_ground=False, takeoff="climbs")
+    told.see("bravo", foreign_mode="STABILIZE")
+    told.tick()
+    assert told.take(told.execution.abort()) == [Order(OrderKind.HOLD, ("alpha",))]
+    told.done(OrderKind.HOLD, "alpha")
+    assert told.state is PlanState.ABORTED
+    told = Told()
+    told.done(OrderKind.ARM)
+    for name in NAMES:
+        told.see(name, armed=True, on_ground=False, takeoff="climbs", foreign_mode="POSCTL")
+    told.tick()
+    assert told.take(told.execution.abort()) == [] and told.state is PlanState.ABORTED
+
+
+def test_an_abort_before_control_leaves_those_that_it_has_not_taken() -> None:
+    told = Told(())
+    assert told.state is PlanState.ENGAGING
+    told.see("alpha", foreign_mode="LOITER")
+    told.tick()
+    told.take(told.execution.abort())
+    assert told.orders[-1] == Order(OrderKind.HOLD, ("bravo",))
+
+
 def test_one_that_does_not_take_off_disarms_who_stands_and_nothing_goes_on() -> None:
     told = Told()
     told.done(OrderKind.ARM)
@@ -331,6 +371,7 @@ WHATS = st.one_of(
     st.tuples(st.just("left"), st.sampled_from(NAMES), st.sampled_from([None, *Why])),
     st.tuples(st.just("takeoff"), st.sampled_from(NAMES), st.sampled_from([None, "climbs", "reached", "mode"])),
     st.tuples(st.just("armed"), st.sampled_from(NAMES), st.booleans()),
+    st.tuples(st.just("foreign_mode"), st.sampled_from(NAMES), st.sampled_from([None, "POSCTL"])),
     st.tuples(st.just("clock"), st.sampled_from([None, *ClockState])),
     st.tuples(st.just("order"), st.sampled_from(["pause", "go_on", "abort", "land", "landing", "refused", "start"])),
 )
@@ -373,6 +414,9 @@ class Judged(Told):
                         assert on_ground or name not in self.execution.grounded or self.aborted
                 case OrderKind.GO_ON:
                     assert self.asked
+                case OrderKind.HOLD:
+                    # never one that its pilot had as of the last look
+                    assert not any(self.shown[name].foreign_mode for name in order.vehicles), order
         return super().take(orders)
 
     def do(self, what: tuple[Any, ...]) -> None:
@@ -389,7 +433,8 @@ class Judged(Told):
                 if ok:
                     self.confirmed[kind].add(name)
                 self.late = kind is OrderKind.ARM and self.state is not PlanState.ARMING
-                self.take(execution.outcome(kind, name, ok, "so"))
+                self.shown[name] = self.sights[name]
+                self.take(execution.outcome(kind, name, ok, "so", self.sights[name].foreign_mode))
                 self.late = False
             case ("place", name, where):
                 places = {
@@ -400,7 +445,7 @@ class Judged(Told):
                     "none": None,
                 }
                 self.see(name, place_m=places[where], on_ground=where == "ground")
-            case ("age" | "takeoff" | "armed", name, value):
+            case ("age" | "takeoff" | "armed" | "foreign_mode", name, value):
                 self.see(name, **{"age": {"age_s": value}}.get(what[0], {what[0]: value}))
             case ("left", name, why):
                 self.see(name, left=None if why is None else Left(why, "so"))

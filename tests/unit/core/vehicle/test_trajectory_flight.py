@@ -62,6 +62,8 @@ def test_without_a_yaw_it_keeps_the_one_it_has() -> None:
         (along_x(), TrajectoryLimits(), 2.0, "speed of 6"),
         (along_x(), TrajectoryLimits(acceleration_mps2=2.9), 1.0, "acceleration of 3"),
         (along_x(), TrajectoryLimits(acceleration_mps2=3.0), 1.0, None),
+        (along_x(), TrajectoryLimits(jerk_mps3=0.5), 1.0, "jerk of"),
+        (along_x(), TrajectoryLimits(jerk_mps3=1000.0), 1.0, None),
     ],
 )
 def test_limits_are_held_exactly(
