@@ -139,7 +139,9 @@ class Daemon:
             return None
         from skygcs.rpc.companion_parts import CompanionParts
 
-        return CompanionParts(self.config, self.links, self.loop, self.event_log.publish, self.hub.fault)
+        parts = CompanionParts(self.config, self.links, self.loop, self.event_log.publish, self.hub.fault)
+        self.fleet.companions.update(parts.links.by_vehicle())
+        return parts
 
     def _metrics_endpoint(self) -> MetricsEndpoint | None:
         """What Prometheus scrapes; None without [metrics]."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from support.companion_pair import companion_pair
+from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.flown import SETPOINTS
 
 pytestmark = pytest.mark.looptime
@@ -35,3 +37,55 @@ async def test_the_ground_orders_and_the_companion_flies(tmp_path: Path, kind: d
         await asyncio.sleep(10)
         assert not pair.pi.setpoints(ended + 0.1)
         assert pair.pi.is_safe()
+
+
+async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
+    """Stream 60 s of a circle of 5 m at 2 m/s to the ground, and the root mean square of the vehicle's distance to it
+    after the first 15 s."""
+    luck, began = random.Random(7), pair.now
+    while pair.now < began + 60.0:
+        (x, y), (vx, vy), (ax, ay) = circle(pair.now - began)
+        if luck.random() >= loss:
+            given = {"pos_enu_m": [x, y, 10.0], "vel_enu_mps": [vx, vy, 0.0], "acc_enu_mps2": [ax, ay, 0.0]}
+            await pair.outcome("control.setpoint", **given, valid_s=2.0)
+        await asyncio.sleep(0.1)
+    looks = [look for look in pair.pi.truth[1] if look.at >= began + 15.0]
+    return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
+
+
+@KINDS
+async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(
+    tmp_path: Path, kind: dict[str, Any]
+) -> None:
+    """By attitude, with 10 % of all messages lost each way."""
+    found = {}
+    for delay_s in (0.02, 0.8):
+        folder = tmp_path / str(delay_s)
+        folder.mkdir()
+        async with companion_pair(folder, delay_s=delay_s, loss=0.1, engaged="attitude", **kind) as pair:
+            await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+            await asyncio.sleep(12)
+            found[delay_s] = await on_a_circle(pair)
+            assert pair.control()["control_mode"] == "attitude"
+    print("circle RMS, streamed:", {d: round(m, 3) for d, m in found.items()})
+    assert found[0.8] < found[0.02] + 0.1
+    assert found[0.8] < 0.5
+
+
+@KINDS
+async def test_a_trajectory_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(
+    tmp_path: Path, kind: dict[str, Any]
+) -> None:
+    found = {}
+    for delay_s in (0.02, 0.8):
+        folder = tmp_path / str(delay_s)
+        folder.mkdir()
+        async with companion_pair(folder, delay_s=delay_s, loss=0.1, engaged="attitude", **kind) as pair:
+            began = await start_circle(pair)
+            await asyncio.sleep(began + 40.0 - pair.now)
+            looks = [look for look in pair.pi.truth[1] if look.at >= began + 10.0]
+            off = [math.dist(k.pos_m[:2], circle(k.at - began)[0]) for k in looks]
+            found[delay_s] = math.sqrt(sum(d * d for d in off) / len(off))
+    print("circle RMS, trajectory:", {d: round(m, 3) for d, m in found.items()})
+    assert found[0.8] == pytest.approx(found[0.02], abs=0.05)
+    assert found[0.8] < 0.5

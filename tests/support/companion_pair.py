@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import random
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
@@ -103,6 +104,8 @@ class Pair:
     """Events of the ground."""
     from_ground: list[str] = field(default_factory=list)
     """Names of the messages that the ground sent."""
+    to_vehicle: list[tuple[float, str]] = field(default_factory=list)
+    """What came to the vehicle over the ground's radio, and when."""
 
     @property
     def now(self) -> float:
@@ -147,6 +150,17 @@ class Pair:
         await asyncio.gather(self.pi.running, return_exceptions=True)
 
 
+Point = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Position, velocity and acceleration across."""
+
+
+def circle(t: float) -> Point:
+    """5 m about the origin at 2 m/s."""
+    r, w = 5.0, 0.4
+    c, s = math.cos(w * t), math.sin(w * t)
+    return (r * c, r * s), (-r * w * s, r * w * c), (-r * w * w * c, -r * w * w * s)
+
+
 @contextlib.asynccontextmanager
 async def companion_pair(
     tmp_path: Path,
@@ -155,12 +169,14 @@ async def companion_pair(
     loss: float = 0.0,
     companion: Mapping[str, Any] | None = None,
     control: Mapping[str, Any] | None = None,
-    ground_tables: Mapping[str, Any] | None = None,
+    ground_links: Mapping[str, Any] | None = None,
     engaged: str | None = None,
+    radio: bool = False,
     **vehicle: Any,
 ) -> AsyncIterator[Pair]:
     """``delay_s``, ``loss``: of MAVLink and RPC between ground and companion, each way. ``engaged``: the control mode
-    that the ground has ordered. ``companion``: keys of [companion]. ``vehicle``: see `flown`."""
+    that the ground has ordered. ``radio``: the ground has another link "radio", straight to the vehicle. ``companion``:
+    keys of [companion]. ``vehicle``: see `flown`."""
     tables = {
         "vehicles": {"v1": {"sysid": 1}},
         "companion": {"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})},
@@ -171,13 +187,15 @@ async def companion_pair(
     async with flown(
         tmp_path / "pi", control=control, tables=tables, links=air, prepared=_without_ground_link, **vehicle
     ) as pi:
-        config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_tables)
+        config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_links)
         ground = Daemon(config, load_dialect(config.dialect))
         calls = CallsByMemory(pi.daemon, delay_s=delay_s, loss=loss)
         ground.fleet.companions["v1"] = calls
         running = asyncio.create_task(ground.run(), name="the ground's daemon")
         await ground.ready.wait()
         pair = Pair(pi, ground, calls, running)
+        if radio:
+            _open_radio(pair)
         before = ground.hub.on_sent
 
         def on_sent(channel: Channel, message: OwnMessage, raw: bytes) -> None:
@@ -210,6 +228,22 @@ async def companion_pair(
             await asyncio.gather(*calls.served, return_exceptions=True)
 
 
+def _open_radio(pair: Pair) -> None:
+    """The vehicle's frames come to the ground and the ground's to the vehicle, beside the companion."""
+    link = pair.ground.links.link("radio")
+    assert isinstance(link, MemoryLink)
+    parser = FrameParser(pair.pi.sims[0].dialect)
+
+    def to_vehicle(raw: bytes) -> None:
+        for frame in parser.feed_datagram(raw):
+            if frame.info is not None:
+                pair.to_vehicle.append((pair.now, frame.info.name))
+            pair.pi.to_vehicles(frame)
+
+    pair.pi.also.append(link.peer.send)
+    link.peer.on_bytes = to_vehicle
+
+
 def _without_ground_link(config: FleetConfig) -> FleetConfig:
     """As the loader makes it of [companion], but with our link to the ground."""
     made = as_companion(config)
@@ -222,7 +256,7 @@ def _ground_config(
     delay_s: float,
     loss: float,
     control: Mapping[str, Any] | None,
-    tables: Mapping[str, Any] | None,
+    links: Mapping[str, Any] | None,
 ) -> FleetConfig:
     origin = {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m}
     wifi = {"type": "memory", "role": "vehicle", "delay_s": delay_s, "loss": loss, "seed": 5}
@@ -230,9 +264,40 @@ def _ground_config(
         {
             "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
             "origin": origin,
-            "links": {"wifi": wifi},
+            "links": {"wifi": wifi, "radio": {"type": "memory", "role": "vehicle"}, **(links or {})},
             "vehicles": {"v1": {"sysid": 1, "control": {"at": "companion"}}},
             "defaults": {"control": dict(control or {})},
-            **(tables or {}),
         }
     )
+
+
+async def start_circle(pair: Pair, seconds: int = 60) -> float:
+    """Load ``seconds`` of the circle as pieces of 1 s, go to its begin, start. When it would have begun without its
+    ramp: `circle` of the time since then is where it is."""
+    await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+    await asyncio.sleep(12)
+    (outcome,) = (await pair("trajectory.load", target="v1", pieces=circle_pieces(seconds), name="circle"))[
+        "outcomes"
+    ].values()
+    assert outcome["ok"], outcome
+    outcome = await pair.outcome("trajectory.start", after_s=2.0, force=True)
+    assert outcome["ok"], outcome
+    actor = pair.ground.fleet.find("v1")
+    flight = actor.offboard.controller.flight
+    assert flight is not None
+    return flight.clock.begins_at_s + 0.5 / flight.clock.rate_limit_per_s
+
+
+def circle_pieces(seconds: int) -> list[dict[str, Any]]:
+    """Taylor polynomials of degree 9 of the circle: some µm from it at the end of each second."""
+    r, w = 5.0, 0.4
+    pieces = []
+    for k in range(seconds):
+        x, y = [], []
+        for n in range(10):
+            turn = w * k + n * math.pi / 2
+            scale = r * w**n / math.factorial(n)
+            x.append(scale * math.cos(turn))
+            y.append(scale * math.sin(turn))
+        pieces.append({"duration_s": 1.0, "x": x, "y": y, "up": [10.0]})
+    return pieces

@@ -38,6 +38,10 @@ class CompanionLinks:
         """The connection to the companion on this vehicle; None if it has none."""
         return next((link for link in self._links.values() if link.vehicle == vehicle), None)
 
+    def by_vehicle(self) -> dict[str, CompanionLink]:
+        """All connections, by the vehicle that the companion is on."""
+        return {link.vehicle: link for link in self._links.values()}
+
     async def run(self) -> None:
         """Keep all of them connected, until cancelled."""
         async with asyncio.TaskGroup() as group:

@@ -1,0 +1,175 @@
+"""Control at the companion when the ground or the companion is lost, and when messages between them are."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.companion_pair import Pair, circle, companion_pair, start_circle
+from support.flown import SETPOINTS
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+RETURNING = frozenset({Px4Mode.RTL, CopterMode.RTL})
+LANDING = frozenset({Px4Mode.LAND, CopterMode.LAND})
+LOST_S = 5.0
+
+
+def mode(pair: Pair) -> int:
+    return int(pair.pi.sim().mode)
+
+
+def lost_texts(pair: Pair) -> list[str]:
+    return [t.text for t in pair.pi.told if t.kind == "ground_lost"]
+
+
+@pytest.mark.parametrize("action", ["return", "hold", "land"])
+async def test_without_the_ground_it_ends_as_configured(tmp_path: Path, action: str) -> None:
+    """In the middle of a trajectory; the ground is killed."""
+    async with companion_pair(tmp_path, companion={"ground_lost": action}, engaged="position") as pair:
+        await start_circle(pair)
+        await asyncio.sleep(10)
+        began = pair.now
+        await pair.lose_ground()
+        acted = await pair.until(lambda: lost_texts(pair), 15.0)
+        assert LOST_S <= acted - began < LOST_S + 1.5
+        assert math.hypot(*pair.pi.place()[:2]) == pytest.approx(5.0, abs=0.7), "until then it flew on"
+        modes = {"return": RETURNING, "land": LANDING, "hold": {Px4Mode.LOITER}}[action]
+        await pair.until(lambda: mode(pair) in modes, 5.0)
+        quiet = pair.now
+        await asyncio.sleep(20)
+        assert not pair.pi.setpoints(quiet + 0.2)
+        assert len(lost_texts(pair)) == 1, lost_texts(pair)
+        assert pair.pi.is_safe()
+
+
+@KINDS
+async def test_finish_flies_the_trajectory_to_its_end_and_returns_then(tmp_path: Path, kind: dict[str, Any]) -> None:
+    async with companion_pair(tmp_path, companion={"ground_lost": "finish"}, engaged="position", **kind) as pair:
+        began = await start_circle(pair, seconds=25)
+        await asyncio.sleep(8)
+        await pair.lose_ground()
+        await pair.until(lambda: lost_texts(pair), 15.0)
+        assert "finishing" in lost_texts(pair)[0]
+        await asyncio.sleep(began + 23.0 - pair.now)
+        assert math.dist(pair.pi.place()[:2], circle(pair.now - began)[0]) < 0.7, "it flies on without the ground"
+        returned = await pair.until(lambda: mode(pair) in RETURNING, 20.0)
+        assert returned >= began + 25.0 + LOST_S
+        assert not pair.pi.setpoints(pair.now + 0.2)
+
+
+async def test_a_ground_that_is_only_slow_is_not_lost(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, delay_s=0.8, loss=0.1, engaged="position") as pair:
+        await asyncio.sleep(60)
+        assert not lost_texts(pair) and pair.control()["state"] == "flying"
+
+
+async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, engaged="position") as pair:
+        pair.calls.up = False
+        await asyncio.sleep(15)
+        assert not lost_texts(pair)
+        shown = pair.control()
+        assert not shown["companion"]["up"] and shown["companion"]["age_s"] > 10.0
+        assert shown["state"] == "flying", "the autopilot follows setpoints, so its companion flies it"
+        refused = await pair.outcome("control.set", mode="velocity")
+        assert "not connected" in refused["message"]
+        # the ground ends it by MAVLink alone
+        await pair.done("vehicles.hold")
+        await asyncio.sleep(1)
+        quiet = pair.now
+        await asyncio.sleep(10)
+        assert not pair.pi.setpoints(quiet) and pair.pi.is_safe()
+        assert pair.control()["state"] == "off"
+
+
+@KINDS
+async def test_without_the_companion_nobody_sends_and_the_failsafe_acts(tmp_path: Path, kind: dict[str, Any]) -> None:
+    """The ground still hears the vehicle, over a radio."""
+    params = {"GUID_TIMEOUT": 1.0, "COM_OF_LOSS_T": 1.0}
+    async with companion_pair(tmp_path, engaged="attitude", params=params, radio=True, **kind) as pair:
+        await start_circle(pair)
+        await asyncio.sleep(5)
+        await pair.lose_companion()
+        began = pair.now
+        await asyncio.sleep(25)
+        assert not [name for at, name in pair.to_vehicle if at >= began and name in SETPOINTS]
+        assert not pair.pi.setpoints(began)
+        if kind.get(
+            "ardupilot"
+        ):  # it levels: GUIDED without attitude targets, and flies on as it was until it is stopped
+            assert pair.pi.truth[1][-1].pos_m[2] == pytest.approx(10.0, abs=1.0)
+        else:
+            assert pair.pi.is_safe()
+        shown = pair.control()
+        assert not shown["companion"]["up"]
+        refused = await pair.outcome("control.set", mode="position")
+        assert refused["result"] == "refused" and "not connected" in refused["message"]
+        assert pair.ground.fleet.find("v1").offboard.controller.flight is None, "the others of its group stop"
+        await pair.done("vehicles.land")
+        await pair.until(lambda: mode(pair) in LANDING, 10.0)
+
+
+@KINDS
+async def test_the_pilot_takes_it_and_nobody_takes_it_back(tmp_path: Path, kind: dict[str, Any]) -> None:
+    async with companion_pair(tmp_path, engaged="position", **kind) as pair:
+        if kind.get("ardupilot"):
+            pair.pi.other_sets_mode(int(CopterMode.LOITER))
+        else:
+            pair.pi.other_sets_mode(4, 3)  # AUTO.LOITER
+        await pair.until(lambda: pair.control()["state"] == "off", 5.0)
+        taken = pair.now
+        await pair.lose_ground()
+        await asyncio.sleep(20)
+        assert not pair.pi.setpoints(taken) and not pair.pi.commands(taken) and not lost_texts(pair)
+
+
+async def test_a_lost_answer_is_asked_for_again_and_the_order_carried_out_once(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path) as pair:
+        lost: list[int] = []
+
+        def lose(method: str, given: dict[str, Any]) -> bool:
+            if method != "companion.order" or given["order"] != "engage" or len(lost) >= 2:
+                return False
+            lost.append(given["number"])
+            return True
+
+        pair.calls.lose_answer = lose
+        outcome = await pair.outcome("control.set", mode="position")
+        assert outcome["ok"], outcome
+        asked = [given for method, given in pair.calls.calls if method == "companion.order"]
+        assert len(asked) >= 3 and len({given["number"] for given in asked}) == 1
+        engaged = [t for t in pair.pi.told if t.kind == "command" and t.text.startswith("control:")]
+        assert len(engaged) == 1
+
+
+async def test_an_order_without_any_answer_has_an_unknown_outcome(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, engaged="position") as pair:
+        pair.calls.lose_answer = lambda method, given: given.get("order") == "goto"
+        outcome = await pair.outcome("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
+        assert not outcome["ok"] and "not known" in outcome["message"], outcome
+        await asyncio.sleep(8)
+        assert pair.pi.place()[0] == pytest.approx(3.0, abs=0.4), "it was carried out"
+        numbers = {g["number"] for _, g in pair.calls.calls if g.get("order") == "goto"}
+        assert len(numbers) == 1
+
+
+async def test_a_release_ends_an_engagement_that_comes_after_it(tmp_path: Path) -> None:
+    """The engagement is late on its way, the release is not."""
+    async with companion_pair(tmp_path) as pair:
+        pair.calls.lose = lambda method, given: given.get("order") == "engage" and pair.now < began + 2.0
+        began = pair.now
+        engaging = asyncio.create_task(pair.outcome("control.set", mode="position"))
+        await asyncio.sleep(0.5)
+        await pair.done("vehicles.hold")
+        outcome = await engaging
+        assert not outcome["ok"] and "newer order" in outcome["message"], outcome
+        await asyncio.sleep(5)
+        assert not pair.pi.setpoints(began)
