@@ -31,6 +31,7 @@ echo "home=$HOME"
 echo "uid=$(id -u)"
 echo "machine=$(uname -m)"
 echo "python=$(python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)"
+echo "bits=$(getconf LONG_BIT 2>/dev/null)"
 echo "libc=$(getconf GNU_LIBC_VERSION 2>/dev/null)"
 echo "free_kb=$(df -Pk "$HOME" 2>/dev/null | awk 'NR == 2 {{ print $4 }}')"
 echo "program=$program"
@@ -53,6 +54,7 @@ class Facts:
     home: str
     uid: int | None
     machine: str
+    """As `uname -m` prints it; armv7l also for 32-bit programs on a 64-bit kernel, as on some Raspberry Pis."""
     python: str
     """ "3.11"; "" without one."""
     libc: str
@@ -109,7 +111,7 @@ def parsed(text: str) -> Facts:
     return Facts(
         home=home,
         uid=int(value("uid")) if value("uid").isdecimal() else None,
-        machine=value("machine"),
+        machine="armv7l" if (value("machine"), value("bits")) == ("aarch64", "32") else value("machine"),
         python=value("python"),
         libc=value("libc"),
         free_bytes=int(free_kb) * 1024 if free_kb.isdecimal() else None,

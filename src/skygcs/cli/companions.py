@@ -32,6 +32,9 @@ companions = typer.Typer(
 )
 
 STATUS_TIMEOUT_S = 60.0
+INSTALL_TIMEOUT_S = 1800.0
+"""50 MB over a Wi-Fi of 1 Mbit/s for each, and a minute of pip on a slow board."""
+
 SERVICE_TIMEOUT_S = 90.0
 """systemd gives a unit 90 s to start."""
 
@@ -70,6 +73,11 @@ class Connector:
     inventory: Inventory
     host_keys: HostKeys
     identity: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """Of the fleet file."""
+        return self.inventory.path.absolute().parent
 
     @contextlib.asynccontextmanager
     async def open(self, companion: Companion, progress: Progress) -> AsyncIterator[tuple[Session, Facts]]:
@@ -274,6 +282,138 @@ def restart(ssh: Ssh, targets: SomeCompanions, force: Force = False, json_output
         return await service_control.restart(session, facts, force=force)
 
     run_on(targets, ssh, SERVICE_TIMEOUT_S, json_output, _service_work(action, "restarting"))
+
+
+# --- installation ----------------------------------------------------------------------------------------------------
+
+
+@companions.command("bundle")
+def bundle(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The bundle.", show_default=False)],
+    arch: Annotated[
+        str | None, typer.Option("--arch", metavar="ARCH", help="aarch64, armv7l or x86_64; default: the fleet file's.")
+    ] = None,
+    python: Annotated[str, typer.Option("--python", metavar="X.Y", help="Python of the companions.")] = "3.11",
+    wheel: Annotated[
+        Path | None, typer.Option("--wheel", metavar="FILE", help="Wheel of skygcs itself; default: built or fetched.")
+    ] = None,
+    wheels: Annotated[
+        list[Path] | None,
+        typer.Option("--wheels", metavar="DIR", help="A folder with further wheels; may be repeated."),
+    ] = None,
+    index_url: Annotated[
+        list[str] | None, typer.Option("--index-url", metavar="URL", help="A further package index; may be repeated.")
+    ] = None,
+    offline: Annotated[bool, typer.Option("--offline", help="Only wheels of --wheels.")] = False,
+    fleet: Annotated[Path, typer.Option("--fleet", metavar="FILE", envvar=FLEET_VARIABLE)] = Path("fleet.toml"),
+) -> None:
+    """Collect all wheels that companions need into one file, for `companions install` without a network there."""
+    from skygcs.bring_up.bundle import ARCHITECTURES, PYTHONS, Sources, collect
+
+    if arch is not None and arch not in ARCHITECTURES:
+        raise typer.BadParameter(f"--arch {arch}: {', '.join(ARCHITECTURES)}")
+    if python not in PYTHONS:
+        raise typer.BadParameter(f"--python {python}: {', '.join(PYTHONS)}")
+
+    def command() -> int:
+        made = collect(
+            output,
+            arch or _only_arch(load_inventory(fleet)),
+            python,
+            Sources(wheel, tuple(wheels or ()), tuple(index_url or ()), offline),
+        )
+        print_lines(
+            [f"{output}: skygcs {made.version} for {made.arch}, Python {made.python}, {made.bytes / 1e6:.0f} MB"]
+        )
+        return Exit.DONE
+
+    run_offline(command)
+
+
+def _only_arch(inventory: Inventory) -> str:
+    known = sorted({companion.arch for companion in inventory.companions if companion.arch})
+    if len(known) != 1:
+        said = "none is given" if not known else f"there are {', '.join(known)}: one bundle each"
+        raise RefusedError(f"--arch is needed: in the companions' `arch` of {inventory.path} {said}")
+    return known[0]
+
+
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="For all; default: companions/NAME.toml, companion.toml."),
+]
+
+
+@companions.command("install")
+@with_groups
+def install(
+    ssh: Ssh,
+    targets: SomeCompanions,
+    bundle_file: Annotated[
+        Path, typer.Option("--bundle", metavar="FILE", help="Of `companions bundle`.", show_default=False)
+    ],
+    config: ConfigFile = None,
+    user_service: Annotated[
+        bool, typer.Option("--user-service", help="A service of the user there, not of the machine.")
+    ] = False,
+    repin: Annotated[
+        bool, typer.Option("--repin", help="Replace a certificate that is pinned: the companion was set up anew.")
+    ] = False,
+    force: Force = False,
+    json_output: Json = False,
+) -> None:
+    """Install skygcs from a bundle: upload, packages, configuration, keys of both sides, service. It is not started.
+
+    Steps that were done before are skipped, so it can be repeated at any time.
+    """
+
+    def make(connect: Connector) -> Work[Companion]:
+        from skygcs.bring_up.bundle import read_bundle
+        from skygcs.bring_up.companion_file import companion_file
+        from skygcs.bring_up.installation import Wishes
+        from skygcs.bring_up.installation import install as install_on
+
+        checked = read_bundle(bundle_file)
+        wishes = Wishes(user_service, force, repin)
+
+        async def work(companion: Companion, progress: Progress) -> str:
+            file = companion_file(companion, connect.folder, config)
+            async with connected(companion, connect.host_keys, connect.identity) as session:
+                return await install_on(session, companion, progress, checked, file, connect.inventory.key_dir, wishes)
+
+        return work
+
+    run_on(targets, ssh, INSTALL_TIMEOUT_S, json_output, make)
+
+
+@companions.command("push")
+@with_groups
+def push(
+    ssh: Ssh, targets: SomeCompanions, config: ConfigFile = None, force: Force = False, json_output: Json = False
+) -> None:
+    """Send their configuration files; services that run are restarted with it if it has changed."""
+
+    def make(connect: Connector) -> Work[Companion]:
+        from skygcs.bring_up.companion_file import companion_file
+        from skygcs.bring_up.installation import push_config
+
+        async def work(companion: Companion, progress: Progress) -> str:
+            file = companion_file(companion, connect.folder, config)
+            async with connect.open(companion, progress) as (session, facts):
+                if not facts.program:
+                    raise CompanionError("push", "skygcs is not installed there", "skygcs-cli companions install")
+                if facts.state == "active" and not force:
+                    await service_control.require_at_rest(session, facts)
+                progress.step = "pushing"
+                if not await push_config(session, facts, file, facts.program):
+                    return "unchanged"
+                if facts.state != "active":
+                    return f"pushed; its service is {facts.state or 'not known'}"
+                return "pushed, " + await service_control.restart(session, facts, force=force)
+
+        return work
+
+    run_on(targets, ssh, SERVICE_TIMEOUT_S, json_output, make)
 
 
 # --- what they print --------------------------------------------------------------------------------------------------
