@@ -19,7 +19,7 @@ from skygcs.bring_up.inventory import FLEET_VARIABLE, Companion, Inventory, load
 from skygcs.bring_up.probe import MIN_FREE_BYTES, Facts, probe
 from skygcs.bring_up.side_by_side import AT_ONCE, Progress, Work, side_by_side
 from skygcs.bring_up.ssh_session import Session, connected, presented_key, quoted, require_asyncssh
-from skygcs.cli.connection import Exit, print_outcomes, run_offline
+from skygcs.cli.connection import Exit, fail, print_outcomes, run_offline
 from skygcs.cli.options import Json, with_groups
 from skygcs.cli.render import LiveView, duration, plural, print_json, print_lines, screen_width, table, wrapped
 from skygcs.errors import CompanionError, RefusedError
@@ -196,38 +196,47 @@ def status_problems(facts: Facts) -> list[str]:
 @with_groups
 def trust(
     ssh: Ssh,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="One companion.", show_default=False)],
+    targets: SomeCompanions,
     expected: Annotated[
         str | None,
-        typer.Option("--fingerprint", metavar="SHA256:…", help="Store the key without asking if this is it."),
+        typer.Option("--fingerprint", metavar="SHA256:…", help="Of one companion: store it if this is it."),
     ] = None,
 ) -> None:
-    """Show a companion's SSH host key and, after a yes or with its fingerprint, store it beside the fleet file."""
+    """Show the SSH host key of each companion; after a yes, or with its fingerprint, store it beside the fleet file."""
 
     def command() -> int:
         connect = connector(ssh)
-        chosen = connect.inventory.chosen(name)
-        if len(chosen) != 1:
-            raise RefusedError(f"{name} names {len(chosen)} companions: host keys are compared one by one")
-        (companion,) = chosen
-        key = asyncio.run(presented_key(companion))
-        assert companion.host is not None
-        known = connect.host_keys.known(companion.host, "", companion.port)
-        print_lines([f"{companion.name} ({companion.place}) shows {fingerprint(key)}"])
-        if key in known.revoked:
-            raise CompanionError("host key", "it is marked as revoked", "do not connect")
-        if key in known.keys:
-            print_lines([f"which is known ({known.source})"])
-            return Exit.DONE
-        for old in known.keys:
-            print_lines([f"CHANGED: {known.source} has {fingerprint(old)}"])
-        if not _agreed(key.get_fingerprint(), expected):
-            raise RefusedError("nothing was stored")
-        connect.host_keys.trust(companion.host, companion.port, key)
-        print_lines([f"stored in {connect.host_keys.path}"])
-        return Exit.DONE
+        chosen = connect.inventory.chosen(targets)
+        if expected is not None and len(chosen) != 1:
+            raise RefusedError(f"{targets} names {len(chosen)} companions: --fingerprint is that of one")
+        failed = 0
+        for companion in chosen:
+            try:
+                _trust(connect.host_keys, companion, expected)
+            except (CompanionError, RefusedError) as error:
+                fail(f"{companion.name}: {error}")
+                failed += 1
+        return Exit.FAILED if failed else Exit.DONE
 
     run_offline(command)
+
+
+def _trust(host_keys: HostKeys, companion: Companion, expected: str | None) -> None:
+    key = asyncio.run(presented_key(companion))
+    assert companion.host is not None
+    known = host_keys.known(companion.host, "", companion.port)
+    print_lines([f"{companion.name} ({companion.place}) shows {fingerprint(key)}"])
+    if key in known.revoked:
+        raise CompanionError("host key", "it is marked as revoked", "do not connect")
+    if key in known.keys:
+        print_lines([f"which is known ({known.source})"])
+        return
+    for old in known.keys:
+        print_lines([f"CHANGED: {known.source} has {fingerprint(old)}"])
+    if not _agreed(key.get_fingerprint(), expected):
+        raise RefusedError("nothing was stored")
+    host_keys.trust(companion.host, companion.port, key)
+    print_lines([f"stored in {host_keys.path}"])
 
 
 def _agreed(shown: str, expected: str | None) -> bool:
