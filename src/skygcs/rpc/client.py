@@ -644,6 +644,7 @@ class _Wire(asyncio.Protocol):
         self._calls: dict[int, _OnAnswer] = {}
         self._partial: list[bytes] = []
         self._partial_bytes = 0
+        self._heard = False
         self._lost: DaemonUnreachable | None = None
         self._refused: RpcError | None = None
 
@@ -652,6 +653,7 @@ class _Wire(asyncio.Protocol):
         self.transport = transport
 
     def data_received(self, data: bytes) -> None:
+        self._heard = True
         if b"\n" not in data:
             self._partial.append(data)
             self._partial_bytes += len(data)
@@ -697,12 +699,10 @@ class _Wire(asyncio.Protocol):
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
-        reason = None
-        if isinstance(exc, OSError) and type(exc).__module__ == "ssl":
-            from skygcs.rpc.tls import explain_tls
-
-            reason = explain_tls(exc)
-        self.lose(reason or "it closed the connection")
+        reason = "it closed the connection"
+        if self._address.startswith("tls://") and not self._heard:  # asyncio's server closes without an alert
+            reason += " before its first answer: has it pinned our ground.crt? (there: skygcs companion pin ground.crt)"
+        self.lose(reason)
 
     def lose(self, reason: str) -> None:
         """End every waiting call and subscription with the reason. Idempotent."""

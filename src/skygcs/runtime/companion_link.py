@@ -48,6 +48,10 @@ STATE_GROUPS = ("control",)
 """Telemetry groups of the companion's vehicle that observers of its state get: all else comes as MAVLink."""
 
 
+class _NoAnswer(LinkError):
+    """The answer did not come in time; the connection may still be there."""
+
+
 class CompanionClient(Protocol):
     """An open connection; `skygcs.rpc.client.Client` is one."""
 
@@ -232,7 +236,7 @@ class CompanionLink:
             sent = self._now()
             try:
                 answer = await self._call(client, "clock.read", {}, SILENT_S)
-            except LinkError:
+            except _NoAnswer:
                 if self._loop.time() - self._answered_at >= SILENT_S:
                     raise
                 continue
@@ -252,7 +256,7 @@ class CompanionLink:
             async with asyncio.timeout(timeout_s):
                 result = await client.call(method, **params)
         except TimeoutError:
-            raise LinkError(f"companion {self.name}: no answer to {method} within {timeout_s:g} s") from None
+            raise _NoAnswer(f"companion {self.name}: no answer to {method} within {timeout_s:g} s") from None
         except DaemonUnreachable as error:
             raise LinkError(f"companion {self.name}: the connection ended during {method} ({error.reason})") from None
         except RpcError:
