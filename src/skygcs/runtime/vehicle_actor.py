@@ -626,9 +626,11 @@ class VehicleActor:
             last_frame_at = max((slot.at for slot in self.vehicle.slots.values()), default=-math.inf)
             if uplink.verdict(now, last_frame_at) is not None:
                 self._on_uplink("lost")
-        links = self._services.links
-        narrow = math.isfinite(links.setpoint_bytes_per_s(self.vehicle, self._services.flown))
-        if uplink.due(now, armed=self.vehicle.armed, thin=narrow):
+        armed = self.vehicle.armed
+        if not uplink.due(now, armed=armed, thin=False):  # so most ticks do not ask what the links carry
+            return
+        narrow = math.isfinite(self._services.links.setpoint_bytes_per_s(self.vehicle, self._services.flown))
+        if uplink.due(now, armed=armed, thin=narrow):
             token = uplink.token()
             if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
                 uplink.sent(token, now)

@@ -252,7 +252,7 @@ def _read(track: Track, now: float) -> str | None:
         return "it is heard in a recording only"
     if vehicle.duplicate_beside:
         return "two vehicles send with its system id on one link"
-    position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
+    position, at = vehicle.timed_telemetry("position")
     if position is None or at is None or position["lat_deg"] is None:
         return "it reports no position"
     lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]

@@ -35,7 +35,7 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
     state, at = vehicle.landed_state()
     if state in AIRBORNE and now - at <= FRESH_S:
         return f"it reports itself {'in the air' if state == 'in_air' else 'in ' + state}"
-    position, position_at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
+    position, position_at = vehicle.timed_telemetry("position")
     if position is not None and position_at is not None and now - position_at <= FRESH_S:
         east, north, up = position["vel_enu_mps"]
         speed = math.hypot(east, north)
@@ -45,7 +45,7 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
             return f"it {'climbs' if up > 0 else 'sinks'} at {abs(up):.1f} m/s"
         if speed > SPEED_MPS:
             return f"it moves at {speed:.1f} m/s"
-    vfr, vfr_at = vehicle.telemetry("vfr"), vehicle.telemetry_at("vfr")
+    vfr, vfr_at = vehicle.timed_telemetry("vfr")
     turning = vfr is not None and modes.is_copter(vehicle.type) and vfr["throttle_percent"] >= THROTTLE_PERCENT
     if vfr is not None and turning and vfr_at is not None and now - vfr_at <= FRESH_S:
         return f"its throttle is at {vfr['throttle_percent']} %"

@@ -118,6 +118,11 @@ class MessageCache:
         return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
 
     def _group_values(self, group: TelemetryGroupSpec) -> tuple[TelemetryGroup | None, float]:
+        ids = self._ids[group.name]
+        if len(ids) == 1:  # most groups come from one message, and are read more often than it comes
+            only, known = self.slots.get(ids[0]), self._cache.get(group.name)
+            if only is not None and known is not None and only.frame is not None and known[0][0] is only.frame:
+                return known[1], only.at
         slots = self._sources(group)
         if not slots:
             return None, 0.0

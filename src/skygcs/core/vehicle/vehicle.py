@@ -285,8 +285,12 @@ class Vehicle:
 
     def telemetry_at(self, name: str) -> float | None:
         """When the newest message of a telemetry group came."""
+        return self.timed_telemetry(name)[1]
+
+    def timed_telemetry(self, name: str) -> tuple[TelemetryGroup, float] | tuple[None, None]:
+        """`telemetry` and `telemetry_at`."""
         group_values, at = self.message_cache.telemetry(name)
-        return None if group_values is None else at
+        return (None, None) if group_values is None else (group_values, at)
 
     def home_alt_amsl_m(self) -> float | None:
         """The altitude that GLOBAL_POSITION_INT.relative_alt is relative to; without a position that of
