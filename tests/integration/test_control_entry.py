@@ -239,6 +239,24 @@ async def test_a_vehicle_that_another_program_flies_is_not_taken_over(tmp_path: 
         other.cancel()
 
 
+@KINDS
+@pytest.mark.parametrize("order", ["off", "hold"])
+async def test_control_begins_again_at_once_after_it_ended(tmp_path: Path, kind: dict[str, int], order: str) -> None:
+    """A PX4 shows OFFBOARD until its next heartbeat: that was by our own setpoints."""
+    async with flown(tmp_path, **kind) as gcs:
+        for _ in range(4):  # at four phases of the heartbeats
+            await gcs.fly("position")
+            method, params, _ = ORDERS[order]
+            ending = asyncio.create_task(gcs.outcome(method, **params))
+            await gcs.until(lambda: gcs.control()["state"] == "off", timeout_s=1.0)
+            await asyncio.sleep(0.05)
+            outcome = await gcs.outcome("control.set", mode="position")
+            assert outcome["ok"], outcome
+            await ending
+            await gcs.done("control.set", mode="off")
+            await asyncio.sleep(6.3)
+
+
 async def test_thrust_that_becomes_climb_rate_in_flight_ends_attitude(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
         await gcs.fly("attitude")

@@ -82,6 +82,10 @@ LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while the command was on its way, the vehicle may still take it: the
 repeats of the command and a heartbeat, which shows the mode, come within so long."""
 
+OURS_S = 3.0
+"""A PX4 that we led shows OFFBOARD for so long after control ended at most: the order to hold takes up to a second over
+a radio, and its mode comes with its heartbeat, once a second, of which one may be lost."""
+
 FIRST_VERDICT_S = 1.0
 """Some periods of the slowest control mode."""
 
@@ -136,6 +140,7 @@ class OffboardEngagement:
         self._law_changed = False
         self._hover_thrust_set = False
         self._followed_at = -math.inf
+        self._ended_at = -math.inf
         self._frozen = False
 
     @property
@@ -162,6 +167,7 @@ class OffboardEngagement:
         started, turn = self._loop.time(), self._turn
         try:
             # checks
+            await self._mode_of_its_own()
             self._check_entry(started)
             if not force and not self.controller.active:
                 self._check_links()
@@ -436,6 +442,12 @@ class OffboardEngagement:
         """PX4 is in OFFBOARD only while setpoints come, and obeys each of two streams in turn. GUIDED shows nothing."""
         return self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
 
+    async def _mode_of_its_own(self) -> None:
+        """Wait while a PX4 may still show the OFFBOARD in which it followed our own setpoints."""
+        left_s = self._ended_at + OURS_S - self._loop.time()
+        if left_s > 0.0 and not self.controller.active:
+            await self._commands.until(lambda: not self._led_by_another(), left_s)
+
     def _outside_now(self) -> str | None:
         origin, position = self._vehicle.origin, self._vehicle.telemetry("position")
         if origin is None or position is None or position["lat_deg"] is None:
@@ -623,7 +635,7 @@ class OffboardEngagement:
         self._trace.write(tick)
         if not self.controller.active and self.clock.running:
             self.clock.stop()
-            self._orders.sent_before_at = self._loop.time()
+            self._ended_at = self._orders.sent_before_at = self._loop.time()
             self._displace()
             self._trace.end()
             self._streams.restore()
