@@ -18,6 +18,7 @@ from pydantic_core import to_json
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
+from skygcs.rpc import slices
 from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.messages import find_message
@@ -29,10 +30,6 @@ DEFAULT_TELEMETRY_HZ = 2.0
 
 GRID_S = 0.05
 """All telemetry goes out on one grid of 20 Hz, so that every subscriber of a tick shares the encoded state."""
-
-
-SLICE_S = 0.002
-"""Telemetry yields to everything else in the loop after this long: routing must not wait for 250 snapshots."""
 
 
 ALWAYS = frozenset({"name", "sysid"})
@@ -177,7 +174,7 @@ class TelemetryFeed:
 
     def _drain(self) -> None:
         self._draining = False
-        deadline = self._loop.time() + SLICE_S
+        deadline = self._loop.time() + slices.SLICE_S
         for subscription in list(self._subscriptions):
             while subscription.pending and subscription.sink.writable:
                 self._write_some(subscription, deadline)
@@ -185,7 +182,7 @@ class TelemetryFeed:
                     if self._subscriptions.pop(subscription, subscription) is None:
                         self._subscriptions[subscription] = None  # to the end: it is the others' turn
                     self._draining = True
-                    self._loop.call_soon(self._drain)
+                    self._loop.call_later(slices.PAUSE_S, self._drain)
                     return
 
     def _write_some(self, subscription: TelemetrySubscription, deadline: float) -> None:

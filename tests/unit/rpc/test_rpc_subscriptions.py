@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import TargetError
-from skygcs.rpc import subscriptions
+from skygcs.rpc import slices
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.subscriptions import QUEUED, Feeds, Subscription
@@ -75,15 +75,17 @@ async def test_any_rate_is_kept_on_average(rate_hz: float) -> None:
     reported.feeds.close()
 
 
-async def test_states_that_take_long_are_written_in_several_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subscriptions, "SLICE_S", -1.0)  # each look at the clock ends a slice
+@pytest.mark.looptime
+async def test_states_that_take_long_are_written_in_slices_with_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slices, "SLICE_S", -1.0)  # each look at the clock ends a slice
     reported = Told()
     reader, _ = reported.add(topic="telemetry", rate_hz=5)
     turns: list[list[str]] = []
-    for _ in range(5):
-        await asyncio.sleep(0)
+    for _ in range(3):
+        await settle()
         turns.append([n["state"]["name"] for n in reader.take()])
-    assert [turn for turn in turns if turn] == [["alpha"], ["bravo"], ["carol"]]
+        await asyncio.sleep(slices.PAUSE_S)
+    assert turns == [["alpha"], ["bravo"], ["carol"]]
     reported.feeds.close()
 
 
