@@ -14,7 +14,7 @@ from skygcs.config.control import ControlSettings
 from skygcs.config.metrics import MetricsConfig
 from skygcs.config.mocap import MocapConfig
 from skygcs.config.preflight import PreflightSettings
-from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
+from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
@@ -176,7 +176,11 @@ class XBeeLinkConfig(LinkCommon):
     api_mode: Literal[1, 2] = 2
     """The module's AP: 1 without, 2 with escaped bytes, which finds the next frame at once after bytes were lost."""
     rf_kbps: Annotated[float, Field(ge=1, le=1000)] = 200.0
-    """The module's rate on air (its BR): how many setpoints the network is asked to carry follows from it."""
+    """The module's rate on air (its BR): the streams and setpoints that the network is to carry follow from it."""
+    downlink_share: Share = 0.5
+    """Of what the network carries: so much may be filled by the planned streams of all vehicles."""
+    stream_profile: Profile = "custom"
+    """Streams of every vehicle behind it if they fit; custom: its own ``streams``."""
     nodes: tuple[XBeeAddress, ...] = ()
     """The only nodes that count, by address; (): all of the network, ..."""
     max_nodes: Annotated[int, Field(ge=1, le=64)] = 32

@@ -162,6 +162,10 @@ class Channel(ABC):
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
         """Send or queue; False if it was dropped or refused (counted). Never blocks, never raises."""
 
+    def waiting(self, priority: Priority) -> int:
+        """How many of this class wait to be sent."""
+        return 0
+
     def send_whole(self, data: bytes, frames: int) -> None:
         """Send so many frames as one datagram; only where ``whole_datagrams``."""
         raise NotImplementedError
@@ -221,6 +225,12 @@ class Link(ABC):
     def bytes_per_s(self) -> float | None:
         """What all its channels together carry, both ways; None where that is no limit."""
         return None
+
+    @property
+    def shares_air(self) -> bool:
+        """Whether all its channels go through one air of `bytes_per_s`, so that the streams of the vehicles behind
+        them are planned together. A channel into a radio has an `AirBudget` for that instead."""
+        return False
 
     @abstractmethod
     async def open(self) -> None:

@@ -137,6 +137,9 @@ class QueuedChannel(Channel):
             self.air = AirBudget(self.queue, radio, link.loop.time(), third_party, link.host.dialect)
         self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
 
+    def waiting(self, priority: Priority) -> int:
+        return self.queue.waiting(priority)
+
     def counters(self) -> dict[str, Any]:
         return {**super().counters(), "tx_waiting": len(self._line)}
 

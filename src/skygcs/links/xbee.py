@@ -136,6 +136,10 @@ class XBeeLink(Link):
         return self.config.rf_kbps * 1000 / 8 * USABLE_SHARE
 
     @property
+    def shares_air(self) -> bool:
+        return True
+
+    @property
     def channels(self) -> list[Channel]:
         return list(self._nodes.values())
 

@@ -1,15 +1,19 @@
-"""The message rates of the vehicles behind each radio: planned, requested, measured; and the radio's quality."""
+"""The message rates of the vehicles behind each radio: planned, requested, measured; and the radio's quality.
+
+A radio here is one channel into it, or all channels of a link whose modules share one air (XBee).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
-from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig
+from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig, XBeeLinkConfig
 from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
+from skygcs.core.radio_link.pacing import RadioReport
 from skygcs.core.radio_link.stream_rates import (
     CONTROLLED,
     NORMAL,
@@ -23,7 +27,7 @@ from skygcs.core.radio_link.stream_rates import (
 )
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
-from skygcs.links.base import Channel
+from skygcs.links.base import Channel, Link
 from skygcs.links.paced import FRAME_OVERHEAD_BYTES, AirBudget
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -50,11 +54,12 @@ MARGIN_POOR_DB, MARGIN_FAIR_DB = 8.0, 14.0
 
 
 class _Radio:
-    """One channel into a radio."""
+    """One channel into a radio, with its budget, or a link with one air, without."""
 
-    def __init__(self, channel: Channel, air: AirBudget) -> None:
-        self.channel = channel
+    def __init__(self, link: Link, air: AirBudget | None) -> None:
+        self.link = link
         self.air = air
+        self.channels: dict[int, Channel] = {}
         self.downlink = Downlink()
         self.demands: dict[int, RateDemand] = {}
         self.budget: tuple[float, float] = (0.0, 0.0)
@@ -80,18 +85,15 @@ class AirPlanner:
         self._watch = watch
         self._on_event = on_event
         self._bytes = {info.name: info.length + FRAME_OVERHEAD_BYTES for info in dialect.messages.values()}
-        self._radios: dict[int, _Radio] = {}
+        self._radios: dict[Hashable, _Radio] = {}
+        """By channel, or by the name of a link with one air."""
 
     def tick(self, now: float) -> None:
         """Plan anew after changes, and assess each radio."""
-        channels = {n: c for n, c in self._hub.channels.items() if c.air is not None}
-        self._radios = {n: r for n, r in self._radios.items() if n in channels}
+        self._find_radios()
         planned: set[int] = set()
-        for number, channel in channels.items():
-            if number not in self._radios and channel.air is not None:
-                self._radios[number] = _Radio(channel, channel.air)
-            radio = self._radios[number]
-            members = self._members(number, now)
+        for radio in self._radios.values():
+            members = self._members(radio, now)
             self._plan(radio, members, now)
             planned |= radio.demands.keys()
             self._judge(radio, members, now)
@@ -102,13 +104,13 @@ class AirPlanner:
 
     def step(self, now: float) -> None:
         """Send requests for planned rates that vehicles do not have yet, while few requests wait."""
-        for number, radio in self._radios.items():
+        for radio in self._radios.values():
             keys = list(radio.planned)
             for offset in range(len(keys)):
-                if radio.air.queue.waiting(Priority.PROTOCOL) >= WAITING_AT_ONCE:
+                if sum(c.waiting(Priority.PROTOCOL) for c in radio.channels.values()) >= WAITING_AT_ONCE:
                     break
                 actor = self._fleet.vehicles.get(keys[(radio.turn + offset) % len(keys)])
-                if actor is not None and actor.streams.planned and actor.streams.ask(now, self._sender(number)):
+                if actor is not None and actor.streams.planned and actor.streams.ask(now, self._sender(radio, actor)):
                     radio.turn = (radio.turn + offset + 1) % len(keys)
                     break
 
@@ -117,56 +119,78 @@ class AirPlanner:
         self.selected = keys
 
     def status(self, now: float) -> list[dict[str, Any]]:
-        """Every radio: uplink and downlink, its vehicles, its history."""
-        return [self._status_of(radio, now) for radio in self._radios.values()]
+        """Every radio with a budget: uplink and downlink, its vehicles, its history."""
+        return [self._status_of(radio, air, now) for radio, air in self._with_budget()]
 
     def radios(self, now: float) -> list[dict[str, Any]]:
         """`status` without the single vehicles, what others send, and the history: it costs the same for any number
         of vehicles but one sum over them."""
         return [
             {
-                "link": radio.channel.link.name,
+                "link": radio.link.name,
                 "vehicles": len(radio.planned),
                 "down": self._down_of(radio),
-                "up": radio.air.pacer.status(now),
-                "classes": radio.air.queue.status(),
+                "up": air.pacer.status(now),
+                "classes": air.queue.status(),
                 "poor": len(radio.poor),
             }
-            for radio in self._radios.values()
+            for radio, air in self._with_budget()
         ]
 
     # -- the inside
 
-    def _sender(self, channel_id: int) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
-        return lambda info, values: self._hub.send_on((channel_id,), info, values, Priority.PROTOCOL)
+    def _find_radios(self) -> None:
+        """Note those that have come and forget those that have gone; each with the channels it has now."""
+        found: dict[Hashable, dict[int, Channel]] = {}
+        for number, channel in self._hub.channels.items():
+            if channel.air is not None:
+                found[number] = {number: channel}
+            elif channel.link.shares_air:
+                found.setdefault(channel.link.name, {})[number] = channel
+        self._radios = {key: radio for key, radio in self._radios.items() if key in found}
+        for key, channels in found.items():
+            first = next(iter(channels.values()))
+            self._radios.setdefault(key, _Radio(first.link, first.air)).channels = channels
+
+    def _with_budget(self) -> list[tuple[_Radio, AirBudget]]:
+        return [(radio, radio.air) for radio in self._radios.values() if radio.air is not None]
+
+    def _sender(self, radio: _Radio, actor: VehicleActor) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
+        channels = self._channels_of(radio, actor)
+        return lambda info, values: self._hub.send_on(channels, info, values, Priority.PROTOCOL)
+
+    def _channels_of(self, radio: _Radio, actor: VehicleActor) -> tuple[int, ...]:
+        """The radio's channels over which this vehicle is reached."""
+        return tuple(n for n in self._hub.channels_to(actor.sysid, actor.compid) if n in radio.channels)
 
     def _is_silent(self, actor: VehicleActor, now: float) -> bool:
         silence_s = actor.vehicle.silence_s(now)
         return silence_s is not None and silence_s > GONE_AFTER_S
 
-    def _members(self, channel_id: int, now: float) -> dict[int, VehicleActor]:
-        """Vehicles that are reached over this channel."""
+    def _members(self, radio: _Radio, now: float) -> dict[int, VehicleActor]:
+        """Vehicles that are reached over this radio."""
         return {
             key: actor
             for key, actor in self._fleet.vehicles.items()
-            if not actor.vehicle.replayed
-            and not self._is_silent(actor, now)
-            and channel_id in self._hub.channels_to(actor.sysid, actor.compid)
+            if not actor.vehicle.replayed and not self._is_silent(actor, now) and self._channels_of(radio, actor)
         }
 
     def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
-        radio.air.set_vehicles(len(members), now)
-        round_s = radio.air.pacer.rates.round_s(len(members))
+        round_s = None
+        if radio.air is not None:
+            radio.air.set_vehicles(len(members), now)
+            round_s = radio.air.pacer.rates.round_s(len(members))
         for actor in members.values():
             actor.commands.set_min_retry(0.0 if round_s is None else RETRY_ROUNDS * round_s + ANSWER_S)
-        report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
+        report = self._report_of(radio, now)
         if not all(actor.streams.settled for actor in members.values()):
             radio.unsettled_at = now
         settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
         demands = {k: demand for k, actor in members.items() if (demand := self._demand(radio, k, actor)) is not None}
-        radio.air.third_party.set_unplanned(actor.sysid for k, actor in members.items() if k not in demands)
+        if radio.air is not None:
+            radio.air.third_party.set_unplanned(actor.sysid for k, actor in members.items() if k not in demands)
         budget = self._budget(radio)
         if (demands, budget) == (radio.demands, radio.budget):
             return
@@ -176,7 +200,12 @@ class AirPlanner:
             members[key].streams.plan(rates, self._bytes)
 
     def _budget(self, radio: _Radio) -> tuple[float, float]:
-        keys, pacer = radio.channel.config, radio.air.pacer
+        if radio.air is None:
+            config = radio.link.config
+            assert isinstance(config, XBeeLinkConfig) and radio.link.bytes_per_s is not None
+            total = radio.link.bytes_per_s * config.downlink_share * radio.downlink.factor
+            return total, total
+        keys, pacer = radio.link.config, radio.air.pacer
         share = keys.downlink_share if isinstance(keys, RadioKeys) else 0.5
         serial = pacer.rates.baud / BITS_PER_BYTE * share * radio.downlink.factor
         round_s = pacer.rates.round_s(pacer.vehicles)
@@ -185,8 +214,8 @@ class AirPlanner:
 
     def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:
         """None: nothing is requested of it (``streams = {}``), and nothing is turned off."""
-        config = radio.channel.config
-        assert isinstance(config, SerialLinkConfig | SimulatedLinkConfig)
+        config = radio.link.config
+        assert isinstance(config, SerialLinkConfig | SimulatedLinkConfig | XBeeLinkConfig)
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
         if not rates:
             return None
@@ -201,20 +230,24 @@ class AirPlanner:
         return message != "EKF_STATUS_REPORT" or actor.vehicle.family == "ardupilot"
 
     def _loss_of(self, radio: _Radio, key: int, now: float) -> float | None:
-        heard = self._watch.of(key, now).get(radio.channel.link.name)
+        heard = self._watch.of(key, now).get(radio.link.name)
         return None if heard is None else heard.loss
 
     def _loss_of_all(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> float | None:
         losses = [loss for key in members if (loss := self._loss_of(radio, key, now)) is not None]
         return sum(losses) / len(losses) if losses else None
 
+    def _report_of(self, radio: _Radio, now: float) -> RadioReport | None:
+        """The newest of the radio itself."""
+        return radio.air.pacer.last if radio.air is not None and radio.air.pacer.fresh(now) else None
+
     def _judge(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
         """Report each loss of quality once, and its end."""
-        report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
+        report = self._report_of(radio, now)
         if report is not None:
             text = f"its transmit buffer is {1 - report.txbuf_free:.0%} full: the radio cannot send as much as it gets"
             self._report(radio, "txbuf", report.txbuf_free < TXBUF_POOR, report.txbuf_free > TXBUF_FAIR, text, None)
-        margins = [f.margin_db for key in members if (f := self._watch.of(key, now).get(radio.channel.link.name))]
+        margins = [f.margin_db for key in members if (f := self._watch.of(key, now).get(radio.link.name))]
         known = [margin for margin in margins if margin is not None]
         if known:
             text = f"its signal is only {min(known):.0f} dB above the noise"
@@ -227,7 +260,7 @@ class AirPlanner:
             self._hint(radio, key, actor)
 
     def _report(self, radio: _Radio, what: str, poor: bool, fair: bool, text: str, actor: VehicleActor | None) -> None:
-        link = radio.channel.link.name
+        link = radio.link.name
         name, sysid = (None, None) if actor is None else (actor.name, actor.sysid)
         data = {"link": link, "what": what if actor is None else "loss"}
         if poor and what not in radio.poor:
@@ -252,7 +285,7 @@ class AirPlanner:
             else "set its port's profile to Minimal (MAV_0_MODE = 7) and lower its rate (MAV_0_RATE)"
         )
         text = f"still streams messages that it was requested to stop ({names}; {wasted:.0f} B/s of the radio): {how}"
-        self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.channel.link.name}))
+        self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.link.name}))
 
     def _down_of(self, radio: _Radio) -> dict[str, float]:
         """What comes down from all vehicles of a radio."""
@@ -262,20 +295,22 @@ class AirPlanner:
             "budget_bytes_per_s": round(total, 1),
             "per_vehicle_bytes_per_s": round(each, 1),
             "planned_bytes_per_s": round(planned, 1),
-            "measured_bytes_per_s": round(sum(s.bytes_per_s for s in radio.channel.sources.values()), 1),
+            "measured_bytes_per_s": round(
+                sum(s.bytes_per_s for c in radio.channels.values() for s in c.sources.values()), 1
+            ),
             "factor": round(radio.downlink.factor, 2),
         }
 
-    def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:
+    def _status_of(self, radio: _Radio, air: AirBudget, now: float) -> dict[str, Any]:
+        (channel,) = radio.channels.values()
         planned = {k: plan_bytes_per_s(rates, self._bytes) for k, rates in radio.planned.items()}
         # each vehicle of the plan
-        sources = radio.channel.sources
         vehicles = []
         for key, rates in radio.planned.items():
             actor = self._fleet.vehicles.get(key)
             if actor is None:
                 continue
-            stats = sources.get(key)
+            stats = channel.sources.get(key)
             trip = actor.streams.round_trip_s()
             vehicles.append(
                 {
@@ -293,11 +328,11 @@ class AirPlanner:
             )
         # the radio as a whole
         return {
-            "link": radio.channel.link.name,
-            "peer": radio.channel.peer,
+            "link": radio.link.name,
+            "peer": channel.peer,
             "vehicles": vehicles,
             "down": self._down_of(radio),
-            "up": radio.air.status(now),
+            "up": air.status(now),
             "poor": sorted(radio.poor),
-            "history": [report.as_dict(now) for report in list(radio.air.pacer.history)[-60:]],
+            "history": [report.as_dict(now) for report in list(air.pacer.history)[-60:]],
         }

@@ -9,6 +9,7 @@ def test_a_cell_with_skygcs_hears_all_and_loses_no_order() -> None:
     told = measure("skygcs", 2, settle_s=12.0, measure_s=10.0).as_dict()
     assert told["heard"] == 2
     assert 0 < told["age_p50_s"] <= told["age_p95_s"] < 2.5
+    assert told["positions_per_vehicle_per_s"] < 2.5, "planned, not the four that an ArduCopter sends off a station"
     assert told["commands"] == 4 and told["lost_commands"] == 0
 
 
