@@ -62,6 +62,9 @@ COMPASSES = ("COMPASS_USE", "COMPASS_USE2", "COMPASS_USE3")
 
 YAW, YAW_COMPASS, YAW_POSES = "EK3_SRC1_YAW", 1, 6
 
+AT_THE_START = frozenset({"EKF2_HGT_REF"})
+"""Of a PX4's: reboot_required in ekf2/module.yaml. An ArduCopter's all are."""
+
 PX4_PARAMS = (("EKF2_EV_CTRL",), *(wanted.names for wanted in _PX4))
 
 COPTER_PARAMS = (*(wanted.names for wanted in _COPTER), *((name,) for name in COMPASSES))
@@ -109,7 +112,8 @@ def external_vision(facts: Facts, wanted: Expectations) -> Finding:
             wrong.append((text, Fix(param.name, one.values[0], param.value)))
     if wrong:
         todo = "set " + ", ".join(f"{fix.name} to {value_text(fix.value)}" for _, fix in wrong)
-        reboot = "; then reboot it" if facts.family == "ardupilot" else ""
+        later = facts.family == "ardupilot" or any(fix.name in AT_THE_START for _, fix in wrong)
+        reboot = "; then reboot it" if later else ""
         return failed("; ".join(text for text, _ in wrong), todo + reboot, *(fix for _, fix in wrong))
     if missing:
         return unknown(f"{', '.join(missing)} not known", "repeat the preflight, or see whether its firmware has them")

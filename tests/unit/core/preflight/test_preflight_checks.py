@@ -364,3 +364,13 @@ def test_a_yaw_of_compasses_that_are_not_used(compasses: dict[str, Value | None]
     assert finding.verdict is verdict
     assert [(fix.name, fix.value) for fix in finding.fixes] == ([("EK3_SRC1_YAW", 6)] if finding.fixes else [])
     assert bool(finding.fixes) is (verdict is Verdict.FAIL)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reboot"), [("EKF2_HGT_REF", 1, True), ("EKF2_GPS_CTRL", 7, False), ("EKF2_EV_CTRL", 0, False)]
+)
+def test_a_px4_is_rebooted_for_what_it_reads_at_its_start(name: str, value: int, reboot: bool) -> None:
+    answers: dict[str, Value | None] = {"EKF2_EV_CTRL": 11, "EKF2_HGT_REF": 3, "EKF2_GPS_CTRL": 0, name: value}
+    finding = external_vision.external_vision(facts(answers, autopilot="px4"), Expectations(mocap=True))
+    assert [fix.name for fix in finding.fixes] == [name]
+    assert ("reboot it" in finding.todo) is reboot
