@@ -120,10 +120,14 @@ class ReplicatedClock(TrajectoryClock):
         self._order(ClockOrder("speed", now + self.lead_s, speed_factor))
 
     def at(self, now: float) -> ClockTime:
-        """As `TrajectoryClock.at`, after the orders whose time has come."""
+        """As `TrajectoryClock.at`, after the orders whose time has come. A paused clock that is to go on is running:
+        what looks at it must not take the wait for another pause."""
         while self._noted and self._noted[0].at_s <= now:
             self._carry_out(self._noted.pop(0))
-        return super().at(now)
+        time = super().at(now)
+        if self._noted and time.state is ClockState.PAUSED and self._noted[-1].kind == "resume":
+            return time._replace(state=ClockState.RUNNING)
+        return time
 
     def _expected(self, now: float) -> ClockState:
         """The state once all that waits has been carried out."""
