@@ -237,6 +237,7 @@ class CompanionControl:
         """See `OffboardEngagement.trajectory_refusal`; the companion looks once more."""
         if (why := self._not_flying()) is not None:
             return why
+        self.controller.end_flight(self._loop.time())
         if self.controller.flight is not None:
             return f"it follows {self.controller.flight.loaded.name} already: abort that first"
         if loaded not in self._prepared:

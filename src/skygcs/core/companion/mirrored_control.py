@@ -125,6 +125,11 @@ class MirroredControl:
         """A trajectory is to be begun by the order with this number."""
         self.flight, self.frame, self._flight_number = flight, frame, number
 
+    def end_flight(self, now: float) -> None:
+        """A trajectory whose clock has come to its end is over here before the companion reports it."""
+        if self.flight is not None and self.flight.over(now):
+            self.flight, self._flight_number = None, None
+
     def drop_flight(self, why: str) -> None:
         """It does not follow its trajectory after all."""
         if self.flight is not None:
@@ -159,6 +164,7 @@ class MirroredControl:
 
     def watch(self, now: float, *, follows: bool, mode: str) -> tuple[str, ...]:
         """As time passes. ``follows``: the autopilot shows the mode of setpoints; ``mode``: the one it shows."""
+        self.end_flight(now)
         silent_s = self.silent_s(now)
         if silent_s is None or self.state is OffboardState.OFF:
             return ()
