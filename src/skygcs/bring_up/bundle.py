@@ -226,7 +226,11 @@ def _manifest(archive: tarfile.TarFile) -> dict[str, Any]:
         if not _WORD.fullmatch(manifest[key]):
             raise ValueError(f"{key} {manifest[key]!r}")
     files = manifest["files"]
-    if not 0 < len(files) <= MAX_FILES or not all(_WHEEL.fullmatch(name) for name in files):
+    if (
+        not isinstance(files, dict)
+        or not 0 < len(files) <= MAX_FILES
+        or not all(_WHEEL.fullmatch(name) for name in files)
+    ):
         raise ValueError("it names files that are no wheels")
     if manifest["pip_wheel"] not in files or not isinstance(manifest["installed_bytes"], int):
         raise ValueError("it has no pip")

@@ -126,7 +126,7 @@ class BringUp:
         there = [v for v in vehicles if isinstance(v, Mapping) and v.get("connected")]
         if not there:
             todo = "is the autopilot on, are its cable, port and baud as in companion.toml?"
-            raise CompanionError("heard", "the companion does not hear its autopilot (nor does the ground)", todo)
+            raise CompanionError("heard", "neither the companion nor the ground hears its autopilot", todo)
         if all(v.get("sysid") != candidate.sysid for v in there):
             heard = ", ".join(str(v.get("sysid")) for v in there)
             todo = "correct SYSID_THISMAV or MAV_SYS_ID, or the fleet file"
