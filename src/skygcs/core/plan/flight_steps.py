@@ -18,7 +18,8 @@ from enum import StrEnum
 
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, path_within
-from skygcs.core.trajectory.piecewise import MIN_PIECE_S, Coefficients, Vector
+from skygcs.core.trajectory.piecewise import MIN_PIECE_S, Vector
+from skygcs.core.trajectory.splitting import shifted
 from skygcs.core.trajectory.timing import SAME_PLACE_M
 
 Places = Mapping[str, Vector]
@@ -132,21 +133,12 @@ def remainder(trajectory: Trajectory, from_s: float) -> Trajectory:
         if skipped_s == 0.0:
             pieces.append(piece)
             continue
-        axes = [_shifted(c, skipped_s) for c in (piece.east, piece.north, piece.up)]
-        yaw = None if piece.yaw is None else _shifted(piece.yaw, skipped_s)
+        axes = [shifted(c, skipped_s) for c in (piece.east, piece.north, piece.up)]
+        yaw = None if piece.yaw is None else shifted(piece.yaw, skipped_s)
         pieces.append(Piece(left_s, axes[0], axes[1], axes[2], yaw))
     if pieces:
         return Trajectory(pieces)
     return hover(trajectory.end_enu_m, 1.0, trajectory.at(trajectory.duration_s).yaw_rad)
-
-
-def _shifted(coefficients: Coefficients, by_s: float) -> Coefficients:
-    """The same polynomial with its time counted from ``by_s`` (Taylor's shift, by repeated synthetic division)."""
-    c = list(coefficients)
-    for low in range(len(c) - 1):
-        for k in range(len(c) - 2, low - 1, -1):
-            c[k] += by_s * c[k + 1]
-    return tuple(c)
 
 
 def _scaled(place_m: Vector, downwash_ratio: float) -> Vector:

@@ -1,15 +1,15 @@
 """Skybrush's compiled shows (.skyc): a zip with show.json and, per drone, a trajectory in Bézier segments.
 
     show.json                       {"version": 1, "swarm": {"drones": [{"settings": {"name": …, "home": [x, y, z],
-                                    "trajectory": {…} or {"$ref": "./drones/NAME/trajectory.json#"}}}]}, …}
+                                    "trajectory": {…} or {"$ref": "./drones/NAME/trajectory.json#"},
+                                    "yawControl": the same, see `skyc_yaw`}}]}, …}
     drones/NAME/trajectory.json     {"version": 1, "takeoffTime": s, "points": [[t, [x, y, z], [control points]], …]}
 
 Each point ends a Bézier segment that began at the point before; the control points lie between them; t counts from
-take-off. A fourth number of a point is the yaw in radians (a dialect of laboratories); Skybrush's own yaw control
-(degrees clockwise from the show's x axis), lights and pyrotechnics are not read. Source: skybrush-server,
-`show/trajectory.py`.
+take-off. A fourth number of a point is the yaw in radians (a dialect of laboratories). Lights and pyrotechnics are not
+read. Source: skybrush-server, `show/trajectory.py`.
 
-A Bézier segment is a polynomial in Bernstein form: nothing is approximated in either direction.
+A Bézier segment is a polynomial in Bernstein form: positions are not approximated in either direction.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from skygcs.core.plan.file_reading import (
     require_vehicles,
     vehicle_name,
 )
+from skygcs.core.plan.skyc_yaw import with_yaw, yaw_control
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.bernstein import from_power, to_power
 from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_DURATION_S, MAX_PIECES, MIN_PIECE_S
@@ -59,11 +60,12 @@ def read_skyc(source: str, data: bytes) -> Trajectories:
         name = vehicle_name(source, where, settings.get("name", f"drone {number}"))
         if name in trajectories:
             raise PlanFileError(source, where, f"{name} is there twice")
-        found = _get(source, where, settings, "trajectory", dict)
-        if "$ref" in found:
-            found = archive.json(_get(source, where, found, "$ref", str))
+        found = archive.referred(where, _get(source, where, settings, "trajectory", dict))
         try:
             trajectories[name] = _trajectory(source, f"drone {name}", found)
+            if settings.get("yawControl") is not None:
+                control = archive.referred(where, _get(source, where, settings, "yawControl", dict))
+                trajectories[name] = with_yaw(source, f"drone {name}", trajectories[name], control)
         except TrajectoryError as error:
             raise refused(source, f"drone {name}", error) from None
         count += len(trajectories[name].pieces)
@@ -78,17 +80,15 @@ def write_skyc(trajectories: Mapping[str, Trajectory], title: str = "skygcs") ->
     for number, (name, trajectory) in enumerate(trajectories.items(), 1):
         member = f"drones/drone_{number}/trajectory.json"
         members[member] = _as_show(trajectory)
-        drones.append(
-            {
-                "type": "generic",
-                "settings": {
-                    "name": name,
-                    "home": list(trajectory.start_enu_m),
-                    "landAt": list(trajectory.end_enu_m),
-                    "trajectory": {"$ref": f"./{member}#"},
-                },
-            }
-        )
+        settings: dict[str, Any] = {
+            "name": name,
+            "home": list(trajectory.start_enu_m),
+            "landAt": list(trajectory.end_enu_m),
+            "trajectory": {"$ref": f"./{member}#"},
+        }
+        if (control := yaw_control(trajectory)) is not None:
+            settings["yawControl"] = control
+        drones.append({"type": "generic", "settings": settings})
     show = {
         "version": 1,
         "environment": {"type": "outdoor"},
@@ -121,6 +121,15 @@ class _Archive:
             raise PlanFileError(source, "", f"{len(names)} files in the zip; the most is {MAX_MEMBERS}")
         if len(set(names)) < len(names):
             raise PlanFileError(source, "", "a file is in the zip twice")
+
+    def referred(self, where: str, found: Ask) -> Ask:
+        """What is there, or in the member to which it refers. Raises PlanFileError."""
+        if "$ref" not in found:
+            return found
+        content = self.json(_get(self._source, where, found, "$ref", str))
+        if not isinstance(content, dict):
+            raise PlanFileError(self._source, where, "it refers to a file that has no object")
+        return content
 
     def json(self, reference: str) -> Any:
         """The member that a path or reference ("./a/b.json#") names. Raises PlanFileError."""

@@ -6,6 +6,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -237,6 +238,70 @@ def test_a_show_that_cannot_be_flown_is_refused(trajectory: object, words: str) 
     with pytest.raises(PlanFileError) as refused:
         read_skyc("s.skyc", show_of(trajectory))
     assert words in str(refused.value)
+
+
+LEVEL = {"version": 1, "takeoffTime": 0, "points": [[0, [0, 0, 5], []], [10, [20, 0, 5], [[5, 0, 5], [15, 0, 5]]]]}
+
+
+def test_the_yaw_of_a_show_is_clockwise_from_its_x_axis() -> None:
+    """As Skybrush Studio samples it: Blender's rotation about z (counter-clockwise) of 0, 90, 90 and 450 degrees at
+    these times is exported with its sign changed, not wrapped."""
+    control = {"version": 1, "setpoints": [[0, 0], [4, -90], [6, -90], [10, -450]]}
+    found = read_skyc("s.skyc", show_of(LEVEL, yawControl=control))["a"]
+    plain = read_skyc("s.skyc", show_of(LEVEL))["a"]
+    assert not plain.has_yaw and found.has_yaw
+    near(plain, found, 1e-9)
+    yaws = [math.degrees(found.at(t).yaw_rad or 0.0) for t in (0.0, 2.0, 4.0, 5.0, 8.0, 10.0, 20.0)]
+    assert yaws == pytest.approx([0.0, 45.0, 90.0, 90.0, 270.0, 450.0, 450.0])
+    assert found.at(7.0).yaw_rate_radps == pytest.approx(math.radians(90.0))
+    # before the first setpoint and after the last it stays; times are the show's, also of one that begins later
+    short = {"version": 1, "setpoints": [[8, 10], [9, 20]]}
+    late = read_skyc("s.skyc", show_of(LEVEL | {"takeoffTime": 5}, yawControl=short))["a"]
+    yaws = [math.degrees(late.at(t).yaw_rad or 0.0) for t in (0.0, 8.0, 8.5, 9.0, 15.0)]
+    assert yaws == pytest.approx([-10.0, -10.0, -15.0, -20.0, -20.0])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_yaw_is_written_within_a_tenth_of_a_degree(seed: int) -> None:
+    """Curves of degree 3 with a jump between pieces, which takes 2 ms."""
+    rng = Random(seed)
+    curves = [tuple(rng.uniform(-2.0, 2.0) for _ in range(4)) for _ in range(3)]
+    flown = Trajectory([Piece(rng.uniform(0.3, 3.0), (0.0,), (0.0,), (5.0,), curve) for curve in curves])
+    found = read_skyc("s.skyc", write_skyc({"a": flown}))["a"]
+    for begin_s, piece in zip(flown.begins_s, flown.pieces, strict=True):
+        for k in range(1, 100):
+            t = begin_s + 0.003 + k / 100 * (piece.duration_s - 0.004)
+            off = math.remainder((found.at(t).yaw_rad or 0.0) - (flown.at(t).yaw_rad or 0.0), math.tau)
+            assert abs(off) <= math.radians(0.1001)
+
+
+@pytest.mark.parametrize(
+    ("control", "words"),
+    [
+        ({"version": 2, "setpoints": []}, "yawControl of version 2; only 1 is known"),
+        ({"version": 1}, "yawControl has no list setpoints"),
+        ({"version": 1, "setpoints": [[0]]}, "yaw setpoint 1: a setpoint is [time, degrees]"),
+        ({"version": 1, "setpoints": [[0, "x"]]}, "yaw setpoint 1: yaw is not a number"),
+        ({"version": 1, "setpoints": [[0, 1e9]]}, "yaw setpoint 1: yaw of 1e+09"),
+        ({"version": 1, "setpoints": [[5, 0], [5, 90]]}, "the times of its yaw do not ascend"),
+        ({"version": 1, "setpoints": [[0, 0]] * 10_001}, "10000 at most"),
+        ([], "there is no yawControl"),
+        ({"$ref": "./nowhere.json#"}, "there is no 'nowhere.json' in the zip"),
+        ({"$ref": 5}, "there is no $ref"),
+    ],
+)
+def test_a_yaw_that_is_none_is_refused(control: object, words: str) -> None:
+    with pytest.raises(PlanFileError) as refused:
+        read_skyc("s.skyc", show_of(LEVEL, yawControl=control))
+    assert words in str(refused.value)
+
+
+def test_a_yaw_in_two_places_is_refused_and_one_without_setpoints_is_none() -> None:
+    points = [[0, [0, 0, 0, 0.5], []], [1, [1, 0, 0, 0.5], []]]
+    control = {"version": 1, "setpoints": [[0, 0]]}
+    with pytest.raises(PlanFileError, match="it has a yaw in its points, and yawControl"):
+        read_skyc("s.skyc", show_of({"version": 1, "points": points}, yawControl=control))
+    assert not read_skyc("s.skyc", show_of(LEVEL, yawControl={"version": 1, "setpoints": []}))["a"].has_yaw
 
 
 def test_a_zip_bomb_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
