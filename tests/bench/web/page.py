@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import gzip
 import itertools
+import os
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Page, sync_playwright
@@ -79,9 +81,30 @@ def browser_page() -> Iterator[Page]:
             executable_path=path, args=[*chromium_options(), "--enable-precise-memory-info"]
         )
         page = browser.new_context(viewport={"width": 1600, "height": 900}).new_page()
+        share_priority()
         page.set_default_timeout(120_000)
         yield page
         browser.close()
+
+
+def share_priority() -> None:
+    """Give the browser's processes the priority of this session. The browser makes a session of its own, and Linux
+    shares the processors among sessions: with the daemon's at a higher priority the page got what it left, which is no
+    property of the page."""
+    own = Path("/proc/self/autogroup")
+    if not own.exists() or (nice := own.read_text().split()[-1]) == "0":
+        return
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    for pid in parents:
+        above = pid
+        while above in parents and above != os.getpid():
+            above = parents[above]
+        if above == os.getpid():
+            with contextlib.suppress(OSError):
+                Path(f"/proc/{pid}/autogroup").write_text(nice)
 
 
 def measure_size() -> dict[str, Any]:
