@@ -145,3 +145,21 @@ def test_up_brings_all_that_are_well_to_ready_and_names_each_other_one(fleet: Fl
             assert "--user start skygcs" in fleet.hosts[name].calls()
     assert report["ok"] is False and report["ground"] == []
     print("\n" + "\n".join(f"{name:<7} {o['elapsed_s']:6.1f} s  {o['message']}" for name, o in vehicles.items()))
+
+
+def test_down_stops_what_rests_and_nothing_while_a_vehicle_flies(fleet: Fleet) -> None:
+    assert fleet.json("up", "alpha,carol", "--wait", PATIENCE_S)["ok"], "they were ready, or are made ready now"
+    assert fleet.json("down", "carol")["outcomes"]["carol"]["message"] == "stopped"
+    flight = fleet.cli("takeoff", "alpha", "5")
+    assert flight.returncode == 0, flight.stdout + flight.stderr
+    refused = fleet.ssh("down")
+    assert refused.returncode == 1
+    assert "alpha: armed or in the air; nothing was stopped" in refused.stderr
+    assert not any("stop" in call.split() for call in fleet.hosts["alpha"].calls())
+    single = fleet.json("companions", "stop", "alpha")["outcomes"]["alpha"]
+    assert not single["ok"] and "alpha is armed or in the air" in single["message"]
+    forced = fleet.json("down", "--force")["outcomes"]
+    assert forced["alpha"]["message"] == "stopped"
+    assert forced["carol"]["message"] == "was not running"
+    assert not forced[UNREACHABLE]["ok"]
+    assert fleet.hosts["alpha"].calls()[-1] == "--user stop skygcs"
