@@ -65,6 +65,8 @@ class CompanionsConfig(Model):
 
     advertise: bool = False
     """Announce this ground station by mDNS, for companions with ground = "mdns"."""
+    name: Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_-]+$")] | None = None
+    """As it is announced; None: the name of this computer."""
     link: str | None = None
     """The link of type udp_server or tcp_server that is announced; None: the only one of them."""
     interfaces: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = ()

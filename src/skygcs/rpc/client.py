@@ -52,6 +52,9 @@ CONNECT_AGAIN_S = 0.01
 INBOX = 1000
 """Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
 
+CLOSE_S = 1.0
+"""For the last words of TLS."""
+
 MAX_REPLY_BYTES = 32 << 20
 """Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
 
@@ -173,10 +176,17 @@ class Client:
 
     async def close(self) -> None:
         """Close; calls and iterations still waiting end with DaemonUnreachable. Idempotent."""
-        if self._wire is not None:
-            self._wire.transport.close()
-            self._wire.lose("closed here")
-            self._wire = None
+        wire, self._wire = self._wire, None
+        if wire is None:
+            return
+        wire.transport.close()
+        wire.lose("closed here")
+        if self._tls is not None:  # the other side may not answer the end of TLS
+            try:
+                async with asyncio.timeout(CLOSE_S):
+                    await wire.closed.wait()
+            except TimeoutError:
+                wire.transport.abort()
 
     async def call(self, method: str, /, **params: Any) -> Any:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
@@ -645,6 +655,7 @@ class _Wire(asyncio.Protocol):
         self._partial: list[bytes] = []
         self._partial_bytes = 0
         self._heard = False
+        self.closed = asyncio.Event()
         self._lost: DaemonUnreachable | None = None
         self._refused: RpcError | None = None
 
@@ -703,6 +714,7 @@ class _Wire(asyncio.Protocol):
         if self._address.startswith("tls://") and not self._heard:  # asyncio's server closes without an alert
             reason += " before its first answer: has it pinned our ground.crt? (there: skygcs companion pin ground.crt)"
         self.lose(reason)
+        self.closed.set()
 
     def lose(self, reason: str) -> None:
         """End every waiting call and subscription with the reason. Idempotent."""

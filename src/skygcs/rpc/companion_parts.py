@@ -57,7 +57,9 @@ class CompanionParts:
                 self._finder = GroundFinder(companion, links, loop, on_event)
         if companions is not None and companions.advertise:
             announced = companions.link or _only_server(config)
-            self._announcement = GroundAnnouncement(announced, companions.interfaces, links, on_event)
+            self._announcement = GroundAnnouncement(
+                announced, companions.interfaces, links, on_event, name=companions.name
+            )
 
     async def run(self) -> None:
         """Until cancelled; returns at once if there is nothing to do."""
