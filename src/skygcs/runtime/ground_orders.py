@@ -39,6 +39,9 @@ MAX_TRAJECTORIES = 64
 
 MAX_PARTS = MAX_PIECES // wire.PIECES_A_PART + 1
 
+LARGEST = 1e12
+"""Of any number of an order: seconds of a clock."""
+
 LATE_START_S = 0.2
 """A trajectory that is to begin together with others begins no later than this: its first reference would jump by
 speed times this, which no vehicle at rest there notices."""
@@ -355,7 +358,7 @@ class GroundOrders:
 def _number(given: Json, key: str) -> float:
     """Raises RefusedError."""
     value = given.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         raise RefusedError(f"{key} is a number")
     return float(value)
 

@@ -30,6 +30,9 @@ SILENT_S = 3.0
 """Reports come twice a second; as long as a plan waits for a position (`execution.SILENT_S`)."""
 
 MAX_TEXT = 500
+LARGEST = 1e15
+"""Of any figure: whole numbers of JSON have no end, and floats do."""
+
 MAX_REASONS = 8
 
 
@@ -140,7 +143,7 @@ class MirroredControl:
     def take(self, report: Mapping[str, Any], now: float) -> tuple[str, ...]:
         """One report of the companion, of whatever content; texts of what has changed by itself."""
         made_s, session = report.get("now_s"), report.get("session")
-        if not isinstance(session, str) or not isinstance(made_s, int | float):
+        if not isinstance(session, str) or not isinstance(made_s, int | float) or not abs(made_s) <= LARGEST:
             return ()
         found: list[str] = []
         if session != self.session:
@@ -234,6 +237,6 @@ def _count(value: object) -> int:
 
 
 def _figure(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= LARGEST:
         return None
     return float(value)

@@ -7,7 +7,6 @@ RefusedError or TrajectoryError.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -143,7 +142,7 @@ def _numbers(given: object, count: int, key: str) -> list[float]:
         raise RefusedError(f"{key} has {count} numbers")
     found = []
     for value in given:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
             raise RefusedError(f"{key} has {count} numbers")
         found.append(float(value))
     return found
