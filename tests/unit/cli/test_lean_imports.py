@@ -7,10 +7,11 @@ import hmac
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from skygcs.cli.lean_imports import StandIn
+from skygcs.cli.lean_imports import StandIn, needs_tls
 
 PREPARED = "from skygcs.cli.lean_imports import prepare_daemon\nprepare_daemon()\nimport sys\n"
 
@@ -86,3 +87,20 @@ def test_a_name_that_a_stand_in_lacks_comes_from_the_module(monkeypatch: pytest.
     assert sys.modules["colorsys"] is not stand_in
     with pytest.raises(AttributeError):
         _ = stand_in.__path__
+
+
+@pytest.mark.parametrize(
+    ("text", "needs"),
+    [
+        ("[companion]\nvehicle = 'a'\n", True),
+        ("[companions.a]\nhost = 'h'\n", True),
+        ("companions = { a = { host = 'h' } }\n", True),
+        ("# [companion]\n[links.companion]\ntype = 'memory'\n", False),
+        ("[companion\n", False),
+        ("", False),
+    ],
+)
+def test_a_daemon_with_companions_speaks_tls(text: str, needs: bool, tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text(text)
+    assert needs_tls(["-q", str(tmp_path / "fleet.toml")]) is needs
+    assert not needs_tls([str(tmp_path / "absent.toml"), str(tmp_path)])
