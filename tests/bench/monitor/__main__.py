@@ -32,13 +32,21 @@ def _judge(seeds: list[int]) -> list[Judged]:
         return in_virtual_time(judge(seeds, Path(folder)))
 
 
+def _write(told: dict[str, Any]) -> None:
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "monitor.json").write_text(json.dumps(told, indent=2) + "\n")
+
+
 def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
     shares = [list(range(begin, min(begin + SHARE, count))) for begin in range(0, count, SHARE)]
+    judged: list[Judged] = []
     with ProcessPoolExecutor(jobs) as pool:
-        judged = [one for share in pool.map(_judge, shares) for one in share]
+        for share in pool.map(_judge, shares):
+            judged += share
+            told["encounters"] = [one.as_dict() for one in judged]
+            _write(told)  # 200 take an hour on a busy machine, and may be ended before
     for row in rows(judged):
         print(row, flush=True)
-    told["encounters"] = [one.as_dict() for one in judged]
     missed = [f"seed {o.encounter.seed}: a hold would have prevented it" for o in judged if o.preventable]
     late = [o for o in judged if o.warned_ahead_s < LEAST_AHEAD_S]
     return missed + [
@@ -98,8 +106,7 @@ def main() -> int:
     if options.only in (None, "formation"):
         missed += formation(told)
     told |= {"missed": missed, "seconds": round(time.monotonic() - began, 1)}
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "monitor.json").write_text(json.dumps(told, indent=2) + "\n")
+    _write(told)
     print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'monitor.json'}")
     for what in missed:
         print(f"MISSED: {what}")

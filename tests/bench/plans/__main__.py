@@ -3,7 +3,7 @@ and how far apart vehicles stay that fly plans.
 
 A table on stdout, all in build/bench/plans.json.
 
-python -m bench.plans [--instances N] [--jobs N]
+python -m bench.plans [--first N] [--instances N] [--jobs N]
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 import random
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from statistics import median
@@ -34,43 +34,45 @@ SEEDS = range(5)
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.plans", description=__doc__.splitlines()[0])
     parser.add_argument("--instances", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="the seed of the first instance")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--no-ticks", action="store_true", help="leave out the daemon in real time")
     options = parser.parse_args()
     began = time.monotonic()
-    refused = [_refusal(case) for case in refusals.cases()]
+    answer: dict[str, Any] = {"missed": []}
+
+    def keep(part: str, found: Any, missed: list[str]) -> None:
+        """What there is so far: flights and 10,000 instances take an hour, and may be ended before."""
+        answer[part] = found
+        answer["missed"] += missed
+        answer["seconds"] = round(time.monotonic() - began, 1)
+        OUT.mkdir(parents=True, exist_ok=True)
+        (OUT / "plans.json").write_text(json.dumps(answer, indent=2) + "\n")
+
     speeds = [_labelled(50), _exchangeable(100), _pieces(50, 20), _pieces(50, 100), _pieces(100, 20), _swap(50)]
-    with ProcessPoolExecutor(options.jobs) as pool:
-        flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
-        judged = list(pool.map(judge, range(options.instances), chunksize=50))
-    instances = _summary(judged)
-    ticks = None if options.no_ticks else tick_lateness.measured()
-    missed = [row["what"] for row in refused if not row["met"]]
-    missed += [row["what"] for row in speeds if row["most_s"] is not None and row["median_s"] > row["most_s"]]
-    missed += [f"flight: {row['flight']}" for row in flown if not row["met"]]
-    missed += ["random plans"] if instances["violations"] or instances["loose"] else []
     for row in speeds:
         limit = "" if row["most_s"] is None else f"  (at most {row['most_s']:g} s)"
         print(f"{row['what']:58} {row['median_s']:7.3f} s, slowest {row['slowest_s']:.3f} s{limit}  {row['note']}")
+    keep("speed", speeds, [r["what"] for r in speeds if r["most_s"] is not None and r["median_s"] > r["most_s"]])
+    refused = [_refusal(case) for case in refusals.cases()]
     for row in refused:
         print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']:46} {row['answer'][:110]}")
+    keep("refusals", refused, [row["what"] for row in refused if not row["met"]])
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for judged in _growing(pool.map(judge, range(options.first, options.instances))):
+            instances = {"first": options.first, **_summary(judged)}
+            wrong = ["random plans"] if instances["violations"] or instances["loose"] else []
+            keep("instances", instances, wrong if "random plans" not in answer["missed"] else [])
+        print(json.dumps(answer.get("instances"), indent=2), flush=True)
+        flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
     for row in flown:
         print(flights.text(row))
-    print(json.dumps(instances, indent=2))
+    keep("flights", flown, [f"flight: {row['flight']}" for row in flown if not row["met"]])
+    ticks = None if options.no_ticks else tick_lateness.measured()
     print(json.dumps(ticks, indent=2))
-    answer = {
-        "speed": speeds,
-        "refusals": refused,
-        "flights": flown,
-        "instances": instances,
-        "control_ticks": ticks,
-        "missed": missed,
-        "seconds": round(time.monotonic() - began, 1),
-    }
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "plans.json").write_text(json.dumps(answer, indent=2) + "\n")
-    print(f"{answer['seconds']:.0f} s; {len(missed)} missed; all of it in {OUT / 'plans.json'}")
-    return 1 if missed else 0
+    keep("control_ticks", ticks, [])
+    print(f"{answer['seconds']:.0f} s; {len(answer['missed'])} missed; all of it in {OUT / 'plans.json'}")
+    return 1 if answer["missed"] else 0
 
 
 def _refusal(case: refusals.Case) -> dict[str, Any]:
@@ -168,6 +170,17 @@ def _swap(count: int) -> dict[str, Any]:
         starts, goals = dict(zip(names, left + right, strict=True)), dict(zip(names, to_right + to_left, strict=True))
         runs.append(_run(Task(starts, goals)))
     return _timed(f"free-space swap of {count}, labelled", None, runs)
+
+
+def _growing(judged: Iterable[Judged], by: int = 50) -> Iterator[list[Judged]]:
+    """All so far, each time so many more have come, and all."""
+    found: list[Judged] = []
+    for one in judged:
+        found.append(one)
+        if len(found) % by == 0:
+            yield found
+    if len(found) % by:
+        yield found
 
 
 def _summary(judged: list[Judged]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ import pytest
 
 from skygcs.cli.plan_run import headline, picture, report_lines
 from skygcs.cli.render import console
-from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan
+from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
+from skygcs.core.plan.flight_steps import starts_of
 from skygcs.core.plan.plan_json import plan_from_json, write_plan_json
 from skygcs.errors import RefusedError
 from skygcs.runtime.plan_runner import FlightRequest
@@ -87,16 +89,17 @@ class FakePlans:
         self.answer: tuple[bool, str, list[str]] = (True, "going on", [])
 
         self.moving = True
+        self.loaded: Plan | None = None
 
     async def load(self, content: Mapping[str, Any], name: str) -> dict[str, Any]:
         plan, _ = plan_from_json(name, content)
-        assert isinstance(plan, PhasedPlan)
+        self.loaded = plan
         self.asked.append(("load", name))
         return {
             "plan": "1",
             "name": name,
             "kind": "phased",
-            "vehicles": list(plan.starts),
+            "vehicles": list(starts_of(plan)),
             "duration_s": None,
             "phases": [],
         }
@@ -169,6 +172,29 @@ def test_a_plan_is_loaded_flown_and_followed_to_its_goals(fleet: Commanded, tmp_
     assert load == ("load", "swap")
     assert run == ("run", FlightRequest("1", None, "position", 0.5, 2.5, False), False)
     assert "finished: it is finished" in text
+
+
+def test_a_mission_is_flown_about_the_fleets_origin_by_the_vehicle_that_is_named(
+    fleet: Commanded, tmp_path: Path
+) -> None:
+    path = tmp_path / "survey.plan"
+    items = [
+        {"command": 22, "frame": 3, "params": [0, 0, 0, None, 0, 0, 10]},
+        {"command": 16, "frame": 3, "params": [0, 0, 0, None, 43.7807, -79.4653, 10]},
+    ]
+    mission = {"version": 2, "plannedHomePosition": [43.7806, -79.4653, 185.0], "items": items}
+    path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
+    text = fleet.run("plan", "run", str(path), "alpha", "--detach")
+    assert fake(fleet).asked[-1][1].vehicles == {"survey": "alpha"}
+    loaded = fake(fleet).loaded
+    assert isinstance(loaded, TimedPlan)
+    path_flown = loaded.trajectories["survey"]  # the origin is at 180 m
+    assert path_flown.start_enu_m == pytest.approx((0.0, 0.0, 15.0), abs=0.01)
+    assert path_flown.end_enu_m == pytest.approx((0.0, 11.1, 15.0), abs=0.1)
+    assert "take-off and landing are no part of the path" in text
+    fleet.daemon.fleet.origin = None
+    text = fleet.run("plan", "run", str(path), "alpha", code=FAILED)
+    assert "survey.plan: its positions are by latitude and longitude, and the fleet has no origin yet" in text
 
 
 @pytest.mark.parametrize(
