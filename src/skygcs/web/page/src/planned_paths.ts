@@ -27,7 +27,7 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
   let key: string | null = null;
   let here = true;
   let asking = false;
-  const show = (shapes: readonly Shape[]): void => view.setOverlay(OVERLAY, shapes.length === 0 ? null : { shapes });
+  const show = (shapes: readonly Shape[]): void => view.setOverlay(OVERLAY, shapes.length === 0 ? null : { shapes, fit: true });
 
   async function ask(): Promise<void> {
     const { hello, daemon, phase } = store.state;
