@@ -17,6 +17,10 @@ RATE_HZ = 10.0
 CIRCLE_LIMIT_M = {"ardupilot": 0.5, "px4": 0.9}
 """PX4's simulated position wanders by 0.3 m."""
 
+LEAST_PACE = 0.98
+"""Of a simulator's clock. At 0.956 the reference was 4 % faster than the velocity that was sent for it, and the
+circle of a PX4 1.10 m off, with 0.82 and 0.85 m in the flights beside it."""
+
 STEP_M = 8.0
 UPLINK_S, CUT_S = 0.5, 2.0
 Point = dict[str, Any]
@@ -97,6 +101,9 @@ def test_a_moving_reference_in_position(air: Field, figures: dict[str, Any], pat
         figures["behind m"] = sum(behind_m((x, y), path(t - began)) for t, x, y in looks) / len(looks)
         figures["RMS m"] = math.sqrt(sum(d * d for d in off) / len(off))
         figures["largest m"] = max(off)
+        figures["pace"] = air.truth(air.one).pace(began, began + CIRCLE_S)
+        if figures["pace"] < LEAST_PACE:
+            pytest.skip(f"its simulator ran at {figures['pace']:.3f} of real time: the figures are not the vehicle's")
         assert figures["RMS m"] <= CIRCLE_LIMIT_M[air.firmware]
     finally:
         air.daemon.call("control.set", targets=air.one, mode="off")

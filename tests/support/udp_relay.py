@@ -48,6 +48,8 @@ class Truth:
     counts: Counter[str] = field(default_factory=Counter)
     track: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Time, latitude, longitude, height above home."""
+    clock: list[tuple[float, float]] = field(default_factory=list)
+    """Time, and the vehicle's own seconds since its start, of each point of the track."""
 
     def on_message(self, message: Any, now: float) -> None:
         kind = message.get_type()
@@ -66,6 +68,7 @@ class Truth:
             self.alt_rel_m = message.relative_alt / 1000
             self.speed_mps = math.hypot(message.vx, message.vy, message.vz) / 100
             self.track.append((now, self.lat_deg, self.lon_deg, self.alt_rel_m))
+            self.clock.append((now, message.time_boot_ms / 1000))
         elif kind == "STATUSTEXT":
             self.texts.append((now, message.text.rstrip("\0")))
 
@@ -73,6 +76,12 @@ class Truth:
         """The mode at that time and those that followed."""
         before = [name for when, name in self.modes if when <= at]
         return before[-1:] + [name for when, name in self.modes if when > at]
+
+    def pace(self, since: float, until: float) -> float:
+        """How fast its clock went between two times: less than 1 where its simulator had too little of the computer."""
+        seen = [look for look in self.clock if since <= look[0] <= until]
+        (began, began_s), (ended, ended_s) = seen[0], seen[-1]
+        return (ended_s - began_s) / (ended - began)
 
     def texts_since(self, at: float) -> list[str]:
         return [text for when, text in self.texts if when > at]
