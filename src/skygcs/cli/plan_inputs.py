@@ -74,7 +74,8 @@ def print_notes(found: ReadPlan) -> None:
     """What was assumed or left out, on standard error."""
     if found.origin is not None and found.notes:
         at = found.origin
-        typer.echo(f"positions are about {at.lat_deg:.7f}, {at.lon_deg:.7f}, {at.alt_amsl_m:.2f} m AMSL", err=True)
+        place = f"{at.lat_deg:.7f}, {at.lon_deg:.7f}, {at.alt_amsl_m:.2f} m AMSL, x to {at.x_heading_deg:g}°"
+        typer.echo(f"positions are about {place}: the fleet's origin, when they are flown", err=True)
     for note in found.notes:
         typer.echo(note, err=True)
 
@@ -99,7 +100,9 @@ class FormationOptions:
     ] = 5.0
     at: Annotated[
         str | None,
-        typer.Option("--at", metavar="X,Y,Z", help="Middle of the formation. [default of points: their own]"),
+        typer.Option(
+            "--at", metavar="X,Y,Z", help="Middle of the formation; points and current keep theirs without it."
+        ),
     ] = None
     heading: Annotated[
         float,

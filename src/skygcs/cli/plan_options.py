@@ -26,7 +26,8 @@ Limits = Annotated[
     ),
 ]
 OriginOption = Annotated[
-    str | None, typer.Option("--origin", metavar="LAT,LON,ALT", help="For logs by latitude and longitude.")
+    str | None,
+    typer.Option("--origin", metavar="LAT,LON,ALT", help="For logs and .plan files: by latitude and longitude."),
 ]
 Fleet = Annotated[
     bool,

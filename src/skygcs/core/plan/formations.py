@@ -53,6 +53,8 @@ class WantedFormation:
 
     def places(self, names: Sequence[str], starts: Mapping[str, Vector]) -> dict[str, Vector]:
         """A place for each vehicle; ``starts`` is where they are. Raises RefusedError."""
+        if self.points_m and self.shape != POINTS:
+            raise RefusedError(f"points are for the formation {POINTS!r}, not for {self.shape[:40]!r}")
         if self.shape in SHAPES:
             if self.middle_m is None:
                 raise RefusedError(f"a {self.shape} needs its middle")

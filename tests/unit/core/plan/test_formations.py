@@ -83,6 +83,7 @@ def test_points_and_shapes_are_for_as_many_vehicles() -> None:
         (WantedFormation("points", points_m=((0.0, 0.0, 0.0),)), "1 points for 3 vehicles"),
         (WantedFormation("points"), "0 points for 3 vehicles"),
         (WantedFormation("line"), "a line needs its middle"),
+        (WantedFormation("current", points_m=((0.0, 0.0, 0.0),)), "points are for the formation 'points'"),
         (WantedFormation("star"), "no formation 'star'"),
         (WantedFormation("current", scale=math.nan), "scale of nan"),
         (WantedFormation("current", yaw_rad=math.inf), "no angle"),
