@@ -71,6 +71,9 @@ NOTE_S = 0.5
 PARK_S = 2.0
 """Two transmissions of the order to hold; who stops the daemon is not to wait for a vehicle that does not answer."""
 
+LINK_CHOICE_S = 0.2
+"""A fifth of the shortest silence after which another link to a vehicle is used."""
+
 FLEET_TICK_S = 0.2
 """How late a lost vehicle may be noticed; its timeout is seconds."""
 
@@ -235,6 +238,9 @@ class Daemon:
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
                 group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
+                group.create_task(
+                    self._every(LINK_CHOICE_S, lambda: self.hub.choose_links(self.now())), name="choice of links"
+                ),
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),

@@ -116,7 +116,7 @@ class Other:
 
 @contextlib.asynccontextmanager
 async def beside(tmp_path: Path, *, height_m: float = 10.0, **kind: Any) -> AsyncIterator[tuple[Flown, Other]]:
-    other = {"other": {"type": "memory", "role": "peer"}}
+    other = {"other": {"type": "memory", "role": "peer", "cost": 20}}  # as "air": nobody is preferred
     async with flown(tmp_path, height_m=height_m, links=other, **kind) as gcs:
         somebody = Other(gcs)
         try:

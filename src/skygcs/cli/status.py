@@ -158,7 +158,8 @@ def status_cells(state: State) -> tuple[str, ...]:
     """One vehicle in the columns of STATUS_COLUMNS, without any markup."""
     battery, gps, position = (state.get(k) or {} for k in ("battery", "gps", "position"))
     links: Mapping[str, Any] = state.get("links") or {}
-    best = min(links, key=lambda name: _number(links[name].get("loss_ratio"), 1.0), default=None)
+    chosen = [name for name, link in links.items() if link.get("chosen")]
+    best = min(chosen or links, key=lambda name: _number(links[name].get("loss_ratio"), 1.0), default=None)
     texts: Sequence[Mapping[str, Any]] = state.get("status_texts") or ()
     newest = min(texts, key=lambda t: _number(t.get("age_s"), 0.0), default=None)
     altitude = fixed(position.get("alt_rel_m"), 1, " m")
@@ -172,7 +173,7 @@ def status_cells(state: State) -> tuple[str, ...]:
         ", ".join(fixed(value, 1) for value in position.get("enu_m") or ()),
         " ".join(filter(None, (fixed(battery.get("percent"), 0, " %"), fixed(battery.get("volts"), 1, " V")))),
         " ".join(filter(None, (gps.get("fix"), fixed(gps.get("satellites"), 0, " sat")))),
-        best or "",
+        "" if best is None else f"{best} +{len(links) - 1}" if len(links) > 1 else best,
         percent(links[best].get("loss_ratio")) if best is not None else "",
         age_word(state),
         f"{newest['text']} ({duration(newest.get('age_s'))} ago)" if newest is not None else "",

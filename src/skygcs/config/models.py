@@ -123,6 +123,8 @@ class LinkCommon(Model):
     role: Role = "peer"
     group: str | None = None
     """Links of one group are parallel links to the same systems: nothing is forwarded between them."""
+    cost: Annotated[int, Field(ge=0, le=1000)] | None = None
+    """Of two good links to one vehicle, that of lower cost is used; default: 10, of a radio, serial port or XBee 20."""
     forward_unknown: bool | None = None
     """Send frames of unknown id to this link; default: yes, but not to a radio."""
     allow_msg_id_in: tuple[MessageName, ...] = ()

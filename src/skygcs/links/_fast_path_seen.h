@@ -8,7 +8,7 @@ enum {
     MAX_REMEMBERED = 65536, /* core.routing.duplicates */
     SEEN_SLOTS = 2 * MAX_REMEMBERED,
 };
-static const double WINDOW_S = 0.5; /* core.routing.duplicates */
+static const double WINDOW_S = 1.0; /* core.routing.duplicates */
 
 /* A cell holds sysid, compid, seq and CRC, and the channel id (`Hub.attach` assigns none above), in one number. */
 static const uint64_t GREATEST_KEY = ((uint64_t)1 << 40) - 1;

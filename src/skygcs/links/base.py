@@ -166,6 +166,11 @@ class Channel(ABC):
         """How many of this class wait to be sent."""
         return 0
 
+    def drop_setpoints(self, sysid: int) -> int:
+        """Forget setpoints of ours for this system that wait to be sent here, as they go over another link from now on;
+        how many that were."""
+        return 0
+
     def send_whole(self, data: bytes, frames: int) -> None:
         """Send so many frames as one datagram; only where ``whole_datagrams``."""
         raise NotImplementedError

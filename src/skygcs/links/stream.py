@@ -17,8 +17,8 @@ from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.links.base import Channel, Link
-from skygcs.links.outgoing import Outgoing
-from skygcs.links.paced import AirBudget
+from skygcs.links.outgoing import Outgoing, OwnMessage
+from skygcs.links.paced import AirBudget, flow_of
 
 RESCUE_AFTER_S = 0.1
 """Silence after which what the parser holds back is searched for whole frames. The longest frame takes 49 ms at 57600
@@ -161,6 +161,14 @@ class QueuedChannel(Channel):
         if self.air is not None:
             self.tx_dropped += self.air.take_lost()
         return popped
+
+    def drop_setpoints(self, sysid: int) -> int:
+        def is_for_it(entry: Outgoing) -> bool:
+            return isinstance(entry, OwnMessage) and flow_of(entry) == sysid
+
+        gone = self.queue.drop(Priority.SETPOINT, is_for_it)
+        self.tx_dropped += gone
+        return gone
 
 
 @dataclass(frozen=True, slots=True)

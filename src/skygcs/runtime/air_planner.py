@@ -6,6 +6,7 @@ A radio here is one channel into it, or all channels of a link whose modules sha
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from functools import partial
 from typing import Any
 
 from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig, XBeeLinkConfig
@@ -14,6 +15,7 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.radio_link.pacing import RadioReport
+from skygcs.core.radio_link.rate_controller import RateController
 from skygcs.core.radio_link.stream_rates import (
     CONTROLLED,
     NORMAL,
@@ -46,6 +48,10 @@ network."""
 GONE_AFTER_S = 20.0
 """A vehicle silent for this time leaves the plan, and the others get its share."""
 
+STANDBY_HZ = 0.5
+"""Position of a vehicle on a radio while another link carries its telemetry well: with the heartbeat 41 B/s instead of
+240 with the nav profile. Place and clock show that the radio still hears the same vehicle, at most 2 s old."""
+
 LOSS_POOR, LOSS_FAIR = 0.25, 0.10
 """Loss of one vehicle's frames over half a minute: reported above the former, and again below the latter."""
 
@@ -61,7 +67,11 @@ class _Radio:
         self.air = air
         self.channels: dict[int, Channel] = {}
         self.downlink = Downlink()
+        self.reached: dict[int, int] = {}
+        """The channel of each vehicle of the plan."""
         self.demands: dict[int, RateDemand] = {}
+        self.reduced: set[int] = set()
+        """Vehicles that it only keeps in touch with: another link carries their telemetry."""
         self.budget: tuple[float, float] = (0.0, 0.0)
         """Downlink bytes/s: of all vehicles, and of one (its timeslot)."""
         self.planned: dict[int, dict[str, float]] = {}
@@ -91,26 +101,38 @@ class AirPlanner:
     def tick(self, now: float) -> None:
         """Plan anew after changes, and assess each radio."""
         self._find_radios()
-        planned: set[int] = set()
         for radio in self._radios.values():
             members = self._members(radio, now)
             self._plan(radio, members, now)
-            planned |= radio.demands.keys()
             self._judge(radio, members, now)
-        for key, actor in self._fleet.vehicles.items():
-            if key not in planned and actor.streams.planned and not self._is_silent(actor, now):
-                actor.streams.plan(None, self._bytes)  # it is reached over another channel now
-                actor.commands.set_min_retry(0.0)
+        for actor in self._fleet.vehicles.values():
+            if not self._is_silent(actor, now):
+                self._settle_link(actor)
+
+    def _settle_link(self, actor: VehicleActor) -> None:
+        """Set the radio that is the chosen link to this vehicle, if one is, and leave radios that lost it."""
+        key, streams = actor.vehicle.key, actor.streams
+        planned = {radio.reached[key] for radio in self._radios.values() if key in radio.demands}
+        chosen = next((n for n in self._hub.channels_to(actor.sysid, actor.compid) if n in planned), None)
+        if streams.planned and chosen is None:
+            actor.commands.set_min_retry(0.0)
+        for channel_id in streams.radios():
+            if channel_id not in planned:
+                streams.forget_radio(channel_id)
+        streams.choose(chosen)
 
     def step(self, now: float) -> None:
         """Send requests for planned rates that vehicles do not have yet, while few requests wait."""
+        if self._hub.router.state_sources:
+            self._replan(now)
         for radio in self._radios.values():
             keys = list(radio.planned)
             for offset in range(len(keys)):
                 if sum(c.waiting(Priority.PROTOCOL) for c in radio.channels.values()) >= WAITING_AT_ONCE:
                     break
-                actor = self._fleet.vehicles.get(keys[(radio.turn + offset) % len(keys)])
-                if actor is not None and actor.streams.planned and actor.streams.ask(now, self._sender(radio, actor)):
+                key = keys[(radio.turn + offset) % len(keys)]
+                actor, channel_id = self._fleet.vehicles.get(key), radio.reached[key]
+                if actor is not None and actor.streams.ask_on(channel_id, now, self._sender(channel_id)):
                     radio.turn = (radio.turn + offset + 1) % len(keys)
                     break
 
@@ -155,13 +177,35 @@ class AirPlanner:
     def _with_budget(self) -> list[tuple[_Radio, AirBudget]]:
         return [(radio, radio.air) for radio in self._radios.values() if radio.air is not None]
 
-    def _sender(self, radio: _Radio, actor: VehicleActor) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
-        channels = self._channels_of(radio, actor)
-        return lambda info, values: self._hub.send_on(channels, info, values, Priority.PROTOCOL)
+    def _sender(self, channel_id: int) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
+        return lambda info, values: self._hub.send_on((channel_id,), info, values, Priority.PROTOCOL)
 
-    def _channels_of(self, radio: _Radio, actor: VehicleActor) -> tuple[int, ...]:
-        """The radio's channels over which this vehicle is reached."""
-        return tuple(n for n in self._hub.channels_to(actor.sysid, actor.compid) if n in radio.channels)
+    def _replan(self, now: float) -> None:
+        """Plan anew at once where a vehicle needs a radio more, or less, than it did: the link that carried its
+        telemetry is at risk or lost, or carries it well again."""
+        for radio in self._radios.values():
+            if any(self._is_reduced(radio, key, now) != (key in radio.reduced) for key in radio.demands):
+                self.tick(now)
+                return
+
+    def _channel_of(self, radio: _Radio, actor: VehicleActor, now: float) -> int | None:
+        """The radio's channel over which this vehicle is reached: the chosen link to it, or one on standby."""
+        for channel_id in self._hub.channels_to(actor.sysid, actor.compid):
+            if channel_id in radio.channels:
+                return channel_id
+        state = self._hub.router.state_sources.get(actor.vehicle.key)
+        for channel_id, link in {} if state is None else state.links().items():
+            heard = now - link.heard_at <= GONE_AFTER_S
+            if channel_id in radio.channels and heard and state is not None and state.may_be(channel_id):
+                return channel_id
+        return None
+
+    def _is_reduced(self, radio: _Radio, key: int, now: float) -> bool:
+        """True if another link carries this vehicle's telemetry well, and this radio only keeps in touch."""
+        state = self._hub.router.state_sources.get(key)
+        if state is None or state.present_id is None or state.present_id in radio.channels:
+            return False
+        return not state.links()[state.present_id].at_risk(now)
 
     def _is_silent(self, actor: VehicleActor, now: float) -> bool:
         silence_s = actor.vehicle.silence_s(now)
@@ -172,7 +216,9 @@ class AirPlanner:
         return {
             key: actor
             for key, actor in self._fleet.vehicles.items()
-            if not actor.vehicle.replayed and not self._is_silent(actor, now) and self._channels_of(radio, actor)
+            if not actor.vehicle.replayed
+            and not self._is_silent(actor, now)
+            and self._channel_of(radio, actor, now) is not None
         }
 
     def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
@@ -180,24 +226,32 @@ class AirPlanner:
         if radio.air is not None:
             radio.air.set_vehicles(len(members), now)
             round_s = radio.air.pacer.rates.round_s(len(members))
-        for actor in members.values():
-            actor.commands.set_min_retry(0.0 if round_s is None else RETRY_ROUNDS * round_s + ANSWER_S)
+        reached = {k: n for k, actor in members.items() if (n := self._channel_of(radio, actor, now)) is not None}
+        for key, actor in members.items():
+            if reached[key] in self._hub.channels_to(actor.sysid, actor.compid):
+                actor.commands.set_min_retry(0.0 if round_s is None else RETRY_ROUNDS * round_s + ANSWER_S)
         report = self._report_of(radio, now)
-        if not all(actor.streams.settled for actor in members.values()):
+        if any(c is not None and not c.settled for c in map(partial(self._controller, radio), members.values())):
             radio.unsettled_at = now
         settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
+        radio.reduced = {k for k in members if self._is_reduced(radio, k, now)}
         demands = {k: demand for k, actor in members.items() if (demand := self._demand(radio, k, actor)) is not None}
         if radio.air is not None:
             radio.air.third_party.set_unplanned(actor.sysid for k, actor in members.items() if k not in demands)
         budget = self._budget(radio)
-        if (demands, budget) == (radio.demands, radio.budget):
+        if (demands, budget, reached) == (radio.demands, radio.budget, radio.reached):
             return
-        radio.demands, radio.budget = demands, budget
+        radio.demands, radio.budget, radio.reached = demands, budget, reached
         radio.planned = fit(demands, *budget, self._bytes)
         for key, rates in radio.planned.items():
-            members[key].streams.plan(rates, self._bytes)
+            members[key].streams.plan(reached[key], rates, self._bytes)
+
+    def _controller(self, radio: _Radio, actor: VehicleActor) -> RateController | None:
+        """Of this vehicle on this radio; None: it is not in its plan."""
+        channel_id = radio.reached.get(actor.vehicle.key)
+        return None if channel_id is None else actor.streams.on_radio(channel_id)
 
     def _budget(self, radio: _Radio) -> tuple[float, float]:
         if radio.air is None:
@@ -219,6 +273,8 @@ class AirPlanner:
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
         if not rates:
             return None
+        if key in radio.reduced:
+            return RateDemand({POSITION: min(STANDBY_HZ, rates.get(POSITION) or STANDBY_HZ)})
         rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
         if actor.streams.position_hz is not None:
             rates[POSITION] = max(rates.get(POSITION, 0.0), actor.streams.position_hz)
@@ -273,7 +329,8 @@ class AirPlanner:
 
     def _hint(self, radio: _Radio, key: int, actor: VehicleActor) -> None:
         """Report streams that a vehicle does not stop on request; its parameters have to be changed."""
-        unresponsive = actor.streams.controller.unresponsive() if key not in radio.hinted else []
+        controller = self._controller(radio, actor)
+        unresponsive = controller.unresponsive() if controller is not None and key not in radio.hinted else []
         if not unresponsive:
             return
         radio.hinted.add(key)
@@ -321,9 +378,10 @@ class AirPlanner:
                     "measured_bytes_per_s": None if stats is None else round(stats.bytes_per_s, 1),
                     "loss": self._loss_of(radio, key, now),
                     "round_trip_s": None if trip is None else round(trip, 3),
-                    "settled": actor.streams.settled,
+                    "settled": (controller := self._controller(radio, actor)) is None or controller.settled,
+                    "standby": key in radio.reduced,
                     "scaled": any(hz > rates.get(n, 0.0) for n, hz in radio.demands[key].rates_hz.items()),
-                    "streams": actor.streams.status(),
+                    "streams": actor.streams.status(radio.reached[key]),
                 }
             )
         # the radio as a whole

@@ -4,16 +4,20 @@ At most one command of an id is in flight per vehicle, because a COMMAND_ACK con
 same id waits. If the previous one has acks outstanding (repeats, or a timeout), the next waits until they have come or
 for `LATE_ACK_S` after the last transmission (and always for `ECHO_ACK_S`), so that a late ack is not taken for the new
 command's. An emergency does not wait; its outcome is decided by the vehicle's state, not by an ack.
+
+What is repeated, and over which link, is in `core.protocols.command_repeats`.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.protocols.base import Effect, Report, Transmit
 from skygcs.core.protocols.command import (
@@ -24,6 +28,7 @@ from skygcs.core.protocols.command import (
     CommandSpec,
     Outcome,
 )
+from skygcs.core.protocols.command_repeats import Repeat, repeat_rule
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.deadline_timer import DeadlineTimer
 
@@ -61,6 +66,8 @@ MAX_WAITING = 8
 """Most commands of one id that wait; further ones are refused."""
 
 Check = Callable[[], bool]
+_Watch = tuple[Check, asyncio.Future[bool], float]
+"""What is waited for, what is resolved then, and until when."""
 Follower = tuple[str, Mapping[str, Any]]
 """A message and its fields, without its target."""
 
@@ -102,7 +109,7 @@ class _Request:
 class _Running:
     """A request in flight."""
 
-    __slots__ = ("done", "not_taken", "priority", "protocol", "request", "satisfied")
+    __slots__ = ("done", "not_taken", "priority", "protocol", "request", "rule", "satisfied", "shown", "via")
 
     def __init__(
         self, request: _Request, protocol: CommandProtocol, done: asyncio.Future[Outcome], priority: Priority
@@ -114,6 +121,25 @@ class _Running:
         # a state that is present already proves nothing about this command
         self.satisfied = None if request.satisfied is not None and request.satisfied() else request.satisfied
         self.not_taken = 0
+        self.rule = repeat_rule(request.spec)
+        self.shown = False
+        """The state has shown the effect, if only for a moment."""
+        self.via: tuple[int, ...] = ()
+        """The channels of the first transmission."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateEvidence:
+    """What the state of a vehicle says about its commands, and where these go."""
+
+    why_silent: Callable[[], str] = lambda: ""
+    """Another reason than the link for missing answers: the end of a sentence, or nothing."""
+    heard_at: Callable[[], float] = lambda: math.inf
+    """When its newest heartbeat came."""
+    round_trip_s: Callable[[], float] = lambda: 0.0
+    """How long a message there and its answer take; 0: not known."""
+    channels: Callable[[], tuple[int, ...]] = lambda: ()
+    """The channels on which it is sent a command now."""
 
 
 class CommandClient:
@@ -126,22 +152,26 @@ class CommandClient:
         dialect: Dialect,
         send: SendFn,
         loop: asyncio.AbstractEventLoop,
-        why_silent: Callable[[], str] = lambda: "",
+        evidence: StateEvidence = StateEvidence(),
     ) -> None:
-        """``why_silent``: another reason than the link for missing answers: the end of a sentence, or nothing."""
         self.target = target
         self.own = own
         self._broadcast: BroadcastCommand | None = None
         self._min_retry_s = 0.0
-        self.why_silent = why_silent
+        self._evidence = evidence
         self._dialect = dialect
         self._send = send
         self._loop = loop
         self._lines: dict[int, _Line] = {}
         self._running: dict[int, _Running] = {}
-        self._watches: list[tuple[Check, asyncio.Future[bool], float]] = []
+        self._watches: list[_Watch] = []
         self._addresses: dict[int, dict[str, int]] = {}
         self._timer = DeadlineTimer(loop, self._on_timer)
+
+    @property
+    def why_silent(self) -> Callable[[], str]:
+        """See `StateEvidence`."""
+        return self._evidence.why_silent
 
     @property
     def busy(self) -> bool:
@@ -175,10 +205,11 @@ class CommandClient:
         """Send it and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost ack
         does not matter. Cancelling drops the command; transmissions cannot be undone.
 
-        The first transmission uses the best link, repeats use every link that leads to the vehicle: the best may be
-        the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a command that moves the
-        vehicle, which a newer order may replace (`supersede`); called when its turn has come. An emergency is sent at
-        once. ``with_repeats``: a message sent right after each repeat, over the same links (`Step.with_repeats`).
+        The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
+        vehicle: the best may be the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a
+        command that moves the vehicle, which a newer order may replace (`supersede`); called when its turn has come.
+        An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same links
+        (`Step.with_repeats`).
         ``timers_s``: the waits after each transmission.
         """
         # refuse what cannot be packed
@@ -212,6 +243,8 @@ class CommandClient:
             if wanted is not None and not wanted():
                 return Outcome(False, "cancelled", SUPERSEDED)
             waits_s = tuple(max(wait_s, self._min_retry_s) for wait_s in timers_s)
+            if repeat_rule(spec).repeat is Repeat.NEVER:
+                waits_s = (sum(waits_s),)
             return await self._protocol(line, request, Priority.COMMAND, waits_s)
         finally:
             line.lock.release()
@@ -339,6 +372,8 @@ class CommandClient:
         running = _Running(request, protocol, self._loop.create_future(), priority)
         self._running[spec.command] = running
         now = self._loop.time()
+        running.via = self._evidence.channels()
+        watch = self._watch_effect(running, now + sum(timers_s))
         carried = self._broadcast is not None and not self._broadcast.sent and self._broadcast.spec == spec
         self._apply(running, protocol.start(now, transmitted=carried))
         self._set_timer()
@@ -347,14 +382,54 @@ class CommandClient:
         finally:
             if self._running.get(spec.command) is running:
                 del self._running[spec.command]
+            if watch is not None:
+                self._watches.remove(watch)
             line.late = protocol.outstanding
             line.ended_at = self._loop.time()
             line.quiet_until = protocol.last_sent + LATE_ACK_S
         if outcome.result == "timeout" and running.not_taken >= protocol.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
         if outcome.result == "timeout":
-            return replace(outcome, message=outcome.message + self.why_silent())
+            why = self._evidence.why_silent()
+            if running.rule.repeat is Repeat.NEVER and protocol.attempts:
+                why += f"; it may have been done and is not sent again, because {running.rule.reason}"
+            return replace(outcome, message=outcome.message + why)
         return outcome
+
+    def _watch_effect(self, running: _Running, until: float) -> _Watch | None:
+        """Note the effect of a command that must not be done twice as soon as the state shows it."""
+        satisfied = running.satisfied
+        if satisfied is None or running.rule.repeat is not Repeat.IF_NOT_DONE:
+            return None
+        future: asyncio.Future[bool] = self._loop.create_future()
+
+        def met() -> bool:
+            running.shown = running.shown or satisfied()
+            return running.shown
+
+        watch = (met, future, until)
+        self._watches.append(watch)
+        return watch
+
+    def _may_be_undone(self, running: _Running) -> bool:
+        """True if the state would show that this command was done, and does not. A reboot shows in any frame."""
+        if running.protocol.spec.command == mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN:
+            return True
+        return running.request.satisfied is not None and not running.request.satisfied()
+
+    def _why_not_repeat(self, running: _Running, now: float) -> str | None:
+        """Why a command is not sent again now; None if it is."""
+        rule = running.rule
+        if running.priority is Priority.EMERGENCY:
+            return None
+        if rule.repeat is Repeat.SAME_LINK and self._evidence.channels() != running.via:
+            return "because it went over another link than the one that is used now"
+        if rule.repeat is Repeat.IF_NOT_DONE and not self._may_be_undone(running):
+            return f"because {rule.reason}, and nothing shows that it was not done"
+        evidence_s = rule.shows_after_s + max(self._min_retry_s, self._evidence.round_trip_s())
+        if rule.repeat is Repeat.IF_NOT_DONE and self._evidence.heard_at() < running.protocol.last_sent + evidence_s:
+            return f"because {rule.reason}, and no newer state of the vehicle shows that it was not done"
+        return None
 
     def _apply(self, running: _Running, effects: tuple[Effect, ...]) -> None:
         for effect in effects:
@@ -362,7 +437,8 @@ class CommandClient:
                 spec = running.protocol.spec
                 values = spec.values(*self.target, effect.attempt)
                 info = self._dialect.by_name[spec.message]
-                everywhere = {"everywhere": True} if running.request.everywhere or effect.attempt else {}
+                again = bool(effect.attempt) and running.rule.repeat is not Repeat.SAME_LINK
+                everywhere = {"everywhere": True} if running.request.everywhere or again else {}
                 if not self._send(info, values, *self.target, running.priority, **everywhere):
                     running.not_taken += 1
                 if effect.attempt and running.request.with_repeats is not None:
@@ -397,9 +473,11 @@ class CommandClient:
             protocol = running.protocol
             if protocol.deadline is None or now < protocol.deadline:
                 continue
-            if running.satisfied is not None and running.satisfied():
+            if running.shown or (running.satisfied is not None and running.satisfied()):
                 # its ack was lost, or a repeat was refused because the first transmission had been carried out
                 self._apply(running, protocol.stop(now, "accepted", "done, though no acknowledgement came"))
+            elif protocol.may_transmit(now) and (why := self._why_not_repeat(running, now)) is not None:
+                self._apply(running, protocol.postpone(now, why))
             else:
                 self._apply(running, protocol.on_timer(now))
         self._set_timer()

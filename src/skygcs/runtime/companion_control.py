@@ -284,6 +284,9 @@ class CompanionControl:
     def on_text(self, text: str) -> None:
         """The companion hears its autopilot itself."""
 
+    def link_changed(self) -> None:
+        """Another link leads to the vehicle; the companion, which controls it, has its own."""
+
     def origin_changed(self) -> None:
         """The companion's origin follows the ground's."""
         self._relay_origin()

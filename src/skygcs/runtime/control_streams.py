@@ -61,15 +61,16 @@ class ControlStreams:
         self._aids_before_hz: dict[str, float] = {}
         """Rates of the messages that are requested for attitude, from before."""
 
-    async def raise_position_rate(self, control_mode: ControlMode) -> None:
-        """Request the position as often as this control mode needs it, unless a radio's plan sees to it."""
+    async def raise_position_rate(self, control_mode: ControlMode, *, new_link: bool = False) -> None:
+        """Request the position as often as this control mode needs it, unless a radio's plan sees to it. ``new_link``:
+        its rate on this link is not known."""
         rate_hz = POSITION_HZ.get(control_mode)
         if self._streams.want_position(rate_hz) or rate_hz is None:
             return
         now = self._loop.time()
         if not self._raised and now - self._restored_at > RATE_SETTLES_S:
             slot = self._vehicle.slot(POSITION)
-            measured_hz = 0.0 if slot is None else slot.rate_hz
+            measured_hz = 0.0 if slot is None or new_link else slot.rate_hz
             self._before_hz = max(intended_rate(measured_hz), self._configured_hz.get(POSITION, 0.0))
         self._raised = True
         await self._request(POSITION, max(rate_hz, self._before_hz))

@@ -245,6 +245,12 @@ class Fleet:
         if actor is not None:
             actor.restarted("another vehicle, or this one restarted, is heard over another channel", self._loop.time())
 
+    def link_changed(self, key: int, channel_id: int) -> None:
+        """This vehicle's state comes over another channel from now on, which also gets its orders."""
+        actor = self.vehicles.get(key)
+        if actor is not None:
+            actor.link_changed(channel_id, self._loop.time())
+
     def source_changed(self, key: int) -> None:
         """``key`` is heard only in a recording from now on, or live after all (`VehicleLinks.is_replayed`). Its state
         is of another time and place: it is dropped, and its next heartbeat adds it anew."""

@@ -21,6 +21,7 @@ from skygcs.core.mavlink.msgids import HEARTBEAT, SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RoutingVerdict
+from skygcs.core.routing.link_choice import DEFAULT_COST, SCARCE_COST
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import SysidTranslator
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
 
 from skygcs.config.models import MessageName
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+
+STATION_COST = 1000
+"""Of a link to a ground station, which may return a vehicle's frames: any other link to the vehicle is better."""
 
 FrameObserver = Callable[[Frame, Channel, float], None]
 
@@ -106,7 +110,10 @@ def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int
         return {msgid(n): hz for n, hz in named.items() if n != "*"}
 
     unknown = config.forward_unknown
+    scarce = config.role == "radio" or config.type in ("serial", "xbee")
+    cost = STATION_COST if config.role == "gcs" else SCARCE_COST if scarce else DEFAULT_COST
     return ChannelPolicy(
+        cost=cost if config.cost is None else config.cost,
         role=config.role,
         link=config.name,
         replayed=config.type == "replay",
@@ -218,6 +225,7 @@ class Hub:
             duplicates=self.fast_path,
         )
         self.router.on_change = self.forget_flows
+        self.router.received = self._received
         self._negative_cache: set[int] = set()
         self._renumbering: dict[int, SysidTranslator] = {}
         """By channel id: translators of the frames sent there."""
@@ -251,6 +259,7 @@ class Hub:
         if fleet is not None:
             self.router.known = fleet.known
             self.router.on_replaced = fleet.replaced
+            self.router.on_switched = self._on_switched
 
     # -- what links call
 
@@ -617,13 +626,16 @@ class Hub:
 
     def link_quality(self, key: int) -> dict[str, Any]:
         """Loss and rate of a source (sysid << 8 | compid), by link; on a link with several peers of the peer that
-        supplies its state."""
+        supplies its state. Of a vehicle that is heard on several links also which is chosen, and the health of each."""
         found = {}
+        state = self.router.state_sources.get(key)
         for channel_id in self.router.channels_of(key):
             channel = self.channels[channel_id]
             stats = channel.sources.get(key)
             if stats is not None and channel.link.name not in found:
                 found[channel.link.name] = stats.as_dict(self._loop.time())
+                if state is not None:
+                    found[channel.link.name] |= state.link_status(channel_id, self._loop.time())
                 if channel.config.type == "replay":
                     found[channel.link.name]["replayed"] = True
         return found
@@ -664,6 +676,27 @@ class Hub:
                 for key, stats in channel.sources.items()
             },
         }
+
+    # -- some times a second
+
+    def choose_links(self, now: float) -> None:
+        """Change over to the better link of each vehicle that is heard on several."""
+        self.router.choose_links(now)
+        if self.router.notes:
+            self._drain_notes()
+
+    def _on_switched(self, key: int, channel_id: int) -> None:
+        """Another channel leads to this vehicle: what waits on the others must not come after what is sent there."""
+        for other in self.router.channels_of(key):
+            if other != channel_id and other in self.channels:
+                self.channels[other].drop_setpoints(key >> 8)
+        if self._fleet is not None:
+            self._fleet.link_changed(key, channel_id)
+
+    def _received(self, channel_id: int, key: int) -> tuple[int, int] | None:
+        channel = self.channels.get(channel_id)
+        stats = None if channel is None else channel.sources.get(key)
+        return None if stats is None else (stats.frames, stats.lost)
 
     # -- once a second
 

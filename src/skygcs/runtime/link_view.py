@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from skygcs.core.mavlink.frame import Frame
@@ -119,6 +119,15 @@ class LinkView:
     def is_replayed(self, key: int) -> bool:
         """True if this source (sysid << 8 | compid) exists only in a recording."""
         return key in self._hub.replayed
+
+    def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
+        """See `Hub.channels_to`."""
+        return self._hub.channels_to(vehicle.sysid, vehicle.compid)
+
+    def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
+        """Frames of a vehicle on one channel by message id; None: it is heard on one channel only."""
+        state = self._hub.router.state_sources.get(key)
+        return None if state is None else state.counts(channel_id)
 
     def forget_flows(self) -> None:
         """See `Hub.forget_flows`."""

@@ -380,6 +380,18 @@ class OffboardEngagement:
             text = "the origin changed while setpoints came: it stays where it is until they are sent anew"
             self._publish("control", text, {"state": "flying"})
 
+    def link_changed(self) -> None:
+        """Setpoints go over another link from now on: its delay and its rate are other ones, and the position is
+        requested there. Attitude is flown again once its round trip is measured."""
+        controller = self.controller
+        if not controller.active:
+            self._streams.restore()  # what was raised on the one that is used again
+            return
+        controller.delay.restart()
+        self.refresh_budget()
+        raised = self._streams.raise_position_rate(controller.wanted, new_link=True)
+        self._tasks.start(raised, "position rate on another link")
+
     def refresh_budget(self) -> None:
         """Update how many attitude setpoints a second the link can carry, and whether pings five times a second beside
         them, which come out of the same share."""

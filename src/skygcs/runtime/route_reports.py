@@ -123,7 +123,8 @@ def _state_text(note: RouteNote, here: str, there: str) -> str:
             "they are ignored"
         )
     if note.kind == "switched":
-        return f"{ids} is followed over {there} now, before over {here}"
+        why = f" ({note.why})" if note.why else ""
+        return f"{ids} is followed over {there} now, before over {here}{why}"
     return (
         f"{ids} is another vehicle now, or has restarted: it is heard over {there}, before over {here}; nothing that "
         "was known of it counts any more"

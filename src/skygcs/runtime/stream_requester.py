@@ -2,6 +2,9 @@
 
 Requests are not urgent: they are sent after orders and not awaited; the arriving messages verify them, and a reboot
 repeats them. On a radio the air planner sets rates and times; elsewhere the configured rates apply.
+
+An autopilot streams on each of its ports what was requested there. So a vehicle that is heard on several links has a
+rate controller for each radio and one for all other links, and each counts what comes over its own channel.
 """
 
 from __future__ import annotations
@@ -39,20 +42,34 @@ class StreamRequester:
     turn."""
 
     def __init__(
-        self, vehicle: Vehicle, commands: CommandClient, dialect: Dialect, rates_hz: Mapping[str, float]
+        self,
+        vehicle: Vehicle,
+        commands: CommandClient,
+        dialect: Dialect,
+        rates_hz: Mapping[str, float],
+        counts_on: Callable[[int], Mapping[int, int] | None] = lambda channel_id: None,
     ) -> None:
-        """``rates_hz``: the wanted rates where no radio's plan is in force."""
+        """``rates_hz``: the wanted rates where no radio's plan is in force. ``counts_on``: frames of the vehicle on a
+        channel by message id; None: it is heard on one channel only."""
         self.position_hz: float | None = None
         """The position rate for flight control; None: none (not controlled, or the autopilot closes the loops)."""
-        self.controller = RateController()
+        self._own = RateController()
+        self._radios: dict[int, RateController] = {}
+        """By the channel of each radio on which it is heard."""
+        self._counted_apart: set[int] = set()
+        """Of them, those whose controller counts the frames of its own channel."""
+        self._chosen: int | None = None
+        """The radio's channel that is the chosen link to the vehicle; None: the chosen link is no radio."""
+        self._counts_on = counts_on
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
         self._own_rates_hz = {n: hz for n, hz in rates_hz.items() if hz > 0 and n in dialect.by_name}
-        self.controller.plan(self._own_rates_hz, planned=False)
+        self._own.plan(self._own_rates_hz, planned=False)
         self._bytes: Mapping[str, int] = {}
-        self._requested: tuple[str, float] | None = None
-        """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, and when it was sent."""
+        self._requested: tuple[str, float, RateController] | None = None
+        """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, when it was sent, and for
+        whom."""
         self._intervals_read = 0
         self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._identified = 0
@@ -61,32 +78,78 @@ class StreamRequester:
     # -- a radio's plan
 
     @property
+    def controller(self) -> RateController:
+        """That of the chosen link."""
+        return self._own if self._chosen is None else self._radios[self._chosen]
+
+    @property
     def planned(self) -> bool:
-        """True if a radio's plan sets its rates."""
+        """True if a radio's plan sets the rates of the chosen link."""
         return self.controller.planned
 
     @property
     def settled(self) -> bool:
-        """True if a radio's plan has nothing more to request."""
+        """True if the plan of the chosen link's radio has nothing more to request."""
         return not self.planned or self.controller.settled
 
-    def plan(self, rates_hz: Mapping[str, float] | None, frame_bytes: Mapping[str, int]) -> None:
-        """Set the rates of a radio's plan; None: it has left the plan, and the configured rates apply."""
+    def plan(self, channel_id: int, rates_hz: Mapping[str, float], frame_bytes: Mapping[str, int]) -> None:
+        """Set the rates of the plan of this radio."""
         self._bytes = frame_bytes
-        self.controller.plan(self._own_rates_hz if rates_hz is None else rates_hz, planned=rates_hz is not None)
+        self._radios.setdefault(channel_id, RateController()).plan(rates_hz)
+
+    def choose(self, channel_id: int | None) -> None:
+        """The chosen link is this radio; None: no radio, and the configured rates apply."""
+        self._chosen = channel_id if channel_id in self._radios else None
+
+    def radios(self) -> tuple[int, ...]:
+        """Channels of the radios whose plans include it."""
+        return tuple(self._radios)
+
+    def forget_radio(self, channel_id: int) -> None:
+        """It has left the plan of this radio, or the channel is closed."""
+        self._radios.pop(channel_id, None)
+        self._counted_apart.discard(channel_id)
+        if self._chosen == channel_id:
+            self._chosen = None
+
+    def on_radio(self, channel_id: int) -> RateController | None:
+        """The controller of one radio's plan; None: it has none."""
+        return self._radios.get(channel_id)
 
     def want_position(self, rate_hz: float | None) -> bool:
         """Set the position rate for flight control (None: none). True if the plan provides it."""
         self.position_hz = rate_hz
         return self.planned
 
-    def ask(self, now: float, send: Send) -> bool:
-        """Send the next request if one is due; True if one was sent."""
+    def ask_on(self, channel_id: int, now: float, send: Send) -> bool:
+        """Send the next request of this radio's plan if one is due; True if one was sent."""
+        controller = self._radios.get(channel_id)
+        if controller is None:
+            return False
+        on_channel = self._counts_on(channel_id)
+        counts = self._counts()
+        if on_channel is not None:
+            names = self._dialect.messages
+            counts = {names[msgid].name: count for msgid, count in on_channel.items() if msgid in names}
+        if (on_channel is not None) != (channel_id in self._counted_apart):
+            self._counted_apart ^= {channel_id}
+            controller.recount(counts, now)
+        return self._ask(controller, counts, now, send)
+
+    def link_changed(self, channel_id: int, now: float) -> None:
+        """This channel is the chosen link: what had arrived over it before says nothing of its rates now."""
+        self.choose(channel_id)
+        self._own.recount(self._counts(), now)
+        self._requested = None
+
+    def _counts(self) -> dict[str, int]:
+        return {slot.name: slot.count for slot in self._vehicle.slots.values()}
+
+    def _ask(self, controller: RateController, counts: Mapping[str, int], now: float, send: Send) -> bool:
         if not self._vehicle.connected or self._commands.in_flight(mav_cmd.SET_MESSAGE_INTERVAL):
             return False
-        counts = {slot.name: slot.count for slot in self._vehicle.slots.values()}
         ardupilot = self._vehicle.family == "ardupilot"
-        request = self.controller.due(counts, now, ardupilot=ardupilot, frame_bytes=self._bytes)
+        request = controller.due(counts, now, ardupilot=ardupilot, frame_bytes=self._bytes)
         message = None if request is None else self._message(request)
         if request is None or message is None:
             return False
@@ -94,7 +157,7 @@ class StreamRequester:
             command = mav_cmd.GET_MESSAGE_INTERVAL if request.read else mav_cmd.SET_MESSAGE_INTERVAL
             self._commands.expect_stray_ack(command, now)
             if not request.read:
-                self._requested = request.message, now
+                self._requested = request.message, now, controller
         return send(*message)
 
     # -- any link
@@ -107,17 +170,23 @@ class StreamRequester:
         if not self.planned:
             self._read_intervals(now)
             if self._requested is None or now > self._requested[1] + ANSWER_WITHIN_S:
-                self.ask(now, lambda info, values: self._commands.transmit(info.name, values, Priority.PROTOCOL))
+                self._ask(
+                    self._own,
+                    self._counts(),
+                    now,
+                    lambda info, values: self._commands.transmit(info.name, values, Priority.PROTOCOL),
+                )
 
     def restart(self, now: float) -> None:
         """The vehicle rebooted: all requests have to be repeated."""
         self._identified = 0
         self._identify_from = now
         self._requested = None
-        self.controller.restart()
+        for controller in (self._own, *self._radios.values()):
+            controller.restart()
 
     def leave(self, message: str) -> None:
-        """An operator set the rate of this message."""
+        """An operator set the rate of this message on the chosen link."""
         self.controller.leave(message)
 
     def is_left(self, message: str) -> bool:
@@ -132,27 +201,30 @@ class StreamRequester:
             or self._requested is None
         ):
             return
-        (message, sent_at), self._requested = self._requested, None
+        (message, sent_at, controller), self._requested = self._requested, None
         if now - sent_at > ANSWER_WITHIN_S:
             return
         self._round_trips.append(now - sent_at)
         result = RESULT_NAMES.get(ack.result)
         if result == "unsupported":
-            self.controller.old = True
+            controller.old = True
         # without a plan one request is in flight at a time, so that a refusal is known to belong to it
         can_have_group = result == "unsupported" and self._vehicle.family == "ardupilot"
-        if not self.planned and result in ("unsupported", "denied", "failed") and not can_have_group:
-            self.controller.leave(message)
+        if not controller.planned and result in ("unsupported", "denied", "failed") and not can_have_group:
+            controller.leave(message)
 
     def round_trip_s(self) -> float | None:
         """Median of the last requests, their wait for the air included."""
         ordered = sorted(self._round_trips)
         return ordered[len(ordered) // 2] if ordered else None
 
-    def status(self) -> dict[str, dict[str, float]]:
-        """Planned and measured Hz of each message that is planned or arrives."""
+    def status(self, channel_id: int) -> dict[str, dict[str, float]]:
+        """Planned and measured Hz of each message that a radio's plan has or that arrives."""
+        controller = self._radios.get(channel_id, self._own)
         rates = {slot.name: slot.rate_hz for slot in self._vehicle.slots.values()}
-        planned = self.controller.rates_hz
+        if controller is not self.controller:
+            rates = controller.measured_hz()
+        planned = controller.rates_hz
         names = sorted({*planned, *(n for n, hz in rates.items() if hz > 0)}, key=lambda n: (n != POSITION, n))
         return {
             name: {"planned_hz": planned.get(name, 0.0), "measured_hz": round(rates.get(name, 0.0), 2)}
@@ -191,7 +263,7 @@ class StreamRequester:
         answer = slot.frame.fields()
         streamed = self._dialect.messages.get(int(answer.get("message_id", -1)))
         if streamed is not None:
-            self.controller.on_interval(streamed.name, float(answer.get("interval_us", -1)), now)
+            self._own.on_interval(streamed.name, float(answer.get("interval_us", -1)), now)
 
     def _message(self, request: RateRequest) -> tuple[MessageInfo, dict[str, Any]] | None:
         """None for a message the dialect lacks."""

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Unpack
 
 from skygcs.config.models import VehicleConfig
@@ -43,7 +44,7 @@ from skygcs.events import Event
 from skygcs.links.base import StateUpdate
 from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
-from skygcs.runtime.command_client import CommandClient
+from skygcs.runtime.command_client import CommandClient, StateEvidence
 from skygcs.runtime.companion_control import CompanionControl
 from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
@@ -88,9 +89,11 @@ class VehicleActor:
             services.dialect,
             services.send,
             services.loop,
-            why_silent=lambda: services.links.why_silent(vehicle),
+            self._state_evidence(),
         )
-        self.streams = StreamRequester(vehicle, self.commands, services.dialect, config.streams)
+        self.streams = StreamRequester(
+            vehicle, self.commands, services.dialect, config.streams, partial(services.links.counts_on, vehicle.key)
+        )
         self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.offboard: OffboardEngagement | CompanionControl = (
             CompanionControl(vehicle, config, self._orders, services)
@@ -123,6 +126,15 @@ class VehicleActor:
             **dict.fromkeys(self.logs.messages, self.logs.on_frame),
         }
         """Messages of which every frame is read, with their readers."""
+
+    def _state_evidence(self) -> StateEvidence:
+        vehicle, links = self.vehicle, self._services.links
+        return StateEvidence(
+            why_silent=lambda: links.why_silent(vehicle),
+            heard_at=lambda: -math.inf if (slot := vehicle.slots.get(HEARTBEAT)) is None else slot.at,
+            round_trip_s=lambda: self.uplink.trip_s or 0.0,
+            channels=lambda: links.channels_to(vehicle),
+        )
 
     @property
     def name(self) -> str:
@@ -259,6 +271,12 @@ class VehicleActor:
         self.vehicle.origin = origin
         self.vehicle.origin_generation = generation
         self.offboard.origin_changed()
+
+    def link_changed(self, channel_id: int, now: float) -> None:
+        """Its state comes over another channel from now on, which also gets its orders and setpoints."""
+        self.streams.link_changed(channel_id, now)
+        self.offboard.link_changed()
+        self.uplink.forget()
 
     def restarted(self, text: str, now: float) -> None:
         """It has restarted, or another vehicle has replaced it: drop its state."""

@@ -53,6 +53,14 @@ class VehicleLinks(Protocol):
         """True if this source exists only in a recording."""
         ...
 
+    def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
+        """Ids of the channels on which a message of ours to this vehicle is sent now."""
+        ...
+
+    def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
+        """Frames of a vehicle on one channel by message id; None: it is heard on one channel only."""
+        ...
+
     def forget_flows(self) -> None:
         """Vehicles or components were added or removed: cached flows are out of date."""
         ...
@@ -81,6 +89,12 @@ class WideLinks:
 
     def is_replayed(self, key: int) -> bool:
         return False
+
+    def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
+        return ()
+
+    def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
+        return None
 
     def forget_flows(self) -> None:
         pass

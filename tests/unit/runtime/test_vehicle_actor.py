@@ -197,7 +197,7 @@ async def test_an_order_that_worked_is_a_success_though_every_ack_is_lost() -> N
         assert outcome.elapsed_s < 2.1
 
 
-async def test_a_repeat_refused_for_having_worked_already_is_a_success() -> None:
+async def test_a_takeoff_whose_acknowledgement_was_lost_is_not_sent_again() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground, ARDUPILOT, mode=4)
         vehicle.armed = True
@@ -216,7 +216,7 @@ async def test_a_repeat_refused_for_having_worked_already_is_a_success() -> None
         vehicle.script = first_ack_is_lost_and_the_repeat_refused
         outcome = await actor.takeoff(10)
         assert outcome.ok, outcome.message
-        assert outcome.attempts == 2
+        assert outcome.attempts == 1, "its state showed that it was done"
 
 
 async def test_silence_is_a_timeout_after_all_repeats() -> None:
@@ -225,7 +225,8 @@ async def test_silence_is_a_timeout_after_all_repeats() -> None:
         vehicle.script = lambda v, sent: None
         outcome = await actor.reboot()
         assert (outcome.result, outcome.attempts) == ("timeout", len(RETRY_TIMERS_S))
-        assert outcome.elapsed_s == pytest.approx(sum(RETRY_TIMERS_S), abs=0.01)
+        longest_s = sum(RETRY_TIMERS_S) + len(RETRY_TIMERS_S)  # each waits for a heartbeat that shows it was not done
+        assert sum(RETRY_TIMERS_S) <= outcome.elapsed_s <= longest_s
 
 
 async def test_a_vehicle_lost_in_the_middle_ends_its_orders() -> None:

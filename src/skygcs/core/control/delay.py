@@ -129,6 +129,18 @@ class DelayMeter:
         """When the last regular ping was due."""
         self._last_pong = 0.0
 
+    def restart(self) -> None:
+        """Messages go over another link from now on: what was measured over the one before is forgotten, and the burst
+        of the start is repeated. Pongs of earlier pings count as strange."""
+        self.pings = 0
+        self.bound_s = 0.0
+        self.rtt_p95_s = self.uplink_s = None
+        self._trips.clear()
+        self._sent.clear()
+        self._unanswered.clear()
+        self._last_ping = None
+        self._regular_at = -math.inf
+
     def on_tick(self, state_age_s: float | None, now: float) -> None:
         """To be called in every tick of the loop. No state, or an age that is NaN, is one infinitely old."""
         ages_at, ages_s = self._ages_at, self._ages_s

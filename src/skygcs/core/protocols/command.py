@@ -6,6 +6,7 @@ Rule: everything that decides how a command goes on is in this file.
     ----------   ------------------------------------------   ----------   ------------------------------------------
     IDLE         start                                        WAITING      Transmit(0)
     WAITING      timer, repeats left                          WAITING      Transmit(n + 1)
+    WAITING      postpone: a repeat might do it twice         WAITING      - (the same timer again a little later)
     WAITING      timer, none left                             DONE         Finish: timeout
     WAITING      ack in progress                              WORKING      Report
     WAITING      ack accepted                                 DONE         Finish: accepted
@@ -44,6 +45,9 @@ WORKING_SILENCE_S = 10.0
 
 WORKING_LIMIT_S = 120.0
 """No command skygcs waits for takes longer; a calibration does not, a parachute test does not."""
+
+POSTPONE_S = 0.25
+"""Between two looks whether a repeat is harmless by now."""
 
 SECOND_ACK_S = 0.5
 """For the second answer of a command that is answered twice: 8 to 15 ms later on board (own capture), some tenths of a
@@ -262,6 +266,18 @@ class CommandProtocol(ProtocolMachine):
         if now - self._work_since >= WORKING_LIMIT_S:
             return self._finish(now, "in_progress", f"still in progress{self._how_far()} after {WORKING_LIMIT_S:.0f} s")
         return self._finish(now, "timeout", f"in progress{self._how_far()}, then nothing for {WORKING_SILENCE_S:.0f} s")
+
+    def may_transmit(self, now: float) -> bool:
+        """True if `on_timer` would transmit again now."""
+        due = self.deadline is not None and now >= self.deadline and not self._received
+        return due and self.state is CommandState.WAITING and self.attempts < len(self._timers)
+
+    def postpone(self, now: float, why: str) -> tuple[Effect, ...]:
+        """Do not transmit again yet; once all timers together are over, finish with a time-out that says why."""
+        if now - self._started < sum(self._timers):
+            self.deadline = now + POSTPONE_S
+            return ()
+        return self._finish(now, "timeout", f"no answer to {self.attempts} transmissions; not sent again, {why}")
 
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
         """End it from outside: cancelled, lost, or no longer needed because the state shows what was wanted."""

@@ -145,6 +145,15 @@ class RateController:
         self._silenced_at = float("-inf")
         self.old = False
 
+    def recount(self, counts: Mapping[str, int], now: float) -> None:
+        """Frames are counted otherwise from now on, or none were counted for a while: what arrives is judged anew."""
+        for name, watch in self._watches.items():
+            watch.since, watch.count = max(now, watch.since), counts.get(name, 0)
+
+    def measured_hz(self) -> dict[str, float]:
+        """Hz of each message when it was judged last."""
+        return {name: watch.hz for name, watch in self._watches.items()}
+
     def leave(self, name: str) -> None:
         """Do not request this message until the vehicle restarts: an operator set its rate, or the vehicle refused."""
         self._left.add(name)

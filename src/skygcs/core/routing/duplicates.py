@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Protocol
 
-WINDOW_S = 0.5
+WINDOW_S = 1.0
 """How long a frame is remembered, at least (at most twice that). Two radios on one antenna mast differ by one TDM round
-at most (some 0.4 s with five nodes at 64 kbps); a source would need 512 frames/s to reuse a seq within it, and equal
-CRCs on top."""
+at most (some 0.4 s with five nodes at 64 kbps, 0.8 s with ten); a source would need 256 frames/s to reuse a seq within
+it, and equal CRCs on top."""
 
 MAX_REMEMBERED = 65536
-"""Bound of one generation: 65,000 frames within half a second are more than the process can route."""
+"""Bound of one generation: 65,000 frames within a second are more than the process can route."""
 
 SCORE_FRAMES = 64
 """Distinct frames by which parallel channels are compared: a third of a second of telemetry at full rate, half a minute

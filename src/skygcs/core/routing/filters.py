@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from skygcs.core.routing.link_choice import DEFAULT_COST
 from skygcs.core.token_bucket import TokenBucket
 
 MAX_RATE_KEYS = 4096
@@ -104,6 +105,8 @@ class ChannelPolicy:
     replayed: bool = False
     """What comes is a recording: shown to ground stations, never to vehicles, and nothing is sent there."""
     group: str | None = None
+    cost: int = DEFAULT_COST
+    """Of two good links to one vehicle, that of lower cost is used."""
     vehicles: frozenset[int] = frozenset()
     """System ids that the channel is bound to; empty: it is not bound."""
     forward_unknown: bool = True

@@ -40,6 +40,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Collection
+from functools import partial
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
@@ -113,6 +114,10 @@ class Router:
         self.on_replaced: Callable[[int], None] = lambda source: None
         """Called when another vehicle has taken a known one's place (or the same one restarted on another channel),
         before its first frame counts."""
+        self.on_switched: Callable[[int, int], None] = lambda source, channel_id: None
+        """Called when a vehicle's state comes over this channel from now on, which also gets its orders."""
+        self.received: Callable[[int, int], tuple[int, int] | None] = lambda channel_id, source: None
+        """Frames received and lost of a source on a channel; None: not counted."""
         self._room = RouteRoom()
         self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
         self.unreported_routes = 0
@@ -427,7 +432,8 @@ class Router:
         known = self.known(source)
         if hearing:
             before = max(hearing, key=lambda p: p.heard[source])
-            state = StateSource(before.id, before.policy.link, known, now, lost_s=self._vehicle_timeout_s)
+            lost_s, cost = self._vehicle_timeout_s, before.policy.cost
+            state = StateSource(before.id, before.policy.link, known, now, lost_s=lost_s, cost=cost)
         elif known is not None and not others:
             state = StateSource(None, "", known, now, lost_s=self._vehicle_timeout_s)
         else:
@@ -445,7 +451,8 @@ class Router:
             return False
         if source in self._heard_directly and port.policy.role == "gcs":
             return False
-        counts = state.accepts(channel_id, port.policy.link, frame, now, of=self._first_channel_id if copy else None)
+        of, cost = self._first_channel_id if copy else None, port.policy.cost
+        counts = state.accepts(channel_id, port.policy.link, frame, now, of=of, cost=cost)
         handed_back = not counts and port.policy.role != "gcs" and self._is_station(state.present_id)
         if handed_back and state.is_original(channel_id):
             state.take_over(channel_id, now)
@@ -461,6 +468,7 @@ class Router:
             if report.kind in ("switched", "replaced"):
                 self._topology_changed()
                 self._drop_echo_routes(source)
+                self.on_switched(source, report.channel_id or 0)
             if report.kind == "replaced":
                 self.on_replaced(source)
 
@@ -486,6 +494,17 @@ class Router:
         if alone and not state.duplicate and now - state.heard_elsewhere_at() > FORGOTTEN_S:
             del self.state_sources[source]
             self._topology_changed()
+
+    def choose_links(self, now: float) -> None:
+        """Assess the links to each vehicle that is heard on several, and change over to better ones. Call it some times
+        a second."""
+        for source, state in list(self.state_sources.items()):
+            state.choose(partial(self._received, source), now)
+            if state.reports:
+                self._report(source, state)
+
+    def _received(self, source: int, channel_id: int) -> tuple[int, int] | None:
+        return self.received(channel_id, source)
 
     def expire(self, now: float) -> None:
         """Forget routes that were not heard for the route timeout. Call it about once a second."""
@@ -540,7 +559,8 @@ class Router:
         if source in self.state_sources or port.policy.replayed or port.bound:
             return
         if any(p is not port and not p.policy.replayed and not p.bound for p in self._by_source[source]):
-            state = StateSource(port.id, port.policy.link, None, now, lost_s=self._vehicle_timeout_s)
+            lost_s, cost = self._vehicle_timeout_s, port.policy.cost
+            state = StateSource(port.id, port.policy.link, None, now, lost_s=lost_s, cost=cost)
             self.state_sources[source] = state
 
     def _drop_echo_routes(self, source: int) -> None:

@@ -7,8 +7,8 @@ one channel at a time, *the present one*, supplies the state, and orders are sen
     another channel ...                                         what becomes of its frames
     --------------------------------------------------------    -----------------------------------------------------
     while the present one is heard                              ignored, except answers to us if the channel agrees
-    the present one is silent for SILENT_S, or hears clearly    takes over, if it agrees: boot time and position are
-    less for WORSE_WINDOWS in a row                             those of the vehicle
+    is the better link (`link_choice`)                          takes over, if it agrees: boot time and position are
+                                                                those of the vehicle
     the present one is closed                                   takes over, unless it contradicts
     the present one is silent for the vehicle's timeout         takes over; if it contradicts or cannot be compared, as
                                                                 a new start: another vehicle, or the same rebooted
@@ -28,18 +28,19 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME
+from skygcs.core.routing.link_choice import DEFAULT_COST, LinkChoice, LinkHealth
 
 SILENT_S = 2.5
-"""Two heartbeats may be lost; a channel that is silent for longer does not receive the vehicle."""
+"""Two heartbeats may be lost; what a channel that is silent for longer showed contradicts nothing."""
 
 DEFAULT_LOST_S = 5.0
 """Default of ``vehicle_timeout_s`` in the fleet file."""
@@ -76,11 +77,14 @@ CONTRADICTIONS = 3
 OVER_S = 5.0
 """A duplicate is over after this time without a contradiction: several heartbeats of the slowest link."""
 
-WINDOW_S = 10.0
-WORSE_BY = 4
-WORSE_WINDOWS = 3
-"""The present channel is worse if in each of three windows of 10 s in a row it heard the heartbeat in at least four
-seconds less than the other: with equal loss of 20 % that happens once in days."""
+LAG_WINDOW_S = 5.0
+"""The least delay of a channel is that of this time, or of up to twice as much: a queue empties now and then."""
+
+LAG_MOST_S = 60.0
+"""A larger difference of two clocks is none of delays."""
+
+MAX_COUNTED = 256
+"""Messages counted per channel; a vehicle streams some fifty."""
 
 ECHOED_HEARTBEATS = 3
 """Successive heartbeats that a ground station's channel had only as copies from another channel: then it echoes."""
@@ -129,7 +133,8 @@ is heard again. (`KNOWN_BY` lists the messages.)"""
 @dataclass(frozen=True, slots=True)
 class SourceReport:
     """``channel_id`` is the other channel (of switched and replaced: the new one), ``present_id`` the present one (of
-    switched and replaced: the one before); None: closed. ``why``: what contradicted, in words."""
+    switched and replaced: the one before); None: closed. ``why``: what contradicted, in words; of switched and
+    replaced: what was wrong with the channel before."""
 
     kind: ReportKind
     channel_id: int | None
@@ -142,9 +147,13 @@ class _Heard:
     """What one channel shows of the vehicle."""
 
     __slots__ = (
+        "_earliest",
+        "_earliest_before",
+        "_earliest_from",
         "booted_at",
         "contradicted",
-        "first_at",
+        "counts",
+        "health",
         "heard_at",
         "heartbeat_at",
         "high_latency",
@@ -154,14 +163,14 @@ class _Heard:
         "only_copies",
         "place",
         "reported_at",
-        "seconds",
         "shown",
-        "worse",
     )
 
-    def __init__(self, link: str, now: float) -> None:
+    def __init__(self, link: str, now: float, cost: int = DEFAULT_COST, *, known_good: bool = False) -> None:
         self.link = link
-        self.first_at = now
+        self.health = LinkHealth(now, cost=cost, known_good=known_good)
+        self.counts: dict[int, int] = {}
+        """Frames by message id."""
         self.heard_at = now
         self.heartbeat_at = -math.inf
         self.booted_at: float | None = None
@@ -174,10 +183,22 @@ class _Heard:
         """Since when, when last, how often."""
         self.ignored = 0
         self.reported_at = -math.inf
-        self.seconds: set[int] = set()
-        """Seconds of the present window in which a heartbeat came."""
-        self.worse = 0
-        """Windows in a row in which the present channel heard less than this one."""
+        self._earliest = self._earliest_before = math.inf
+        self._earliest_from = now
+
+    def count(self, frame: Frame, now: float) -> None:
+        """A frame came."""
+        self.heard_at = now
+        self.health.heard(now)
+        msgid, counts = frame.msgid, self.counts
+        if msgid in counts or len(counts) < MAX_COUNTED:
+            counts[msgid] = counts.get(msgid, 0) + 1
+
+    @property
+    def least_delayed_boot_at(self) -> float:
+        """When the vehicle started, in our time, by the message that came with the least delay lately; infinite without
+        a clock."""
+        return min(self._earliest, self._earliest_before)
 
     def look(self, frame: Frame, now: float) -> None:
         """Take what this frame shows of its sender."""
@@ -188,10 +209,11 @@ class _Heard:
                 self.heartbeat_at, self.high_latency = now, False
                 self.identity = vehicle_type, autopilot
                 self.shown = bool(base_mode & SAFETY_ARMED), custom_mode
-                self.seconds.add(int(now))
+                self.health.high_latency_factor = 1
             return
         if msgid == HIGH_LATENCY2:
             self.heartbeat_at, self.high_latency = now, True
+            self.health.high_latency_factor = HIGH_LATENCY_FACTOR
             return
         at = BOOT_MS_AT.get(msgid)
         if at is None:
@@ -199,6 +221,9 @@ class _Heard:
         payload = frame.payload.ljust(28, b"\0")
         boot_s = int.from_bytes(payload[at : at + 4], "little") / 1000
         self.booted_at = now - boot_s
+        if now - self._earliest_from >= LAG_WINDOW_S:
+            self._earliest_from, self._earliest_before, self._earliest = now, self._earliest, math.inf
+        self._earliest = min(self._earliest, self.booted_at)
         if msgid == GLOBAL_POSITION_INT:
             lat, lon, alt, _, vx, vy, vz = struct.unpack_from("<iiiihhh", payload, 4)
             if (lat or lon) and abs(lat) <= 900_000_000:
@@ -211,34 +236,51 @@ class StateSource:
     and `tick` once a second, and take ``reports`` out."""
 
     def __init__(
-        self, present_id: int | None, link: str, known: Known | None, now: float, *, lost_s: float = DEFAULT_LOST_S
+        self,
+        present_id: int | None,
+        link: str,
+        known: Known | None,
+        now: float,
+        *,
+        lost_s: float = DEFAULT_LOST_S,
+        cost: int = DEFAULT_COST,
     ) -> None:
-        """``present_id``: the channel on which it was heard until now, on that link; None: that one is closed."""
+        """``present_id``: the channel on which it was heard until now, on that link of this cost; None: that one is
+        closed."""
         self.present_id = present_id
+        self.choice = LinkChoice()
         self.duplicate = False
         self.reports: list[SourceReport] = []
         self._lost_s = lost_s
-        self._heard: dict[int | None, _Heard] = {present_id: _Heard(link, now)}
+        self._heard: dict[int | None, _Heard] = {present_id: _Heard(link, now, cost, known_good=True)}
         self._present = self._heard[present_id]
         self._states: dict[tuple[bool, int], float] = {}
         """Modes and arming states that the present channel showed, and when last."""
         self._unproven: _Heard | None = None
         """The channel before, while the present one has not shown that it is of the same vehicle."""
-        self._window = now
         last_at = -math.inf
         for frame, at in known or ():
             self._present.look(frame, at)
             last_at = max(last_at, at)
-        self._present.seconds.clear()
         if present_id is None:
-            self._present.heard_at = last_at
+            self._present.heard_at = self._present.health.heard_at = last_at
         if self._present.shown is not None:
             self._note_state(self._present.shown, now)
 
     # -- frames
 
-    def accepts(self, channel_id: int, link: str, frame: Frame, now: float, *, of: int | None = None) -> bool:
+    def accepts(
+        self,
+        channel_id: int,
+        link: str,
+        frame: Frame,
+        now: float,
+        *,
+        of: int | None = None,
+        cost: int = DEFAULT_COST,
+    ) -> bool:
         """Whether this frame counts for the vehicle's state. ``of``: it is a copy of what came over that channel.
+        ``cost``: the link's.
 
         A takeover has taken place when this returns; see ``reports``.
         """
@@ -246,8 +288,8 @@ class StateSource:
         if heard is None:
             if len(self._heard) >= MAX_CHANNELS:
                 self._give_way()
-            heard = self._heard[channel_id] = _Heard(link, now)
-        heard.heard_at = now
+            heard = self._heard[channel_id] = _Heard(link, now, cost)
+        heard.count(frame, now)
         if frame.msgid == HEARTBEAT:
             heard.only_copies = 0 if of is None else heard.only_copies + 1
         if of is None or frame.msgid == HEARTBEAT:
@@ -259,8 +301,9 @@ class StateSource:
                 self._prove(heard)
             return not (of is not None and frame.msgid in ANSWERS and self._answers(of, now))
         self._compare(heard, frame, of, now)
-        if self._may_take_over(channel_id, heard, now):
-            self._take_over(channel_id, heard, now)
+        why = self._may_take_over(channel_id, heard, now)
+        if why is not None:
+            self._take_over(channel_id, heard, now, why)
             return True
         heard.ignored += 1
         return frame.msgid in ANSWERS and of is None and self._answers(channel_id, now)
@@ -280,7 +323,7 @@ class StateSource:
 
     def take_over(self, channel_id: int, now: float) -> None:
         """This channel is the present one from now on."""
-        self._take_over(channel_id, self._heard[channel_id], now)
+        self._take_over(channel_id, self._heard[channel_id], now, "a ground station's link, which returns its frames")
 
     def closed(self, channel_id: int) -> None:
         """The channel is gone."""
@@ -291,7 +334,7 @@ class StateSource:
             self._heard.pop(channel_id, None)
 
     def tick(self, now: float) -> None:
-        """What time alone brings: a duplicate that is over, ignored frames to report, a window of heartbeats."""
+        """What time alone brings: a duplicate that is over, ignored frames to report."""
         others = [(c, h) for c, h in self._heard.items() if h is not self._present]
         for channel_id, heard in others:
             for kind, (since, last, count) in list(heard.contradicted.items()):
@@ -302,8 +345,58 @@ class StateSource:
         if self.duplicate and not any(h.contradicted and self._last(h) > now - OVER_S for _, h in others):
             self.duplicate = False
             self.reports.append(SourceReport("duplicate_over", None, self.present_id))
-        if now - self._window >= WINDOW_S:
-            self._end_window(now)
+
+    def choose(self, received: Callable[[int], tuple[int, int] | None], now: float) -> None:
+        """Assess each channel, and change over to a better one; some times a second. ``received``: frames received and
+        lost of this vehicle on a channel."""
+        fastest = min((h.least_delayed_boot_at for h in self._heard.values()), default=math.inf)
+        for channel_id, heard in self._heard.items():
+            counters = None if channel_id is None else received(channel_id)
+            if counters is not None:
+                heard.health.sample(*counters, now)
+            lag_s = heard.least_delayed_boot_at - fastest if math.isfinite(fastest) else math.inf
+            heard.health.lag_s = lag_s if lag_s <= LAG_MOST_S else None
+            heard.health.assess(now)
+        if self.present_id is None:
+            return
+        better = self.choice.decide(self._present.health, self._standby(), lambda i: self._is_able(i, now), now)
+        if better is not None:
+            self._take_over(better.channel_id, self._heard[better.channel_id], now, better.why)
+
+    def _standby(self) -> dict[int, LinkHealth]:
+        return {i: h.health for i, h in self._heard.items() if i is not None and h is not self._present}
+
+    def _is_able(self, channel_id: int, now: float) -> bool:
+        """Whether this channel hears the autopilot, and it is the same vehicle's."""
+        heard = self._heard[channel_id]
+        hears = now - heard.heartbeat_at <= self._timeout_s(heard)
+        return hears and not heard.contradicted and self._agrees(heard)
+
+    def links(self) -> dict[int, LinkHealth]:
+        """The health of each channel."""
+        return {i: h.health for i, h in self._heard.items() if i is not None}
+
+    def link_status(self, channel_id: int, now: float) -> dict[str, Any]:
+        """What a person is shown of one of several links: whether it is chosen, since when, and its health. ``changes``
+        counts those of the choice since the vehicle was first heard on several links."""
+        link = self.links().get(channel_id)
+        if link is None:
+            return {}
+        chosen = channel_id == self.present_id
+        since = self.choice.changed_at if chosen and self.choice.changes else link.since
+        return {
+            "chosen": chosen,
+            "health": link.health.value,
+            "since_s": round(now - since, 1),
+            "recent_loss": None if link.loss is None else round(link.loss, 4),
+            "behind_s": None if link.lag_s is None else round(link.lag_s, 3),
+            "changes": self.choice.changes,
+        }
+
+    def counts(self, channel_id: int) -> dict[int, int]:
+        """Frames of the vehicle on one channel by message id, copies included."""
+        heard = self._heard.get(channel_id)
+        return {} if heard is None else heard.counts
 
     def heard_elsewhere_at(self) -> float:
         """When a channel that is not the present one was heard last."""
@@ -353,21 +446,27 @@ class StateSource:
 
     # -- takeover
 
-    def _may_take_over(self, channel_id: int, heard: _Heard, now: float) -> bool:
+    def _may_take_over(self, channel_id: int, heard: _Heard, now: float) -> str | None:
+        """Why this channel, which has just had a frame, takes over at once; None: it does not."""
         if now - heard.heartbeat_at > self._timeout_s(heard):
-            return False  # it does not hear the autopilot
+            return None  # it does not hear the autopilot
         silent_s = now - self._present.heard_at
         if silent_s > self._timeout_s(self._present):
-            return True
+            return f"silent for {silent_s:.1f} s"
         if self.present_id is None:
-            return self._may_be(heard)
-        return (silent_s > SILENT_S or heard.worse >= WORSE_WINDOWS) and self._agrees(heard)
+            return "closed" if self._may_be(heard) else None
+        if silent_s <= self._present.health.silent_limit_s or not self._agrees(heard):
+            return None
+        for link in (self._present.health, heard.health):
+            link.assess(now)
+        better = self.choice.decide(self._present.health, {channel_id: heard.health}, lambda _: True, now)
+        return None if better is None else better.why
 
     def _timeout_s(self, heard: _Heard) -> float:
         """After how long without a heartbeat the vehicle counts as lost on this channel."""
         return self._lost_s * (HIGH_LATENCY_FACTOR if heard.high_latency else 1)
 
-    def _take_over(self, channel_id: int, heard: _Heard, now: float) -> None:
+    def _take_over(self, channel_id: int, heard: _Heard, now: float, why: str) -> None:
         before_id, before = self.present_id, self._present
         same = self._may_be(heard)
         unproven = same and heard.booted_at is None and before.booted_at is not None
@@ -377,13 +476,11 @@ class StateSource:
             del self._heard[None]
         for other in self._heard.values():
             other.contradicted.clear()
-            other.worse = 0
-            other.seconds.clear()
-        self._window = now
         self._states.clear()
+        self.choice.changed(now)
         if heard.shown is not None:
             self._note_state(heard.shown, now)
-        self.reports.append(SourceReport("switched" if same else "replaced", channel_id, before_id))
+        self.reports.append(SourceReport("switched" if same else "replaced", channel_id, before_id, why))
         if self.duplicate:
             self.duplicate = False
             self.reports.append(SourceReport("duplicate_over", None, channel_id))
@@ -400,16 +497,6 @@ class StateSource:
         others = [c for c, h in self._heard.items() if h is not self._present]
         del self._heard[min(others, key=lambda c: (self._may_be(self._heard[c]), self._heard[c].heard_at))]
 
-    def _end_window(self, now: float) -> None:
-        for heard in self._heard.values():
-            if heard is not self._present:
-                whole = now - heard.first_at >= WINDOW_S and not heard.contradicted
-                better = whole and len(heard.seconds) >= len(self._present.seconds) + WORSE_BY
-                heard.worse = heard.worse + 1 if better else 0
-        for heard in self._heard.values():
-            heard.seconds.clear()
-        self._window = now
-
     # -- contradictions
 
     def _compare(self, heard: _Heard, frame: Frame, of: int | None, now: float) -> None:
@@ -425,6 +512,8 @@ class StateSource:
                 self._contradicted(heard, "firmware", now)
             elif heard.shown is not None and heard.shown != present.shown and present.shown is not None:
                 self._contradicted(heard, "mode", now)
+            elif heard.shown is not None and not self.duplicate and self._agrees(heard):
+                heard.contradicted.pop("mode", None)  # a slow link has shown the change, too
             elif of is None and heard.link == present.link and self._agrees_unproven(heard):
                 self._contradicted(heard, "link", now)
             return

@@ -130,7 +130,12 @@ function gpsCell(v: Vehicle, now_s: number): Cell {
 
 function bestLink(v: Vehicle): { name: string; loss: number | null } | null {
   const links = Object.entries(v.links);
-  const [first] = links.sort(([, a], [, b]) => a.age_s - b.age_s || (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1));
+  const [first] = links.sort(
+    ([, a], [, b]) =>
+      Number(b.chosen ?? 0) - Number(a.chosen ?? 0) ||
+      a.age_s - b.age_s ||
+      (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1),
+  );
   return first === undefined ? null : { name: first[0], loss: first[1].loss_ratio };
 }
 

@@ -51,6 +51,8 @@ export interface LinkCounters {
   lost: number;
   loss_ratio: number | null;
   age_s: number;
+  /** Whether it is the one in use, of a vehicle that is heard on several. */
+  chosen?: boolean;
 }
 
 export interface Separation {
