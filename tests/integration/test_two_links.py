@@ -21,7 +21,7 @@ async def test_the_radio_keeps_in_touch_while_the_network_carries_telemetry_and_
         await field.until(lambda: all(v["standby"] and v["settled"] for v in field.air()["vehicles"]))
         await asyncio.sleep(15)
         reduced = field.air()["down"]
-        assert reduced["planned_bytes_per_s"] == 3 * 41 and reduced["measured_bytes_per_s"] < 150
+        assert reduced["planned_bytes_per_s"] == 3 * 41 and reduced["measured_bytes_per_s"] < 300
         before = await field.watch(10)
         # cut
         for port in field.ports.values():
