@@ -48,7 +48,7 @@ pictures: $(STAMP)
 	$(BIN)/python build_page.py
 	PYTHONPATH=tests $(BIN)/python tests/web/pictures.py
 
-# Programs of a lab (a real Prometheus), of which it names those that are missing; LAB_SCRAPE_S=120
+# Programs of a lab (a real Prometheus, SSH servers), of which it names those that are missing; LAB_SCRAPE_S=120
 test-lab: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m lab
 

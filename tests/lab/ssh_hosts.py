@@ -60,14 +60,17 @@ class SshHost:
         self.runtime = self.folder / "run"
         for path in (self.home, self.runtime):
             path.mkdir(parents=True, exist_ok=True)
-        self.port = free_port(socket.SOCK_STREAM)
         self.programs = self.folder / "bin"
         self.add_program("systemctl", SYSTEMCTL)
         self.add_program("loginctl", "#!/bin/sh\nexit 0\n")
         self._authorized = self.folder / "authorized_keys"
         self._authorized.write_bytes(client_key.with_suffix(".pub").read_bytes())
         self._sshd: subprocess.Popen[bytes] | None = None
-        self.new_key()
+        for _ in range(5):  # another program may have taken the port in the meantime
+            self.port = free_port(socket.SOCK_STREAM)
+            if self._start_with_new_key():
+                return
+        raise AssertionError((self.folder / "sshd.log").read_text())
 
     def add_program(self, name: str, text: str) -> None:
         """In the PATH of the session, before all others."""
@@ -77,7 +80,10 @@ class SshHost:
         path.chmod(0o755)
 
     def new_key(self) -> None:
-        """A new host key, and an sshd that shows it."""
+        """A new host key, and an sshd that shows it, at the same port."""
+        assert self._start_with_new_key(), (self.folder / "sshd.log").read_text()
+
+    def _start_with_new_key(self) -> bool:
         self.stop_sshd()
         key = self.folder / "host_key"
         for path in (key, key.with_suffix(".pub")):
@@ -93,7 +99,11 @@ class SshHost:
         )
         with (self.folder / "sshd.log").open("ab") as log:
             self._sshd = subprocess.Popen([needs("sshd"), "-D", "-e", "-f", str(config)], stdout=log, stderr=log)
-        wait_until(self._answers, f"sshd of {self.name} answers: {(self.folder / 'sshd.log').read_text()}")
+        wait_until(lambda: self._answers() or self._ended(), f"sshd of {self.name} answers")
+        return not self._ended()
+
+    def _ended(self) -> bool:
+        return self._sshd is None or self._sshd.poll() is not None
 
     def public_key(self) -> str:
         """A line of known_hosts."""

@@ -38,6 +38,7 @@ sysid = {sysid}
 type = "simulated"
 px4 = 1
 first_sysid = {sysid}
+lat_deg = 43.78{sysid:02d}
 dynamics = "kinematic"
 """
 
@@ -150,8 +151,7 @@ def test_up_brings_all_that_are_well_to_ready_and_names_each_other_one(fleet: Fl
 def test_down_stops_what_rests_and_nothing_while_a_vehicle_flies(fleet: Fleet) -> None:
     assert fleet.json("up", "alpha,carol", "--wait", PATIENCE_S)["ok"], "they were ready, or are made ready now"
     assert fleet.json("down", "carol")["outcomes"]["carol"]["message"] == "stopped"
-    flight = fleet.cli("takeoff", "alpha", "5")
-    assert flight.returncode == 0, flight.stdout + flight.stderr
+    wait_until(lambda: _takes_off(fleet, "alpha"), "alpha flies")
     refused = fleet.ssh("down")
     assert refused.returncode == 1
     assert "alpha: armed or in the air; nothing was stopped" in refused.stderr
@@ -163,3 +163,9 @@ def test_down_stops_what_rests_and_nothing_while_a_vehicle_flies(fleet: Fleet) -
     assert forced["carol"]["message"] == "was not running"
     assert not forced[UNREACHABLE]["ok"]
     assert fleet.hosts["alpha"].calls()[-1] == "--user stop skygcs"
+
+
+def _takes_off(fleet: Fleet, name: str) -> bool:
+    order = fleet.cli("takeoff", name, "5")
+    (state,) = json.loads(fleet.cli("status", name, "--json").stdout)
+    return bool(state["armed"]) or order.returncode == 0
