@@ -60,13 +60,27 @@ async def require_at_rest(session: Session, facts: Facts) -> None:
 
 
 async def active_vehicles(session: Session, facts: Facts) -> list[str]:
-    """Vehicles of a companion's daemon that are armed or in the air; none if it does not run. Raises CompanionError."""
+    """Vehicles of a companion's daemon that are armed or in the air; none if it does not run. Raises CompanionError.
+
+    A vehicle that it hears by way of the ground alone is another companion's.
+    """
+    from skygcs.config.companion import GROUND_LINK
+
     if facts.state != "active":
         return []
     vehicles = await ask(session, facts, "status")
     if not isinstance(vehicles, list):
         raise CompanionError("status", "the daemon there gives no list of vehicles", INSIST)
-    return [str(v.get("name")) for v in vehicles if isinstance(v, Mapping) and is_active(v)]
+    own = [v for v in vehicles if isinstance(v, Mapping) and not _heard_only_over(v, GROUND_LINK)]
+    return [str(v.get("name")) for v in own if is_active(v)]
+
+
+def _heard_only_over(vehicle: Mapping[str, Any], link: str) -> bool:
+    """True if the vehicle is heard, and over channels of this link alone."""
+    channels = vehicle.get("links")
+    if not isinstance(channels, Mapping) or not channels:
+        return False
+    return all(channel == link or str(channel).startswith(f"{link}:") for channel in channels)
 
 
 def is_active(vehicle: Mapping[str, Any]) -> bool:

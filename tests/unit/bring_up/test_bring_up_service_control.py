@@ -47,6 +47,16 @@ async def test_a_vehicle_at_rest_may_lose_its_service() -> None:
     assert await service_control.restart(session, await running(session), force=False) == "restarted"
 
 
+async def test_a_vehicle_that_is_heard_over_the_ground_alone_is_not_its_own() -> None:
+    session = FakeSession()
+    session.answer("status", 0, '[{"name": "v2", "armed": true, "links": {"ground": {}}}]')
+    facts = await running(session)
+    assert await service_control.stop(session, facts, force=False) == "stopped"
+    session.answer("status", 0, '[{"name": "v2", "armed": true, "links": {"ground": {}, "autopilot": {}}}]')
+    with pytest.raises(CompanionError, match="v2 is armed"):
+        await service_control.stop(session, facts, force=False)
+
+
 async def test_the_machine_s_service_is_reached_by_root_alone() -> None:
     session = FakeSession()
     session.answer("sudo -n systemctl", 1, stderr="sudo: a password is required\n")
