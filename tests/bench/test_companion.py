@@ -80,7 +80,7 @@ def companion(folder: Path, firmware: str) -> dict[str, float]:
             assert daemon.call("vehicles.takeoff", targets="alpha", height_m=8)["outcomes"]["alpha"]["ok"]
             wait_until(lambda: height_m(daemon) > 7.0, "it has taken off")
             if firmware == "ardupilot":  # the thrust of an attitude is thrust, and no climb rate
-                daemon.call("params.set", targets="alpha", params={"GUID_OPTIONS": 8})
+                daemon.call("params.set", targets="alpha", params={"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1})
             wait_until(lambda: takes_control(daemon), "it is flown by setpoints")
             wait_until(lambda: mode(daemon) == "attitude", "they are attitudes")
             assert daemon.process is not None

@@ -169,7 +169,7 @@ class Preflight:
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
         return Facts(
             state=dict(take_snapshot(self.vehicle, self._loop.time(), self.wall_clock())),
-            gcs_sysid=self._services.own[0],
+            gcs_sysid=None if self._services.own[0] == self.vehicle.sysid else self._services.own[0],
             configured=self._configured,
             expected_autopilot=self._config.autopilot,
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),

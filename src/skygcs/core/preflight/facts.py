@@ -41,12 +41,13 @@ class LinkFacts:
 class Facts:
     """``state``: a `VehicleState`. ``configured``: it is named in the fleet file; None: that file names none.
 
-    ``links`` by name. ``answers`` by parameter's name, for all that `table.needed_params` names. ``gcs_sysid``: ours.
+    ``links`` by name. ``answers`` by parameter's name, for all that `table.needed_params` names. ``gcs_sysid``: ours;
+    None on a companion, which is no ground station.
     ``copter``: ArduPilot's copter firmware flies it, if ArduPilot does.
     """
 
     state: Mapping[str, Any]
-    gcs_sysid: int = 255
+    gcs_sysid: int | None = 255
     configured: bool | None = None
     expected_autopilot: str | None = None
     links: Mapping[str, LinkFacts] | None = None

@@ -58,6 +58,8 @@ def sysid(facts: Facts, wanted: Expectations) -> Finding:
 def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
     if facts.family != "ardupilot":
         return skipped("PX4 counts every ground station's heartbeats")
+    if facts.gcs_sysid is None:
+        return skipped("we are its companion and no ground station: the ground's preflight checks it")
     enabled, watched = facts.value("FS_GCS_ENABLE"), facts.value("SYSID_MYGCS")
     if enabled is None:
         return _not_known(facts, "FS_GCS_ENABLE")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -374,3 +375,11 @@ def test_a_px4_is_rebooted_for_what_it_reads_at_its_start(name: str, value: int,
     finding = external_vision.external_vision(facts(answers, autopilot="px4"), Expectations(mocap=True))
     assert [fix.name for fix in finding.fixes] == [name]
     assert ("reboot it" in finding.todo) is reboot
+
+
+def test_a_companion_never_takes_the_ground_stations_place_in_the_failsafe() -> None:
+    known = facts({"FS_GCS_ENABLE": 1, "SYSID_MYGCS": 255})
+    assert settings.gcs_id(replace(known, gcs_sysid=9), WANTED).fixes  # a ground station would
+    companion = settings.gcs_id(replace(known, gcs_sysid=None), WANTED)
+    assert companion.fixes == ()
+    assert "no ground station" in companion.text
