@@ -40,52 +40,42 @@ async def test_the_ground_orders_and_the_companion_flies(tmp_path: Path, kind: d
 
 
 async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
-    """Stream 60 s of a circle of 5 m at 2 m/s to the ground, and the root mean square of the vehicle's distance to it
-    after the first 15 s."""
+    """Stream 30 s of a circle of 5 m at 2 m/s to the ground, and the root mean square of the vehicle's distance to it
+    after the first 12 s."""
     luck, began = random.Random(7), pair.now
-    while pair.now < began + 60.0:
+    while pair.now < began + 30.0:
         (x, y), (vx, vy), (ax, ay) = circle(pair.now - began)
         if luck.random() >= loss:
             given = {"pos_enu_m": [x, y, 10.0], "vel_enu_mps": [vx, vy, 0.0], "acc_enu_mps2": [ax, ay, 0.0]}
             await pair.outcome("control.setpoint", **given, valid_s=2.0)
         await asyncio.sleep(0.1)
-    looks = [look for look in pair.pi.truth[1] if look.at >= began + 15.0]
+    looks = [look for look in pair.pi.truth[1] if look.at >= began + 12.0]
     return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
 
 
-@KINDS
-async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(
-    tmp_path: Path, kind: dict[str, Any]
-) -> None:
+async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tmp_path: Path) -> None:
     """By attitude, with 10 % of all messages lost each way."""
     found = {}
     for delay_s in (0.02, 0.8):
         folder = tmp_path / str(delay_s)
         folder.mkdir()
-        async with companion_pair(folder, delay_s=delay_s, loss=0.1, engaged="attitude", **kind) as pair:
+        async with companion_pair(folder, delay_s=delay_s, loss=0.1, engaged="attitude") as pair:
             await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
             await asyncio.sleep(12)
             found[delay_s] = await on_a_circle(pair)
             assert pair.control()["control_mode"] == "attitude"
-    print("circle RMS, streamed:", {d: round(m, 3) for d, m in found.items()})
-    assert found[0.8] < found[0.02] + 0.1
-    assert found[0.8] < 0.5
+    assert found[0.8] < found[0.02] + 0.1 and found[0.8] < 0.3, found
 
 
-@KINDS
-async def test_a_trajectory_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(
-    tmp_path: Path, kind: dict[str, Any]
-) -> None:
-    found = {}
+async def test_a_trajectory_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tmp_path: Path) -> None:
+    found, kind = {}, {"px4": 0, "ardupilot": 1}
     for delay_s in (0.02, 0.8):
         folder = tmp_path / str(delay_s)
         folder.mkdir()
         async with companion_pair(folder, delay_s=delay_s, loss=0.1, engaged="attitude", **kind) as pair:
             began = await start_circle(pair)
-            await asyncio.sleep(began + 40.0 - pair.now)
-            looks = [look for look in pair.pi.truth[1] if look.at >= began + 10.0]
+            await asyncio.sleep(began + 24.0 - pair.now)
+            looks = [look for look in pair.pi.truth[1] if look.at >= began + 6.0]
             off = [math.dist(k.pos_m[:2], circle(k.at - began)[0]) for k in looks]
             found[delay_s] = math.sqrt(sum(d * d for d in off) / len(off))
-    print("circle RMS, trajectory:", {d: round(m, 3) for d, m in found.items()})
-    assert found[0.8] == pytest.approx(found[0.02], abs=0.05)
-    assert found[0.8] < 0.5
+    assert found[0.8] == pytest.approx(found[0.02], abs=0.05) and found[0.8] < 0.3, found

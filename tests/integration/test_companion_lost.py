@@ -71,8 +71,9 @@ async def test_a_ground_that_is_only_slow_is_not_lost(tmp_path: Path) -> None:
         assert not lost_texts(pair) and pair.control()["state"] == "flying"
 
 
-async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_path: Path) -> None:
-    async with companion_pair(tmp_path, engaged="position") as pair:
+@KINDS
+async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_path: Path, kind: dict[str, Any]) -> None:
+    async with companion_pair(tmp_path, engaged="position", **kind) as pair:
         pair.calls.up = False
         await asyncio.sleep(15)
         assert not lost_texts(pair)
@@ -82,11 +83,14 @@ async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_pa
         refused = await pair.outcome("control.set", mode="velocity")
         assert "not connected" in refused["message"]
         # the ground ends it by MAVLink alone
+        here = pair.pi.place()
         await pair.done("vehicles.hold")
+        assert mode(pair) in (Px4Mode.LOITER, CopterMode.BRAKE)
         await asyncio.sleep(1)
         quiet = pair.now
         await asyncio.sleep(10)
         assert not pair.pi.setpoints(quiet) and pair.pi.is_safe()
+        assert math.dist(here, pair.pi.place()) < 1.0, "no late setpoint moves it"
         assert pair.control()["state"] == "off"
 
 

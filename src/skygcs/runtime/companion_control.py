@@ -134,6 +134,11 @@ class CompanionControl:
         return self.controller.state is OffboardState.FLYING
 
     @property
+    def may_send(self) -> bool:
+        """Whether setpoints of the companion may still come to the vehicle, as far as is known."""
+        return self.controller.active or self.controller.unconfirmed
+
+    @property
     def lead_s(self) -> float:
         """How long before its time an order to a clock must be given."""
         trip_s = self._round_trip_s

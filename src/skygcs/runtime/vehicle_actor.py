@@ -366,7 +366,7 @@ class VehicleActor:
         return await self._orders.run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
     async def hold(self) -> Outcome:
-        return await self._orders.run("hold", lambda now: orders.hold(self.vehicle, now))
+        return await self._orders.run("hold", self._plan_hold)
 
     async def stop(self, action: Action) -> Outcome:
         """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
@@ -620,8 +620,15 @@ class VehicleActor:
         if reason is not None:
             raise RefusedError(reason)
 
+    def _plan_hold(self, now: float) -> Plan:
+        """An ArduCopter holds in GUIDED, in which it obeys a setpoint that its companion sends before it knows of the
+        hold: then it stays in BRAKE."""
+        if isinstance(self.offboard, CompanionControl) and self.offboard.may_send:
+            return orders.brake(self.vehicle, now)
+        return orders.hold(self.vehicle, now)
+
     async def _switched_off(self) -> Outcome:
-        outcome = await self._orders.attempt(lambda now: orders.hold(self.vehicle, now))
+        outcome = await self._orders.attempt(self._plan_hold)
         return replace(outcome, message=f"control is off; {outcome.message}")
 
     async def _request(self, message: str) -> Outcome:

@@ -91,6 +91,8 @@ class MirroredControl:
         """The ground's clock when the newest report had been made, at the latest."""
         self.section: dict[str, Any] = {}
         """The control section of the newest report."""
+        self.unconfirmed = False
+        """Whether the companion may not know of a release yet."""
         self._made_s = -math.inf
         """The companion's clock when the newest report was made."""
         self._flight_number: int | None = None
@@ -122,6 +124,7 @@ class MirroredControl:
     def release(self, number: int, reason: str) -> None:
         """Control was ended here; reports that do not know this order do not count."""
         self._ordered = max(self._ordered, number)
+        self.unconfirmed = True
         self._off(reason)
 
     def follow(self, flight: TrajectoryFlight, frame: EnuFrame, number: int) -> None:
@@ -151,6 +154,7 @@ class MirroredControl:
                 found.append("control ended: the companion's skygcs has restarted")
             self._off("the companion's skygcs has restarted" if self.session is not None else "")
             self.session, self._made_s, self._ordered = session, -math.inf, 0
+            self.unconfirmed = False
         if not made_s > self._made_s:
             return tuple(found)
         self._made_s, self.reported_at = float(made_s), now
@@ -187,6 +191,7 @@ class MirroredControl:
         self.reasons = (reason[:MAX_TEXT],) if reason else ()
 
     def _take_state(self, report: Mapping[str, Any], newest: int) -> list[str]:
+        self.unconfirmed = False
         section = report.get("control")
         section = section if isinstance(section, dict) else {}
         self.section = section

@@ -111,6 +111,12 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
     return autopilot.hold(vehicle)
 
 
+def brake(vehicle: Vehicle, now: float) -> Plan:
+    """A hold in a mode that ignores setpoints, for a vehicle to which somebody else may still send some."""
+    require_connected(vehicle, now)
+    return autopilot.brake(vehicle)
+
+
 class Where(TypedDict, total=False):
     """Arguments of a goto; see `destination`."""
 

@@ -47,7 +47,9 @@ def test_a_report_that_does_not_know_the_release_does_not_bring_control_back() -
     assert mirror.state is OffboardState.OFF and mirror.reasons == ("hold was ordered",)
     assert mirror.take(report(10.5, 1), 1.5) == ()
     assert mirror.state is OffboardState.OFF
+    assert mirror.unconfirmed, "the companion may still send"
     mirror.take(report(11.0, 2, "off"), 2.0)
+    assert not mirror.unconfirmed
     mirror.take(report(12.0, 3), 3.0)
     assert mirror.state is OffboardState.FLYING, "a later engagement does"
 
