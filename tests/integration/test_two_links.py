@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import random
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from skygcs.core.routing.duplicates import DuplicateFilter
 from support.two_links import two_links
 
 pytestmark = pytest.mark.looptime
@@ -36,3 +39,41 @@ async def test_the_radio_keeps_in_touch_while_the_network_carries_telemetry_and_
             port.cut = False
         await field.carried_by("wifi")
         assert all(field.links(sysid)["air"]["changes"] >= 2 for sysid in (1, 2, 3))
+
+
+async def test_a_network_that_flaps_for_a_minute_is_left_once_and_the_state_goes_on(tmp_path: Path) -> None:
+    async with two_links(tmp_path, ardupilot=2) as field:
+        await field.until(lambda: all(v["standby"] and v["settled"] for v in field.air()["vehicles"]))
+        changes = field.links(1)["air"]["changes"]
+        watching = asyncio.create_task(field.watch(60))
+        for _ in range(10):
+            for port in field.ports.values():
+                port.cut = True
+            await asyncio.sleep(3)
+            for port in field.ports.values():
+                port.cut = False
+            await asyncio.sleep(3)
+        ages = await watching
+        assert field.links(1)["air"]["changes"] == changes + 1 and field.chosen(1) == "air"
+        assert p95(ages) <= 1.0 and max(ages) <= 3.5
+        await field.carried_by("wifi")
+        assert field.links(1)["air"]["changes"] == changes + 2
+
+
+async def test_copies_over_a_link_that_is_late_and_loses_are_forwarded_once() -> None:
+    rng = random.Random(5)
+    seen = DuplicateFilter()
+    arrivals = []
+    for number in range(2000):
+        sent_at = number * 0.05
+        if rng.random() >= 0.1:
+            arrivals.append((sent_at + 0.01 * rng.random(), 1, number))
+        if rng.random() >= 0.2:
+            arrivals.append((sent_at + 0.8 + 0.15 * rng.random(), 2, number))
+    forwarded = Counter(
+        number
+        for at, channel_id, number in sorted(arrivals)
+        if seen.first_heard_on(number, channel_id, at) == channel_id
+    )
+    assert set(forwarded.values()) == {1}
+    assert len(forwarded) == len({number for _, _, number in arrivals})
