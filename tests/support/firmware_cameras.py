@@ -72,8 +72,8 @@ INDOORS = {
 """No receiver and no magnetometer. What a vehicle needs beyond that to fly by poses, preflight sets."""
 
 
-ORIGIN_ALT_AMSL_M = {"px4": 0.0, "ardupilot": HOME[2]}
-"""A PX4 takes the height of a pose for an altitude when it takes poses again: its origin has to be at 0."""
+ORIGIN_ALT_AMSL_M = 0.0
+"""Not where they truly are: a PX4 takes the height of a pose for an altitude when it takes poses again."""
 
 
 class Cameras:
@@ -152,7 +152,7 @@ class CapturedField(Field):
 [origin]
 lat_deg = {HOME[0]}
 lon_deg = {HOME[1]}
-alt_amsl_m = {ORIGIN_ALT_AMSL_M[self.firmware]}
+alt_amsl_m = {ORIGIN_ALT_AMSL_M}
 
 [links.vehicles]
 type = "udp_server"
