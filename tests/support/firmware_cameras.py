@@ -72,8 +72,9 @@ INDOORS = {
 """No receiver and no magnetometer. What a vehicle needs beyond that to fly by poses, preflight sets."""
 
 
-ORIGIN_ALT_AMSL_M = 0.0
-"""Not where they truly are: a PX4 takes the height of a pose for an altitude when it takes poses again."""
+ORIGIN_ALT_AMSL_M = {"px4": 0.0, "ardupilot": HOME[2]}
+"""A PX4 takes the height of a pose for an altitude when it takes poses again: its origin has to be at 0. With 0 an
+ArduCopter, whose barometer is at 180 m, had its height wrong by 1.3 m, and by 2.7 m after the first flight."""
 
 
 class Cameras:
@@ -152,7 +153,7 @@ class CapturedField(Field):
 [origin]
 lat_deg = {HOME[0]}
 lon_deg = {HOME[1]}
-alt_amsl_m = {ORIGIN_ALT_AMSL_M}
+alt_amsl_m = {ORIGIN_ALT_AMSL_M[self.firmware]}
 
 [links.vehicles]
 type = "udp_server"
