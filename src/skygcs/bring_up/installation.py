@@ -26,7 +26,7 @@ from skygcs.bring_up.companion_file import CompanionFile
 from skygcs.bring_up.inventory import Companion
 from skygcs.bring_up.probe import Facts, probe, require_room
 from skygcs.bring_up.side_by_side import Progress
-from skygcs.bring_up.ssh_session import Ran, Session, printable, quoted
+from skygcs.bring_up.ssh_session import UPLOAD_BYTES, Ran, Session, printable, quoted
 from skygcs.errors import CompanionError, SkygcsError
 from skygcs.rpc.identity import make_identity, pin
 
@@ -138,8 +138,8 @@ async def _upload(session: Session, facts: Facts, bundle: Bundle, progress: Prog
     tar, part = f"{folder}/{bundle.sha256}.tar", f"{folder}/{bundle.sha256}.part"
     ran = await session.run(quoted("sh", "-c", f'mkdir -p "{folder}" && cd "{folder}" && wc -c < "{part}" 2>/dev/null'))
     offset = int(ran.stdout) if ran.ok and ran.stdout.strip().isdecimal() else 0
-    if offset > bundle.bytes:
-        offset = 0
+    # the last piece may have holes: its parts are written in any order
+    offset = max(0, offset - 1) // UPLOAD_BYTES * UPLOAD_BYTES if offset <= bundle.bytes else 0
 
     def on_bytes(count: int) -> None:
         progress.step = f"uploading {100 * count // bundle.bytes} %"
