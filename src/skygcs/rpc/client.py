@@ -107,6 +107,7 @@ EVENT_KINDS = (
     "separation",
     "mocap",
     "companion",
+    "ground_lost",
     "uplink_lost",
     "uplink_back",
     "warning",

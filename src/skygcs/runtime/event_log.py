@@ -19,7 +19,7 @@ kind makes room: a peer that makes up vehicles (some 1,000 discovered and lost i
 QUIET_KINDS = frozenset({"statustext", "command", "route"})
 """Kinds logged at level debug, because they are not changes of the daemon's own state."""
 
-WARNING_KINDS = frozenset({"warning", "fault", "undo", "uplink_lost"})
+WARNING_KINDS = frozenset({"warning", "fault", "undo", "uplink_lost", "ground_lost"})
 
 Handler = Callable[[Event], None]
 Watcher = Callable[[dict[str, Any]], None]
