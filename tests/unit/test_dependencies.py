@@ -14,9 +14,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOOLS = {"test", "docs", "dev"}
 """Extras of this repository's own tools, which nothing in src/ imports."""
 
-BEFORE_ITS_USE = {"companions"}
-"""Extras that are here before the code that imports them."""
-
 WITH = {"pydantic": {"pydantic_core"}}
 """Modules of a package's other half, which it requires in the one version that fits."""
 
@@ -55,7 +52,7 @@ def test_what_an_extra_brings_is_imported_and_is_no_part_of_a_plain_install() ->
     for name, requirements in PROJECT["optional-dependencies"].items():
         if name not in TOOLS:
             assert modules(requirements) & plain == set(), name
-            assert modules(requirements) <= imported().keys() or name in BEFORE_ITS_USE, name
+            assert modules(requirements) <= imported().keys(), name
 
 
 def test_nothing_is_imported_that_comes_only_by_way_of_another_package() -> None:
