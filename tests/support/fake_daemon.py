@@ -19,6 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from skygcs.config.control import ControlSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.separation import SeparationSettings
 from skygcs.core.geo import Origin
@@ -107,7 +108,7 @@ class FakeVehicle:
         self.delay_s = 0.0
         self.fails: Exception | None = None
         self.state_fails: Exception | None = None
-        self.config = SimpleNamespace(separation=SeparationSettings())
+        self.config = SimpleNamespace(separation=SeparationSettings(), control=ControlSettings())
         clock = SimpleNamespace(ticks=0, lateness_p99_s=lambda: None)
         self.offboard = SimpleNamespace(tracking=TrackingRecord(), clock=clock)
 

@@ -50,6 +50,10 @@ class SimVehicle(VehicleState):
             self._tick(self._clock)
         return self.tx.take()
 
+    def skip_to(self, at: float) -> None:
+        """Leave out what has not been lived through before ``at``: the vehicle stood still meanwhile."""
+        self._clock = max(self._clock, at)
+
     def begin_telemetry(self) -> Iterable[str]:
         self.builders = dict(telemetry.builders_of(self.autopilot))
         return self.builders

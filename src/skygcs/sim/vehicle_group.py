@@ -31,6 +31,11 @@ class SimFleet:
         for vehicle in self.vehicles:
             vehicle.on_frame(frame, now)
 
+    def skip_to(self, at: float) -> None:
+        """See `SimVehicle.skip_to`."""
+        for vehicle in self.vehicles:
+            vehicle.skip_to(at)
+
     def step(self, now: float) -> list[bytes]:
         """The frames of all of them until ``now``, vehicle by vehicle."""
         return [raw for vehicle in self.vehicles for raw in vehicle.step(now)]

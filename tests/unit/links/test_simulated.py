@@ -179,6 +179,25 @@ async def test_the_vehicles_live_on_while_the_link_is_closed() -> None:
     await link.close()
 
 
+async def test_a_loop_that_stood_still_lives_through_half_a_second_at_most_and_the_vehicles_leave_out_the_rest() -> (
+    None
+):
+    host = Host()
+    link = make(host, px4=1)
+    await link.open()
+    await asyncio.sleep(5)
+    boot_ms = host.last("GLOBAL_POSITION_INT", 1)["time_boot_ms"]
+    assert link._timer is not None
+    link._timer.cancel()  # as if nothing on the loop ran
+    await asyncio.sleep(40)
+    host.heard.clear()
+    link._tick()
+    assert 0 < len(host.heard) < 60, "of 40 s there would be some thousand frames"
+    await asyncio.sleep(1)
+    assert host.last("GLOBAL_POSITION_INT", 1)["time_boot_ms"] > boot_ms + 40_000, "its clock did not stand still"
+    await link.close()
+
+
 async def test_closing_from_within_a_frame_is_safe() -> None:
     host = Host()
     link = make(host, px4=3)
