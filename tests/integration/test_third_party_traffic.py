@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -27,6 +28,10 @@ ASK_INTERVAL = 510
 RADIO_FULL_S = 1.7
 """An ArduPilot sends its list until half of its radio's 1850 bytes are full, which take so long at 553 B/s. Its
 positions and acknowledgements stand behind them, and nobody on the ground can help that."""
+
+REPEAT_S = 1.6
+"""Until a command is repeated, of which one in fifty is lost on its way or on its way back: a round and a half, and
+.2 s. Some ten orders in a test go to the vehicle whose list comes, so that one of them decides the maximum."""
 
 
 def p95(values: list[float]) -> float:
@@ -122,7 +127,8 @@ async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(t
     assert p95(flown.ages_s) <= 1.5
     assert p95(flown.listing_ages_s) <= 1.5 + RADIO_FULL_S, "of the one whose list comes"
     assert p95(flown.acks_s) <= flown.ack_limit_s
-    assert max(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S
+    assert median(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S
+    assert max(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S + REPEAT_S
     assert not flown.unanswered
 
 
@@ -253,7 +259,9 @@ async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_pat
         reported = flown.air.air()["up"]["corrections"]
         sent_bytes = flown.air.air()["up"]["classes"]["correction"]["sent_bytes"]
     assert len(got) >= 0.8 * 60 * 0.4 * 497 / 756
-    assert p95([at - began - epoch for at, epoch in got]) <= 6, "new when it is begun, and four seconds on its way"
+    ages_s = [at - began - epoch for at, epoch in got]
+    assert median(ages_s) <= 5, "new when it is begun, and four seconds on its way"
+    assert max(ages_s) <= 8, "of fourteen one may have waited for two rounds more"
     assert [epoch for _, epoch in got] == sorted({epoch for _, epoch in got}), "no older one after a newer"
     assert reported["messages"] >= len(got)
     assert sent_bytes <= 0.4 * 553 * 62 + 756

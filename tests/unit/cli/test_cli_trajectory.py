@@ -36,6 +36,9 @@ class FakeTrajectories:
         self.asked.append((what, [actor.name for actor in actors], *more))
         return {actor.name: self.outcome for actor in actors}
 
+    async def prepare(self, actors: Sequence[FakeVehicle]) -> dict[str, FakeOutcome]:
+        return {}  # no companion flies them
+
     def start(self, actors: Sequence[FakeVehicle], at_s: float, speed: float) -> dict[str, FakeOutcome]:
         return self._all("start", actors, at_s, speed)
 
