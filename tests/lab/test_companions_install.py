@@ -23,6 +23,7 @@ from lab.programs import needs
 from lab.ssh_hosts import SshHost, make_key, prepare_sshd, short_folder, small_disk
 from skygcs import __version__
 from skygcs.bring_up.bundle import Bundle, read_bundle
+from skygcs.bring_up.ssh_session import UPLOAD_BYTES
 
 pytestmark = pytest.mark.timeout(1200)
 
@@ -176,7 +177,8 @@ def test_a_damaged_upload_is_removed_and_the_next_one_succeeds(ground: Ground, b
     (alpha, *_) = ground.hosts
     incoming = alpha.home / "skygcs" / "incoming"
     incoming.mkdir(parents=True)
-    (incoming / f"{bundle.sha256}.part").write_bytes(bytes(1000))
+    assert bundle.bytes > UPLOAD_BYTES, "its first piece is kept, the one that was being written is not"
+    (incoming / f"{bundle.sha256}.part").write_bytes(bytes(UPLOAD_BYTES + 1000))
     outcome = ground.outcome("alpha", "install", "--bundle", bundle.path, "--user-service")
     assert not outcome["ok"] and "damaged" in outcome["message"]
     assert not (alpha.home / "skygcs" / "current").exists()
