@@ -90,7 +90,8 @@ def test_final_positions_are_dragged_and_the_plan_is_flown(station, open_page, s
     hold(page, flight.get_by_role("button", name=re.compile("^Set the return heights")))
     expect(flight).to_contain_text(re.compile("takeoff|engaging|to starts|flying"), timeout=60_000)
     expect(flight.get_by_role("button", name="Pause")).to_be_visible()
-    page.wait_for_timeout(6000)
+    # a plan is not landed while its vehicles take off
+    expect(flight).to_contain_text(re.compile("planned: (to starts|flying)"), timeout=60_000)
     shot(page, "plan-flown")
     until(page, "skygcs.store.dispatch({type: 'orderDismissed', id: 'ended'}), true")
     flight.get_by_role("button", name="Land", exact=True).click()
