@@ -1,0 +1,328 @@
+"""The other sites as this station knows them: the newest batch of each, with its total age. Pure.
+
+    a batch                                         is
+    ---------------------------------------------   -------------------------------------------------------------------
+    of a new site, while there is room              kept
+    of the same run, with a larger seq              kept; what lies between two numbers is counted as lost
+    of the same run, with another seq               left out (late or twice)
+    of a run that was never heard                   kept: the site's bridge has restarted
+    of a run that was replaced                      left out; within CONTESTED_S the site is shown as contested: two
+                                                    bridges send under one name
+    of the own site, from another run               left out; the own name is contested
+
+Age. A batch says when it was sent, on the site's clock. `ClockComparison` bounds how far that is ahead of ours, from
+pings that the site answers. So a state's total age is its age at the site, plus the time since the batch was *sent*:
+one that stood in a queue for a minute is a minute older, however lately it came. Without a comparison the age is not
+known, and the state is not fresh.
+
+Fresh. A site whose newest batch was sent longer than SILENT_PERIODS ago (SILENT_AFTER_S at least) is silent: its
+vehicles keep their last values, with ages that grow, and are not connected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from skygcs.core.clock_offset import ClockComparison, ClockOffset
+from skygcs.core.federation.origin_shift import velocity_in, yaw_in
+from skygcs.core.federation.site_names import qualified
+from skygcs.core.federation.state_batch import StateBatch, VehicleRow
+from skygcs.core.geo import Origin, enu_from_geodetic, heading_from_yaw_enu_deg, wrap_deg_180
+from skygcs.core.vehicle.decoding import FIX_NAMES
+from skygcs.core.vehicle.state import AIRBORNE
+
+MAX_SITES = 64
+"""Sites of one fleet; with 300 vehicles each they take 20 MB."""
+
+FORGET_AFTER_S = 3600.0
+"""A site that was silent for so long makes room for a new one. Until then it is shown, grey."""
+
+SILENT_AFTER_S, SILENT_PERIODS = 1.0, 4.0
+
+CONTESTED_S = 5.0
+"""Batches of a bridge that has ended are in the network for less."""
+
+RUNS_REMEMBERED = 8
+
+CLOCK_JUMP_S = 0.25
+"""A batch that seems to come so long before it was sent, beyond the comparison's error, shows that a clock was set."""
+
+
+@dataclass(slots=True)
+class _Site:
+    batch: StateBatch
+    received_at: float
+    first_at: float
+    rows: dict[str, VehicleRow]
+    clock: ClockComparison = field(default_factory=ClockComparison)
+    replaced: deque[str] = field(default_factory=lambda: deque(maxlen=RUNS_REMEMBERED))
+    replaced_at: float = -math.inf
+    contested_at: float = -math.inf
+    taken: int = 0
+    lost: int = 0
+    late: int = 0
+    restarts: int = 0
+
+
+class RemoteSites:
+    """`take` each batch, `compare_clock` after each answered ping; read `sites`, `states` and `state`. ``now``: one
+    clock of this station that goes on while it sleeps."""
+
+    def __init__(self, own_site: str | None, own_run: str) -> None:
+        self.counters: Counter[str] = Counter()
+        self.own_contested_at = -math.inf
+        """When another bridge last sent under the own site's name."""
+        self._own_site = own_site
+        self._own_run = own_run
+        self._sites: dict[str, _Site] = {}
+
+    def __contains__(self, site: object) -> bool:
+        return site in self._sites
+
+    @property
+    def names(self) -> list[str]:
+        """Sites that were heard, the own one not among them."""
+        return sorted(self._sites)
+
+    # -- what comes
+
+    def take(self, batch: StateBatch, now: float) -> bool:
+        """A batch that has come now; True if it is the newest of its site."""
+        if batch.site == self._own_site:
+            if batch.run != self._own_run:
+                self.own_contested_at = now
+                self.counters["batches_in_own_name"] += 1
+            return False
+        site = self._sites.get(batch.site)
+        if site is None:
+            if not self._make_room(now):
+                self.counters["sites_beyond_limit"] += 1
+                return False
+            site = self._sites[batch.site] = _Site(batch, now, now, {})
+        elif batch.run == site.batch.run:
+            if batch.seq <= site.batch.seq:
+                site.late += 1
+                return False
+            site.lost += batch.seq - site.batch.seq - 1
+        elif batch.run in site.replaced:
+            site.late += 1
+            if now - site.replaced_at > CONTESTED_S:
+                site.contested_at = now
+            return False
+        else:
+            site.replaced.append(site.batch.run)
+            site.replaced_at = now
+            site.clock = ClockComparison()
+            site.restarts += 1
+        site.batch, site.received_at = batch, now
+        site.rows = {row.name: row for row in batch.vehicles}
+        site.taken += 1
+        self._check_clock(site, now)
+        return True
+
+    def compare_clock(
+        self, name: str, run: str, sent: float, received: float, site_s: float, *, unix_received: float
+    ) -> bool:
+        """A ping that was answered: our clock when it was sent and when the answer came, the site's between.
+        ``unix_received``: our wall clock when it came. False if it is no use: of another run, or impossible times."""
+        site = self._sites.get(name)
+        if site is None or run != site.batch.run:
+            return False
+        return site.clock.add(sent, received, site_s, wall_received=unix_received, remote_wall=site_s)
+
+    # -- what is known
+
+    def clock(self, name: str, now: float) -> ClockOffset | None:
+        """How far the site's clock is ahead of ours; None: not known."""
+        site = self._sites.get(name)
+        return None if site is None else site.clock.best(now)
+
+    def batch_age_s(self, name: str, now: float) -> float | None:
+        """Since the site's newest batch was sent; None: not known."""
+        site = self._sites.get(name)
+        return None if site is None else _batch_age_s(site, now)
+
+    def is_silent(self, name: str, now: float) -> bool:
+        """Whether the site's states are too old to act on, or of an age that is not known."""
+        site = self._sites.get(name)
+        return site is None or _is_silent(site, now)
+
+    def rows(self, name: str) -> Sequence[VehicleRow]:
+        """The vehicles of the site's newest batch, as they were sent."""
+        site = self._sites.get(name)
+        return () if site is None else site.batch.vehicles
+
+    def origin(self, name: str) -> Origin | None:
+        """The origin of the site's world frame."""
+        site = self._sites.get(name)
+        return None if site is None else site.batch.origin
+
+    def states(self, name: str, now: float, ours: Origin | None) -> list[dict[str, Any]]:
+        """The states of a site's vehicles, in the own world frame."""
+        site = self._sites.get(name)
+        if site is None:
+            return []
+        age_s, silent = _batch_age_s(site, now), _is_silent(site, now)
+        return [state_of(row, name, age_s, ours, silent=silent) for row in site.batch.vehicles]
+
+    def state(self, name: str, vehicle: str, now: float, ours: Origin | None) -> dict[str, Any] | None:
+        """The state of one vehicle; None: the site's newest batch does not have it."""
+        site = self._sites.get(name)
+        row = None if site is None else site.rows.get(vehicle)
+        if site is None or row is None:
+            return None
+        return state_of(row, name, _batch_age_s(site, now), ours, silent=_is_silent(site, now))
+
+    def sites(self, now: float) -> list[dict[str, Any]]:
+        """Every site, for federation.sites."""
+        return [_described(name, self._sites[name], now) for name in self.names]
+
+    # -- private
+
+    def _make_room(self, now: float) -> bool:
+        if len(self._sites) < MAX_SITES:
+            return True
+        name, site = min(self._sites.items(), key=lambda item: item[1].received_at)
+        if now - site.received_at < FORGET_AFTER_S:
+            return False
+        del self._sites[name]
+        return True
+
+    def _check_clock(self, site: _Site, now: float) -> None:
+        offset = site.clock.best(now)
+        if offset is None:
+            return
+        transit_s = now - (site.batch.sent_s - offset.offset_s)
+        if transit_s < -(offset.error_s + CLOCK_JUMP_S):
+            site.clock = ClockComparison()
+            self.counters["clock_jumps"] += 1
+
+
+def _batch_age_s(site: _Site, now: float) -> float | None:
+    """Never less than since it came, whatever the clocks say."""
+    offset = site.clock.best(now)
+    if offset is None:
+        return None
+    return max(now - (site.batch.sent_s - offset.offset_s), now - site.received_at)
+
+
+def _is_silent(site: _Site, now: float) -> bool:
+    age_s = _batch_age_s(site, now)
+    return age_s is None or age_s > max(SILENT_AFTER_S, SILENT_PERIODS * site.batch.period_s)
+
+
+def state_of(
+    row: VehicleRow, site: str, batch_age_s: float | None, ours: Origin | None, *, silent: bool
+) -> dict[str, Any]:
+    """A vehicle of another site in the words of a daemon's state, with ``site`` and total ages; positions also in the
+    own world frame."""
+    age_s = _sum(row.age_s, batch_age_s)
+    gps = None
+    if row.gps_fix is not None:
+        fix_type = FIX_NAMES.index(row.gps_fix) if row.gps_fix in FIX_NAMES else None
+        gps = {"fix": row.gps_fix, "fix_type": fix_type, "satellites": row.satellites, "age_s": age_s}
+    battery = None
+    if row.battery_percent is not None or row.battery_volts is not None:
+        battery = {"percent": row.battery_percent, "volts": row.battery_volts, "age_s": age_s}
+    return {
+        "name": qualified(site, row.name),
+        "sysid": row.sysid,
+        "compid": row.compid,
+        "site": site,
+        "age_s": age_s,
+        "autopilot": row.autopilot,
+        "type": row.type,
+        "firmware": None,
+        "groups": list(row.groups),
+        "connected": row.heard and not silent and age_s is not None,
+        "duplicate_sysid": False,
+        "replayed": False,
+        "last_heartbeat_age_s": age_s,
+        "armed": row.armed,
+        "mode": row.mode,
+        "landed": row.landed,
+        "failsafe": row.failsafe,
+        "control": None if row.control is None else {"state": row.control},
+        "gps": gps,
+        "position": _position(row, batch_age_s, ours),
+        "battery": battery,
+        "lease": None if row.lease is None else row.lease._asdict(),
+    }
+
+
+def _position(row: VehicleRow, batch_age_s: float | None, ours: Origin | None) -> dict[str, Any] | None:
+    if row.lat_deg is None or row.lon_deg is None:
+        return None
+    place, velocity = (row.lat_deg, row.lon_deg), row.vel_enu_mps
+    enu_m = vel_world_mps = yaw_world_deg = None
+    if ours is not None and row.alt_amsl_m is not None:
+        enu_m = [round(axis, 3) for axis in enu_from_geodetic(*place, row.alt_amsl_m, ours)]
+    if ours is not None and velocity is not None:
+        vel_world_mps = [round(axis, 3) for axis in velocity_in(ours, velocity, *place)]
+    if ours is not None and row.yaw_rad is not None:
+        yaw_world_deg = round(wrap_deg_180(math.degrees(yaw_in(ours, row.yaw_rad, *place))), 2)
+    heading_deg = None if row.yaw_rad is None else round(heading_from_yaw_enu_deg(math.degrees(row.yaw_rad)), 1)
+    return {
+        "lat_deg": row.lat_deg,
+        "lon_deg": row.lon_deg,
+        "alt_amsl_m": row.alt_amsl_m,
+        "alt_rel_m": row.alt_rel_m,
+        "heading_deg": heading_deg,
+        "vel_enu_mps": None if velocity is None else list(velocity),
+        "enu_m": enu_m,
+        "vel_world_mps": vel_world_mps,
+        "yaw_world_deg": yaw_world_deg,
+        "age_s": _sum(row.position_age_s, batch_age_s),
+    }
+
+
+def _described(name: str, site: _Site, now: float) -> dict[str, Any]:
+    offset, age_s, silent = site.clock.best(now), _batch_age_s(site, now), _is_silent(site, now)
+    rows = site.batch.vehicles
+    ages = [total for row in rows if (total := _sum(row.age_s, age_s)) is not None]
+    return {
+        "site": name,
+        "silent": silent,
+        "age_s": None if age_s is None else round(age_s, 3),
+        "daemon": site.batch.daemon,
+        "contested": now - site.contested_at < CONTESTED_S,
+        "run": site.batch.run,
+        "restarts": site.restarts,
+        "rate_hz": round(1.0 / site.batch.period_s, 2),
+        "batches": {"taken": site.taken, "lost": site.lost, "late": site.late},
+        "clock": None if offset is None else _clock_as_dict(offset),
+        "origin": None if site.batch.origin is None else _origin_as_dict(site.batch.origin),
+        "vehicles": {
+            "count": len(rows),
+            "heard": 0 if silent else sum(row.heard for row in rows),
+            "armed": sum(row.armed for row in rows),
+            "in_the_air": sum(row.landed in AIRBORNE for row in rows),
+            "problems": len(rows) if silent else sum(row.failsafe or not row.heard for row in rows),
+            "oldest_age_s": max(ages, default=None),
+        },
+    }
+
+
+def _clock_as_dict(offset: ClockOffset) -> Mapping[str, float]:
+    return {
+        "ahead_s": round(offset.wall_offset_s, 4),
+        "error_s": round(offset.error_s, 4),
+        "round_trip_s": round(offset.round_trip_s, 4),
+    }
+
+
+def _origin_as_dict(origin: Origin) -> Mapping[str, float]:
+    return {
+        "lat_deg": origin.lat_deg,
+        "lon_deg": origin.lon_deg,
+        "alt_amsl_m": origin.alt_amsl_m,
+        "x_heading_deg": origin.x_heading_deg,
+    }
+
+
+def _sum(first_s: float | None, second_s: float | None) -> float | None:
+    return None if first_s is None or second_s is None else round(first_s + second_s, 3)

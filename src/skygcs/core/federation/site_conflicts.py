@@ -1,0 +1,384 @@
+"""Conflicts between our vehicles and those of other sites, predicted from what the sites publish. Pure.
+
+The monitor of a daemon (`core.monitor`) watches the vehicles of its own site against each other; here each of ours is
+watched against each of another site. Nothing is ordered: two sites report it, and their people decide which one yields.
+
+    level     when (of two vehicles that fly straight on from where their last positions put them)
+    -------   ---------------------------------------------------------------------------------------------------------
+    none      otherwise
+    notice    they come nearer than the margin and both balls within `HORIZON_S`
+    warning   they lose the margin itself within `WARNING_S`
+
+    level     predicted is            for                            -> level
+    -------   ---------------------   ----------------------------   --------------------------------------------------
+    none      notice or warning       `CONFIRM_S` without a break    what is predicted
+    notice    warning                 at once                        warning
+    any       less than the level     `CLEAR_S` without a break      what is predicted, with a margin wider by a tenth
+    any       one is not watched      at once                        none, and an event that says so
+
+The ball of a vehicle is where it may be besides: it grows with the age of its position, which for a vehicle of another
+site is its total age, the way through the hub included. Margin, balls and times are those of the monitor.
+
+    a vehicle that                                 counts as
+    --------------------------------------------   --------------------------------------------------------------------
+    flies                                          watched against all of the other side
+    is on the ground                               an obstacle at rest, for what flies
+    has no position, or one older than `SILENT_S`  not watched: it may be anywhere
+    is shared, and has the name of the other       the same vehicle, heard by two sites: no pair
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from statistics import median_low
+from typing import Any, NamedTuple
+
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.monitor.approach import REST, Approach, Vector, closest_approach
+from skygcs.core.monitor.conflict_levels import (
+    CLEAR_S,
+    CONFIRM_S,
+    HORIZON_S,
+    HYSTERESIS,
+    WARNING_S,
+    Level,
+    believed_velocity,
+)
+from skygcs.core.monitor.tracks import HIGHEST_M, SILENT_S
+from skygcs.core.separation import Footprint, pair_margin, separation_m
+from skygcs.events import Event
+
+KIND = "separation"
+"""Of its events: the same as the monitor's, with ``site`` in their data."""
+
+MAX_CONFLICTS = 256
+"""Pairs that are kept, the most urgent ones: nobody reads more. Further ones are counted."""
+
+PAIRS_A_TURN = 50
+"""Looked at before other tasks of the loop may get their turn: 0.2 ms (measured)."""
+
+FARTHEST_M = 1_000_000.0
+"""From the middle of our vehicles. What is beyond flies nowhere near, and a plane about the middle means nothing."""
+
+PairKey = tuple[str, str]
+"""The name of ours, and the name of the other with its site."""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteVehicle:
+    """What is known of a vehicle, of ours or of another site."""
+
+    name: str
+    """``alpha`` of ours, ``south/bravo`` of another site."""
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_amsl_m: float | None
+    vel_enu_mps: Vector | None
+    """True east, north, up."""
+    age_s: float
+    """Of its position, now, with the way to us."""
+    flying: bool
+    footprint: Footprint = field(default_factory=Footprint)
+    shared: bool = False
+    """[federation.vehicles] names it: two sites may hear it, under one name."""
+
+    @property
+    def short_name(self) -> str:
+        """Without the site."""
+        return self.name.rpartition("/")[2]
+
+
+class _Box(NamedTuple):
+    """Where a vehicle may be within the horizon, with its share of the margin; metres of the common frame."""
+
+    low_x: float
+    high_x: float
+    low_y: float
+    high_y: float
+    low_z: float
+    high_z: float
+    ours: bool
+    vehicle: SiteVehicle
+    place_m: Vector
+    velocity_mps: Vector
+    ball_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Of a pair, now."""
+
+    level: Level
+    distance_m: float
+    approach: Approach
+    margin_m: float
+    balls_m: float
+    ages_s: tuple[float, float]
+    """Of the positions: ours, the other's."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For people and programs."""
+        enters_s = self.approach.enters_s
+        return {
+            "distance_m": round(self.distance_m, 2),
+            "closest_m": round(self.approach.separation_m, 2),
+            "closest_in_s": round(self.approach.at_s, 1),
+            "enters_in_s": None if math.isinf(enters_s) else round(enters_s, 1),
+            "margin_m": round(self.margin_m, 2),
+            "balls_m": round(self.balls_m, 2),
+            "ages_s": [round(age_s, 2) for age_s in self.ages_s],
+        }
+
+
+@dataclass(slots=True)
+class SiteConflict:
+    """A pair of which something is predicted, or was until a moment ago."""
+
+    ours: str
+    other: str
+    predicted_at: float
+    """Since when, without a break."""
+    level: Level = Level.NONE
+    prediction: Prediction | None = None
+    below_since: float | None = None
+    """Since when less than ``level`` is predicted."""
+
+    @property
+    def site(self) -> str:
+        return self.other.partition("/")[0]
+
+    def advance(self, prediction: Prediction | None, now: float) -> bool:
+        """Take in the newest prediction; True if the level changed."""
+        if prediction is not None and self.prediction is None:
+            self.predicted_at = now
+        self.prediction = prediction
+        reached = Level.NONE if prediction is None else prediction.level
+        if self.level is Level.NONE and now - self.predicted_at < CONFIRM_S:
+            return False
+        if reached >= self.level:
+            self.below_since = None
+        elif self.below_since is None:
+            self.below_since = now
+        if reached == self.level or (self.below_since is not None and now - self.below_since < CLEAR_S):
+            return False
+        self.level, self.below_since = reached, None
+        return True
+
+    @property
+    def over(self) -> bool:
+        return self.prediction is None and self.level is Level.NONE
+
+    def describe(self) -> dict[str, Any]:
+        """For people and programs."""
+        predicted = {} if self.prediction is None else self.prediction.as_dict()
+        return {"vehicles": [self.ours, self.other], "site": self.site, "level": self.level.name.lower(), **predicted}
+
+    def text(self) -> str:
+        """A sentence for a person."""
+        names, known = f"{self.ours} and {self.other}", self.prediction
+        if known is None or self.level is Level.NONE:
+            return f"{names} are clear of each other"
+        age = f"the position of {self.other} is {known.ages_s[1]:.1f} s old"
+        if known.approach.separation_m >= known.margin_m:
+            return f"{names} may come near each other: {age}"
+        if known.distance_m < known.margin_m:
+            return (
+                f"{names} are {known.distance_m:.1f} m apart, less than their margin of {known.margin_m:.1f} m; {age}"
+            )
+        return (
+            f"{names} will come {known.approach.separation_m:.1f} m near each other in {known.approach.at_s:.0f} s "
+            f"(margin {known.margin_m:.1f} m); {age}"
+        )
+
+
+@dataclass(slots=True)
+class Counters:
+    """Since the process began."""
+
+    evaluations: int = 0
+    pairs_checked: int = 0
+    pairs_dropped: int = 0
+    """Beyond `MAX_CONFLICTS`."""
+    notices: int = 0
+    warnings: int = 0
+
+
+class SiteConflicts:
+    """`evaluate` about once a second; then take ``events``."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+        self.counters = Counters()
+        self.watched = 0
+        """Vehicles of other sites that were watched at the last evaluation."""
+        self._conflicts: dict[PairKey, SiteConflict] = {}
+
+    def evaluate(self, ours: Iterable[SiteVehicle], others: Iterable[SiteVehicle], now: float) -> Iterator[None]:
+        """Predict all pairs and advance their levels. Yields between slices, for other tasks; complete at its end."""
+        ours, others = [v for v in ours if _watched(v)], [v for v in others if _watched(v)]
+        self.watched = len(others)
+        found: dict[PairKey, Prediction] = {}
+        if ours and others:
+            boxes: list[_Box] = []
+            yield from _place(ours, others, boxes)
+            yield from self._sweep(boxes, found)
+        names = {v.name for v in ours}, {v.name for v in others}
+        for key, prediction in _most_urgent(found).items():
+            conflict = self._conflicts.get(key)
+            if conflict is None:
+                if len(self._conflicts) >= MAX_CONFLICTS:
+                    self.counters.pairs_dropped += 1
+                    continue
+                conflict = self._conflicts[key] = SiteConflict(*key, now)
+            self._step(conflict, prediction, now)
+        self.counters.pairs_dropped += max(len(found) - MAX_CONFLICTS, 0)
+        for key, conflict in list(self._conflicts.items()):
+            if key[0] not in names[0] or key[1] not in names[1]:
+                self._end(key, conflict, key[0] if key[0] not in names[0] else key[1])
+            elif key not in found:
+                self._step(conflict, None, now)
+            if conflict.over:
+                self._conflicts.pop(key, None)
+        self.counters.evaluations += 1
+
+    def conflicts(self) -> list[SiteConflict]:
+        """Those that have a level, the most urgent first."""
+        rated = [conflict for conflict in self._conflicts.values() if conflict.level is not Level.NONE]
+        return sorted(rated, key=lambda one: (-one.level, _enters_s(one.prediction)))
+
+    def _sweep(self, boxes: list[_Box], found: dict[PairKey, Prediction]) -> Iterator[None]:
+        """Along x: only boxes that overlap there are compared, one of ours with one of another site."""
+        boxes.sort(key=lambda box: box.low_x)
+        active: tuple[list[_Box], list[_Box]] = ([], [])
+        """Ours that may overlap with what follows, and the others."""
+        looked = 0
+        for box in boxes:
+            against = active[box.ours]
+            against[:] = [other for other in against if other.high_x >= box.low_x]
+            for other in against:
+                looked += 1
+                if looked % PAIRS_A_TURN == 0:
+                    yield
+                if not _overlap(box, other):
+                    continue
+                mine, theirs = (box, other) if box.ours else (other, box)
+                key = mine.vehicle.name, theirs.vehicle.name
+                known = self._conflicts.get(key)
+                widened = HYSTERESIS if known is not None and known.level is not Level.NONE else 1.0
+                self.counters.pairs_checked += 1
+                prediction = _predict(mine, theirs, widened)
+                if prediction is not None:
+                    found[key] = prediction
+            active[not box.ours].append(box)
+
+    def _step(self, conflict: SiteConflict, prediction: Prediction | None, now: float) -> None:
+        if conflict.advance(prediction, now):
+            self.counters.notices += conflict.level is Level.NOTICE
+            self.counters.warnings += conflict.level is Level.WARNING
+            self._report(conflict, conflict.text())
+
+    def _end(self, key: PairKey, conflict: SiteConflict, gone: str) -> None:
+        """One of the two is not watched any more, which does not make them clear of each other."""
+        del self._conflicts[key]
+        if conflict.level is Level.NONE:
+            return
+        conflict.level, conflict.prediction = Level.NONE, None
+        self._report(conflict, f"{conflict.ours} and {conflict.other} are not watched any more: {gone} cannot be")
+
+    def _report(self, conflict: SiteConflict, text: str) -> None:
+        self.events.append(Event(KIND, conflict.ours, None, text, conflict.describe()))
+
+
+def _watched(vehicle: SiteVehicle) -> bool:
+    """Whether it is known where it is. What parks may be silent: it stays an obstacle until its site forgets it."""
+    numbers = (vehicle.lat_deg, vehicle.lon_deg, vehicle.alt_amsl_m)
+    if any(number is None or not math.isfinite(number) for number in numbers):
+        return False
+    lat_deg, lon_deg, alt_m = (number or 0.0 for number in numbers)
+    possible = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M
+    return possible and not (vehicle.flying and not 0.0 <= vehicle.age_s <= SILENT_S)
+
+
+def _place(ours: list[SiteVehicle], others: list[SiteVehicle], boxes: list[_Box]) -> Iterator[None]:
+    """In true ENU about the middle of ours, chosen by medians: one wrong position does not tilt it for all others."""
+    lat_deg = median_low(v.lat_deg or 0.0 for v in ours)
+    lon_deg = median_low(v.lon_deg or 0.0 for v in ours)
+    frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
+    ratio = max(v.footprint.downwash_ratio for v in (*ours, *others))
+    for n, vehicle in enumerate((*ours, *others)):
+        if n % PAIRS_A_TURN == PAIRS_A_TURN - 1:
+            yield
+        box = _box(vehicle, frame, ratio, ours=n < len(ours))
+        if math.hypot(*box.place_m) <= FARTHEST_M:
+            boxes.append(box)
+
+
+def _box(vehicle: SiteVehicle, frame: EnuFrame, ratio: float, *, ours: bool) -> _Box:
+    x, y, z = frame.from_geodetic(vehicle.lat_deg or 0.0, vehicle.lon_deg or 0.0, vehicle.alt_amsl_m or 0.0)
+    velocity, ball_m = REST, 0.0
+    if vehicle.flying:
+        if vehicle.vel_enu_mps is not None and all(map(math.isfinite, vehicle.vel_enu_mps)):
+            velocity = vehicle.vel_enu_mps
+        age_s = vehicle.age_s
+        ball_m = vehicle.footprint.ball_m(age_s)
+        x, y, z = x + velocity[0] * age_s, y + velocity[1] * age_s, z + velocity[2] * age_s
+    footprint = vehicle.footprint
+    reach_m = (footprint.wingspan_m / 2 + footprint.position_error_m) * HYSTERESIS + ball_m
+    ends = [end + rate * HORIZON_S for end, rate in zip((x, y, z), velocity, strict=True)]
+    return _Box(
+        min(x, ends[0]) - reach_m,
+        max(x, ends[0]) + reach_m,
+        min(y, ends[1]) - reach_m,
+        max(y, ends[1]) + reach_m,
+        min(z, ends[2]) - reach_m * ratio,
+        max(z, ends[2]) + reach_m * ratio,
+        ours,
+        vehicle,
+        (x, y, z),
+        velocity,
+        ball_m,
+    )
+
+
+def _overlap(a: _Box, b: _Box) -> bool:
+    """Of boxes that overlap in x; two on the ground, and one vehicle heard twice, are no pair."""
+    return (
+        a.low_y <= b.high_y
+        and b.low_y <= a.high_y
+        and a.low_z <= b.high_z
+        and b.low_z <= a.high_z
+        and (a.vehicle.flying or b.vehicle.flying)
+        and not (a.vehicle.shared and b.vehicle.shared and a.vehicle.short_name == b.vehicle.short_name)
+    )
+
+
+def _predict(mine: _Box, theirs: _Box, widened: float) -> Prediction | None:
+    """What two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
+    margin = pair_margin(mine.vehicle.footprint, theirs.vehicle.footprint)
+    ratio, certain_m, balls_m = margin.downwash_ratio, margin.total_m * widened, mine.ball_m + theirs.ball_m
+    p, q = mine.place_m, theirs.place_m
+    offset = (q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio)
+    velocity = believed_velocity(mine.velocity_mps, theirs.velocity_mps, ratio)
+    approach = closest_approach(offset, velocity, certain_m + balls_m, HORIZON_S)
+    if math.isinf(approach.enters_s):
+        return None
+    certain = closest_approach(offset, velocity, certain_m, HORIZON_S)
+    level = Level.WARNING if certain.enters_s <= WARNING_S else Level.NOTICE
+    ages_s = mine.vehicle.age_s, theirs.vehicle.age_s
+    shown = approach._replace(enters_s=certain.enters_s)
+    return Prediction(level, separation_m(*offset, 1.0), shown, margin.total_m, balls_m, ages_s)
+
+
+def _enters_s(prediction: Prediction | None) -> float:
+    return math.inf if prediction is None else prediction.approach.enters_s
+
+
+def _most_urgent(found: dict[PairKey, Prediction]) -> dict[PairKey, Prediction]:
+    """At most `MAX_CONFLICTS` of them."""
+    if len(found) <= MAX_CONFLICTS:
+        return found
+    items = heapq.nsmallest(MAX_CONFLICTS, found.items(), key=lambda item: (-item[1].level, _enters_s(item[1])))
+    return dict(items)

@@ -1,0 +1,206 @@
+"""The home site's decision about orders of other stations: the rows of its table, its bounds, copies at any time."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.federation import order_gate
+from skygcs.core.federation.order_gate import (
+    KEEP_S,
+    MAX_AHEAD_S,
+    MAX_KEYS,
+    MAX_RUNNING,
+    STOP_KEYS,
+    STOP_LATE_S,
+    Begin,
+    Decision,
+    OrderGate,
+    Refuse,
+    Remembered,
+    Repeated,
+)
+from skygcs.core.federation.order_messages import STOP, OrderReply, OrderRequest, OutcomeQuestion
+
+NOW = 1000.0
+
+
+def key(number: int) -> str:
+    return f"{number:032x}"
+
+
+def order(number: int = 1, method: str = "vehicles.land", **changes: object) -> OrderRequest:
+    request = OrderRequest(key(number), "alpha", method, {}, NOW + 1.0, "mia@south", "operator")
+    return replace(request, **changes)  # type: ignore[arg-type]
+
+
+def done(number: int = 1) -> OrderReply:
+    return OrderReply(key(number), "done", "landing")
+
+
+def status(decision: Decision) -> str:
+    assert isinstance(decision, Refuse)
+    return decision.reply.status
+
+
+def test_a_known_order_is_never_carried_out_again() -> None:
+    gate = OrderGate("north", NOW)
+    assert isinstance(gate.admit(order(), NOW), Begin)
+    running = gate.admit(order(), NOW)
+    assert isinstance(running, Repeated) and running.reply.status == "running"
+    gate.ended(done(), NOW + 2.0)
+    assert gate.admit(order(), NOW + 3.0) == Repeated(done())
+    assert gate.asked(OutcomeQuestion(key(1)), NOW + 3.0) == done()
+
+
+@pytest.mark.parametrize(
+    ("request_", "not_held", "expected", "text"),
+    [
+        (order(role="observer"), None, "refused", "gives no orders"),
+        (order(method="vehicles.forget"), None, "refused", "is not taken"),
+        (order(method="plan.run"), None, "refused", "is not taken"),
+        (order(params={"targets": "all"}), None, "refused", "names its vehicle"),
+        (order(method="vehicles.goto", params={"enu_m": [0, 0, 5]}), None, "refused", "enu_m"),
+        (order(method="vehicles.goto", params={"together": "all"}), None, "refused", "together"),
+        (order(method="vehicles.arm", params={"wait_s": 30}), None, "refused", "wait_s"),
+        (order(deadline_s=NOW + MAX_AHEAD_S + 0.1), None, "refused", "clocks disagree"),
+        (order(deadline_s=NOW - 0.1), None, "late", "0.1 s after"),
+        (order(method=STOP, deadline_s=NOW - STOP_LATE_S - 0.1), None, "late", "after its deadline"),
+        (order(), "alpha is commanded by south", "refused", "by south"),
+    ],
+)
+def test_what_is_refused(request_: OrderRequest, not_held: str | None, expected: str, text: str) -> None:
+    gate = OrderGate("north", NOW)
+    refused = gate.admit(request_, NOW, not_held=not_held)
+    assert status(refused) == expected and isinstance(refused, Refuse) and text in refused.reply.text
+    # a copy that comes when nothing stands against it any more is not carried out either
+    assert gate.admit(order(), NOW) == Repeated(refused.reply)
+
+
+def test_a_stop_needs_no_lease_and_may_be_late() -> None:
+    gate = OrderGate("north", NOW)
+    late_stop = order(method=STOP, deadline_s=NOW - STOP_LATE_S)
+    assert isinstance(gate.admit(late_stop, NOW, not_held="south commands it"), Begin)
+
+
+def test_what_was_asked_for_before_it_came_never_comes() -> None:
+    gate = OrderGate("north", NOW)
+    assert gate.asked(OutcomeQuestion(key(1)), NOW).status == "never came"
+    refused = gate.admit(order(), NOW)
+    assert isinstance(refused, Repeated) and refused.reply.status == "refused"
+
+
+def test_an_order_does_not_overtake_a_newer_one_of_its_station() -> None:
+    gate = OrderGate("north", NOW)
+    assert isinstance(gate.admit(order(2, method="vehicles.hold", run="r", seq=2), NOW), Begin)
+    assert status(gate.admit(order(1, method="vehicles.goto", run="r", seq=1), NOW)) == "refused"
+    assert isinstance(gate.admit(order(3, run="other", seq=1), NOW), Begin)
+    assert isinstance(gate.admit(order(4, run="r", seq=1, vehicle="bravo"), NOW), Begin)
+    assert isinstance(gate.admit(order(5, method=STOP, run="r", seq=1), NOW), Begin)
+
+
+def test_orders_that_end_a_flight_have_places_of_their_own() -> None:
+    gate = OrderGate("north", NOW)
+    for number in range(MAX_RUNNING):
+        assert isinstance(gate.admit(order(number, method="vehicles.goto"), NOW), Begin)
+    assert status(gate.admit(order(MAX_RUNNING, method="vehicles.goto"), NOW)) == "refused"
+    assert isinstance(gate.admit(order(MAX_RUNNING + 1, method="vehicles.land"), NOW), Begin)
+    gate.ended(OrderReply(key(0), "done", ""), NOW)
+    assert isinstance(gate.admit(order(MAX_RUNNING + 2, method="vehicles.goto"), NOW), Begin)
+
+
+def test_a_full_table_forgets_nothing_that_may_still_come() -> None:
+    gate = OrderGate("north", NOW)
+    for number in range(MAX_KEYS):
+        gate.admit(order(number, role="observer"), NOW)
+    begun = order(MAX_KEYS + 1, deadline_s=NOW + 2.0)
+    assert status(gate.admit(begun, NOW)) == "refused"
+    stop = order(MAX_KEYS + 2, method=STOP)
+    assert isinstance(gate.admit(stop, NOW), Begin)
+    assert gate.asked(OutcomeQuestion(key(MAX_KEYS + 3)), NOW).status == "unknown"
+    # places become free; the order that was refused without a record is still not carried out
+    later = NOW + 1.0 + STOP_LATE_S + 0.1
+    assert status(gate.admit(begun, NOW + 1.5)) == "refused"
+    assert isinstance(gate.admit(order(MAX_KEYS + 4, deadline_s=later + 1.0), later), Begin)
+    assert len(gate) <= MAX_KEYS + STOP_KEYS
+
+
+def test_stops_have_a_bound_as_well() -> None:
+    gate = OrderGate("north", NOW)
+    for number in range(2 * MAX_KEYS):
+        gate.admit(order(number, method=STOP), NOW)
+        gate.ended(OrderReply(key(number), "done", ""), NOW)
+    assert len(gate) == MAX_KEYS + STOP_KEYS
+
+
+def test_outcomes_are_forgotten_after_an_hour_and_the_site_says_so() -> None:
+    gate = OrderGate("north", NOW)
+    gate.admit(order(), NOW)
+    gate.ended(done(), NOW)
+    gate.admit(order(2, deadline_s=NOW + KEEP_S), NOW + KEEP_S)
+    assert gate.asked(OutcomeQuestion(key(1), deadline_s=NOW + 1.0), NOW + KEEP_S).status == "unknown"
+    assert gate.asked(OutcomeQuestion(key(7), deadline_s=NOW + 2 * KEEP_S), NOW + 2 * KEEP_S).status == "never came"
+
+
+def test_keys_and_their_order_outlive_a_restart() -> None:
+    gate = OrderGate("north", NOW)
+    running = OrderReply(key(1), "running", "")
+    numbered = [
+        Remembered(running, NOW, NOW, "alpha", "r", 5),
+        Remembered(done(), NOW, NOW, "alpha", "r", 5),
+        Remembered(OrderReply(key(2), "running", ""), NOW, NOW),
+    ]
+    gate.restore(numbered, complete=True)
+    assert gate.admit(order(1), NOW) == Repeated(done())
+    assert gate.asked(OutcomeQuestion(key(2)), NOW).status == "unknown"
+    assert status(gate.admit(order(3, run="r", seq=4), NOW)) == "refused"
+    assert isinstance(gate.admit(order(4, run="r", seq=6), NOW), Begin)
+
+
+def test_without_a_memory_only_stops_are_taken_until_older_orders_are_late() -> None:
+    gate = OrderGate("north", NOW, no_order_before_s=NOW + MAX_AHEAD_S)
+    assert status(gate.admit(order(1), NOW)) == "refused"
+    assert isinstance(gate.admit(order(2, method=STOP), NOW), Begin)
+    assert isinstance(gate.admit(order(3, deadline_s=NOW + MAX_AHEAD_S + 1.0), NOW + MAX_AHEAD_S), Begin)
+
+
+@given(seed=st.integers(0, 2**32))
+def test_copies_at_any_time_are_carried_out_once(seed: int) -> None:
+    """Orders, copies of them, questions and restarts in any order, with a table of eight places. What was refused or
+    asked for in vain is not carried out later."""
+    rng = random.Random(seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(order_gate, "MAX_KEYS", 8)
+        patch.setattr(order_gate, "STOP_KEYS", 2)
+        gate, now, since = OrderGate("north", NOW), NOW, NOW
+        carried: dict[str, int] = {}
+        denied: set[str] = set()
+        sent: list[OrderRequest] = []
+        for number in range(60):
+            now += rng.choice((0.0, 0.1, 1.0, 7.0))
+            if sent and rng.random() < 0.5:
+                request = rng.choice(sent[-12:])
+            else:
+                method = rng.choice((STOP, "vehicles.goto", "vehicles.land"))
+                request = order(number, method=method, deadline_s=now + rng.choice((-1.0, 0.5, 9.0)))
+                sent.append(request)
+            if rng.random() < 0.2:
+                asked = gate.asked(OutcomeQuestion(request.key), now)
+                if asked.status == "never came" and request.deadline_s >= since:
+                    assert request.key not in carried or now > request.deadline_s
+                    denied.add(request.key)
+                continue
+            decision = gate.admit(request, now, not_held=rng.choice((None, None, "south commands it")))
+            if isinstance(decision, Begin):
+                assert request.key not in denied
+                carried[request.key] = carried.get(request.key, 0) + 1
+                if rng.random() < 0.7:
+                    gate.ended(OrderReply(request.key, "done", ""), now)
+            elif decision.reply.status in ("refused", "late") and request.key not in carried:
+                denied.add(request.key)
+            assert len(gate) <= 10 + sum(gate._running.values())
+        assert all(count == 1 for count in carried.values())
