@@ -1,7 +1,7 @@
 """Composition root: config -> objects -> task groups; ordered shutdown.
 
-What only some fleet files ask for (motion capture, metrics, the web page) is imported by those daemons alone, before a
-link is open.
+What only some fleet files ask for (motion capture, metrics, companions, the web page) is imported by those daemons
+alone, before a link is open.
 
 Two nested groups: the inner one runs links and clocks, the outer one the recorder and the RPC server. A stop ends the
 inner group first, so that what links did last is still recorded and reported.
@@ -11,26 +11,27 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skygcs import __version__
-from skygcs.config.files import open_regular
 from skygcs.config.models import FleetConfig
+from skygcs.config.token_file import read_token
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
-from skygcs.errors import LinkError
+from skygcs.core.routing.authority import AuthorityGate
+from skygcs.events import Event
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
+from skygcs.runtime.components import ONBOARD_COMPUTER
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.ground_orders import GroundOrders
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
@@ -49,17 +50,16 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 if TYPE_CHECKING:  # see above
     from skygcs.metrics.endpoint import MetricsEndpoint
     from skygcs.rpc.companion_parts import CompanionParts
+    from skygcs.runtime.ground_orders import GroundOrders
     from skygcs.runtime.mocap_feed import MocapFeed
-    from skygcs.runtime.web_child import WebChild
-
-MAX_TOKEN_BYTES = 4096
+    from skygcs.runtime.supervised_child import SupervisedChild
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
 
 GCS = 6
-ONBOARD_COMPUTER = 18
-"""MAV_TYPE of our heartbeats; a companion's must not look like a ground station's to the autopilot's failsafe."""
+"""MAV_TYPE of our heartbeats; a companion's are of ONBOARD_COMPUTER, as they must not look like a ground station's to
+the autopilot's failsafe."""
 
 UNDO_S = 3.0
 """For what undoes itself when the daemon is stopped: five round trips of a nine-node radio. With PARK_S after it the
@@ -97,7 +97,7 @@ class Daemon:
         self.recorder = self._new_recorder() if own.record else None
         self.signing = Signing(dialect, publish, SigningStore(default_state_dir()))
         # links
-        self.hub = Hub(config, dialect, self.loop, publish, recorder=self.recorder, signing=self.signing)
+        self.hub = self._new_hub()
         self.links = LinkTable(config, dialect, self.hub, self.loop, publish, self.signing)
         self.link_watch = LinkWatch(self.hub)
         self.third_party = AdmissionReports(self.hub, own, dialect, publish)
@@ -131,10 +131,10 @@ class Daemon:
         self.socket_path = own.socket or default_socket_path()
         self.companions = self._companion_parts()
         tls = None if self.companions is None else self.companions.listener
-        token = _read_token("daemon", own.token_file)
+        token = read_token("daemon", own.token_file)
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token, tls=tls)
         self.metrics = self._metrics_endpoint()
-        self.web = self._web_child()
+        self.web, self.federation = self._web_child(), self._federation_child()
 
     def _companion_parts(self) -> CompanionParts | None:
         """The daemon's part as a companion, or towards companions; None without their tables."""
@@ -152,16 +152,40 @@ class Daemon:
         if config is None:
             return None
         from skygcs.metrics.endpoint import MetricsEndpoint
+        from skygcs.metrics.order_results import OrderResults
 
-        return MetricsEndpoint(config, _read_token("metrics", config.token_file), self.event_log, self.now)
+        self.order_results = OrderResults(self.event_log)
+        return MetricsEndpoint(config, read_token("metrics", config.token_file), self.now)
 
-    def _web_child(self) -> WebChild | None:
+    async def _start_metrics(self, endpoint: MetricsEndpoint) -> None:
+        """Raises LinkError if another process has begun to listen there."""
+        await asyncio.to_thread(importlib.import_module, "skygcs.metrics.collector")
+        from skygcs.metrics.collector import MetricsCollector
+
+        await endpoint.start(MetricsCollector(self, self.order_results.counts))
+
+    def _web_child(self) -> SupervisedChild | None:
         """The process of the web page; None without [web]."""
         if self.config.web is None:
             return None
-        from skygcs.runtime.web_child import WebChild
+        from skygcs.runtime.children import web_child
 
-        return WebChild(self.config.web, self.socket_path, self.loop, self.event_log.publish)
+        return web_child(self.config.web, self.socket_path, self.loop, self.event_log.publish)
+
+    def _federation_child(self) -> SupervisedChild | None:
+        """The process that connects this station to others; None without [federation]."""
+        if self.config.federation is None:
+            return None
+        from skygcs.rpc import authority  # noqa: F401 - a grant or a revocation must wait for no import
+        from skygcs.runtime.children import federation_child
+
+        config, publish = self.config.federation, self.event_log.publish
+        return federation_child(config, self.source, self.socket_path, self.loop, publish)
+
+    def _new_hub(self) -> Hub:
+        gate = _authority_gate(self.config)
+        keys, publish = self.signing, self.event_log.publish
+        return Hub(self.config, self.dialect, self.loop, publish, recorder=self.recorder, signing=keys, authority=gate)
 
     def _new_recorder(self) -> Recorder:
         own = self.config.daemon
@@ -188,6 +212,9 @@ class Daemon:
         companion = self.config.companion
         if companion is None:
             return None
+        from skygcs.rpc import companions, relayed_control  # noqa: F401 - they must be there for the first contact
+        from skygcs.runtime.ground_orders import GroundOrders
+
         lost, lost_s = companion.ground_lost, companion.ground_lost_s
         return GroundOrders(companion.vehicle, lost, lost_s, self.fleet, self.loop, self.event_log.publish)
 
@@ -234,26 +261,7 @@ class Daemon:
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
-            clocks = [
-                group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
-                group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
-                group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
-                group.create_task(
-                    self._every(LINK_CHOICE_S, lambda: self.hub.choose_links(self.now())), name="choice of links"
-                ),
-                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
-                group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
-                group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
-                group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
-                group.create_task(
-                    self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
-                ),
-            ]
-            clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
-            if self.ground_orders is not None:
-                orders = self.ground_orders
-                tick = self._every(FLEET_TICK_S, lambda: orders.tick(self.now()))
-                clocks.append(group.create_task(tick, name="watch over the ground"))
+            clocks = self._start_clocks(group)
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
                 heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
@@ -261,20 +269,13 @@ class Daemon:
             self.links.start(group)
             if self.companions is not None:
                 clocks.append(group.create_task(self.companions.run(), name="companions"))
-            if self.mocap is not None:
-                from skygcs.runtime.mocap_feed import TICK_S
-
-                mocap = self.mocap
-                clocks.append(group.create_task(mocap.run(), name="motion capture"))
-                tick = self._every(TICK_S, lambda: mocap.tick(self.now()))
-                clocks.append(group.create_task(tick, name="motion capture tick"))
+            clocks += self._start_mocap(group)
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
                 if self.metrics is not None:
-                    await self.metrics.start(self)
+                    await self._start_metrics(self.metrics)
                 self.ready.set()
-                if self.web is not None:
-                    clocks.append(group.create_task(self.web.run(), name="web page"))
+                clocks += [group.create_task(child.run(), name=child.what) for child in self._children()]
                 await self._stopping.wait()
                 await self.fleet.wind_down(UNDO_S)  # while the links are open
                 await self._park()
@@ -292,6 +293,49 @@ class Daemon:
                 await self.fleet.plans.processes.close()
             await self.links.close()
             signing.cancel()  # after the last message that was signed
+
+    def _start_clocks(self, group: asyncio.TaskGroup) -> list[asyncio.Task[None]]:
+        """What is done again and again, from the begin to the end."""
+        clocks = [
+            group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
+            group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
+            group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
+            group.create_task(
+                self._every(LINK_CHOICE_S, lambda: self.hub.choose_links(self.now())), name="choice of links"
+            ),
+            group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
+            group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
+            group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
+            group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
+            group.create_task(
+                self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
+            ),
+        ]
+        clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
+        if self.hub.authority is not None:
+            clocks.append(
+                group.create_task(self._every(FLEET_TICK_S, self.check_authority), name="authority over vehicles")
+            )
+        if self.ground_orders is not None:
+            orders = self.ground_orders
+            tick = self._every(FLEET_TICK_S, lambda: orders.tick(self.now()))
+            clocks.append(group.create_task(tick, name="watch over the ground"))
+        return clocks
+
+    def _start_mocap(self, group: asyncio.TaskGroup) -> list[asyncio.Task[None]]:
+        mocap = self.mocap
+        if mocap is None:
+            return []
+        from skygcs.runtime.mocap_feed import TICK_S
+
+        tick = self._every(TICK_S, lambda: mocap.tick(self.now()))
+        return [
+            group.create_task(mocap.run(), name="motion capture"),
+            group.create_task(tick, name="motion capture tick"),
+        ]
+
+    def _children(self) -> list[SupervisedChild]:
+        return [child for child in (self.web, self.federation) if child is not None]
 
     async def _park(self) -> None:
         """Order vehicles that are flown by setpoints to hold before these stop: an ArduCopter in attitude control would
@@ -343,6 +387,21 @@ class Daemon:
     def _tick_operator(self) -> None:
         self.operator_watchdog.tick(self.now())
 
+    def check_authority(self) -> None:
+        """End what goes on at vehicles whose authority has ended, and begin with those of which it has begun."""
+        gate = self.hub.authority
+        if gate is None:
+            return
+        now = self.hub.authority_clock()
+        for name, sysid in gate.gains(now):
+            self.fleet.authority_gained(sysid)
+            text = f"{name} is commanded by {gate.site}"
+            self.event_log.publish(Event("authority", name, sysid, text, {"held": True}))
+        for lapse in gate.lapses(now):
+            self.fleet.authority_lost(lapse.sysid, lapse.text)
+            data = {"held": False}
+            self.event_log.publish(Event("authority", lapse.name, lapse.sysid, lapse.text, data))
+
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())
         self.leftover_streams.tick(self.now())
@@ -367,6 +426,7 @@ class Daemon:
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
             "web": None if self.web is None else self.web.status(),
+            "federation": None if self.federation is None else self.federation.status(),
             "companion_of": None if self.config.companion is None else self.config.companion.vehicle,
             "to_undo": len(self.fleet.journal.left()),
         }
@@ -382,20 +442,9 @@ class Daemon:
         return unconfigured if self.mocap is None else self.mocap.status()
 
 
-def _read_token(table: str, path: Path | None) -> str | None:
-    """The token of a table of the fleet file; raises LinkError if the file is missing, empty or readable by others."""
-    if path is None:
+def _authority_gate(config: FleetConfig) -> AuthorityGate | None:
+    """The gate of the vehicles that other sites may command; None without [federation.vehicles]."""
+    federation = config.federation
+    if federation is None or federation.site is None or not federation.vehicles:
         return None
-    try:
-        with open_regular(path) as file:
-            mode = os.fstat(file.fileno()).st_mode
-            token = file.read(MAX_TOKEN_BYTES).decode().strip()
-    except OSError as error:
-        raise LinkError(f"{table}.token_file {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise LinkError(f"{table}.token_file {path}: is not text") from None
-    if mode & 0o077:
-        raise LinkError(f"{table}.token_file {path}: others can read it; chmod 600 {path}")
-    if len(token) < 16:
-        raise LinkError(f"{table}.token_file {path}: the token needs at least 16 characters")
-    return token
+    return AuthorityGate(federation.site, {name: config.vehicles[name].sysid for name in federation.vehicles})

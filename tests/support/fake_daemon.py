@@ -299,10 +299,12 @@ class FakeVehicle:
             "components": [],
             "messages": {"HEARTBEAT": {"rate_hz": 1.0, "age_s": 0.4, "count": 321}},
             "links": {},
+            "authority": None,
             "control": None,
             "uplink": None,
             "separation": None,
             "calibration": None,
+            "companion": None,
             **dict.fromkeys(
                 (
                     "ekf_origin",
@@ -383,6 +385,18 @@ class FakeMonitor:
 class FakePlans:
     """No plan is flown."""
 
+    moving = False
+
+    def __init__(self) -> None:
+        self.observers: set[Callable[[], None]] = set()
+
+    def status(self) -> dict[str, Any]:
+        return {"state": "none"}
+
+    @property
+    def runner(self) -> FakePlans:
+        return self
+
     def pause(self) -> str:
         return "nothing is flown"
 
@@ -405,6 +419,9 @@ class FakeFleet:
         self.origin_asked: list[tuple[Any, ...]] = []
         self.preflight_asked: list[tuple[bool, Any]] = []
         self.preflight_told: dict[str, dict[str, Any]] = {}
+
+    def companion_of(self, _: FakeVehicle) -> None:
+        return None
 
     def origin_status(self) -> dict[str, Any]:
         return {"origin": None if self.origin is None else asdict(self.origin), "generation": self.generation}
@@ -560,7 +577,10 @@ class FakeDaemon:
         self.message_sender = SimpleNamespace(send=self._send)
         quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
         self.hub = SimpleNamespace(
-            add_observer=self._add_observer, link_quality=lambda key: quality, router_stats=self._router_stats
+            add_observer=self._add_observer,
+            link_quality=lambda key: quality,
+            router_stats=self._router_stats,
+            authority=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)

@@ -28,7 +28,7 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.plan_runner import PlanRunner
+from skygcs.runtime.plans import Plans
 from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, fault
@@ -114,9 +114,9 @@ class Fleet:
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
         self.companions: dict[str, CompanionCalls] = {}
+        self._companion_names = _companion_names(config)
         self.world = World(_origin(config), self.vehicles, on_event)
-        self._dialect = dialect
-        self._send = send
+        self._dialect, self._send = dialect, send
         self._loop = loop
         self._on_event = on_event
         self._links = links or WideLinks()
@@ -149,7 +149,7 @@ class Fleet:
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor)
-        self.plans = PlanRunner(self, self.trajectories, self._links, loop, on_event)
+        self.plans = Plans(self, self.trajectories, self._links, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -310,6 +310,19 @@ class Fleet:
             for component in self._system(sysid, now)
         ]
 
+    def companion_of(self, actor: VehicleActor) -> dict[str, Any] | None:
+        """The computer on a vehicle, as `VehicleState.companion`: from the fleet file, or heard by MAVLink."""
+        name = self._companion_names.get(actor.name)
+        heard_at = self.components.onboard_computer_heard_at(actor.sysid)
+        if name is None and heard_at is None:
+            return None
+        link = self.companions.get(actor.name)
+        return {
+            "name": name,
+            **(dict.fromkeys(("link", "since_s", "error", "version")) if link is None else link.summary()),
+            "age_s": None if heard_at is None else round(self._loop.time() - heard_at, 2),
+        }
+
     def forget(self, expression: str | int | Sequence[str | int], *, force: bool = False) -> dict[str, Outcome]:
         """Forget vehicles that are gone: "all" does not include them any more, and a new heartbeat adds them again.
 
@@ -422,7 +435,21 @@ class Fleet:
         if len(actors) > 1 and setpoint.get("pos_enu_m") is not None:
             one_place = "several vehicles were sent to one position; send each its own setpoint"
             return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
-        return {actor.name: actor.setpoint(**setpoint) for actor in actors}
+        return {actor.name: self._setpoint(actor, setpoint) for actor in actors}
+
+    def _setpoint(self, actor: VehicleActor, setpoint: dict[str, Any]) -> Outcome:
+        why = self._links.authority_refusal(actor.sysid)
+        return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
+
+    def authority_gained(self, sysid: int) -> None:
+        """Requests that were kept from each autopilot of this system until now are made anew."""
+        for key in sorted(self._of_system.get(sysid, ())):
+            self.vehicles[key].streams.restart(self._loop.time())
+
+    def authority_lost(self, sysid: int, text: str) -> None:
+        """See `VehicleActor.authority_lost`, of each autopilot of a system."""
+        for key in sorted(self._of_system.get(sysid, ())):
+            self.vehicles[key].authority_lost(text)
 
     async def preflight(
         self,
@@ -462,6 +489,9 @@ class Fleet:
         own_arguments, staying, places = (
             self._going(vehicles, arguments) if order is VehicleActor.goto else ({}, {}, {})
         )
+        for vehicle in vehicles if order is not VehicleActor.stop else ():
+            if (why := self._links.authority_refusal(vehicle.sysid)) is not None:
+                staying[vehicle] = why
         broadcast = self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
@@ -731,6 +761,12 @@ class Fleet:
         if config.name in taken:
             config = config.model_copy(update={"name": f"{config.name}-{compid}"})
         return config
+
+
+def _companion_names(config: FleetConfig) -> dict[str, str]:
+    """By vehicle."""
+    computers = config.companions
+    return {} if computers is None else {computers.vehicle_of(name): name for name in computers.entries}
 
 
 def _origin(config: FleetConfig) -> Origin | None:

@@ -7,6 +7,7 @@ where a frame goes, the fleet updates the state of its vehicle.
 from __future__ import annotations
 
 import asyncio
+import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -15,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.authority import NO_TARGET, AuthorityGate, target_of
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.link_choice import DEFAULT_COST, SCARCE_COST
 from skygcs.core.routing.router import Router
@@ -28,8 +30,9 @@ from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, StateUpdate
 from skygcs.links.fast_path import new_table
-from skygcs.links.outgoing import OwnMessage
+from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.loop_clock import boot_clock
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing
@@ -40,6 +43,9 @@ if TYPE_CHECKING:
 
 from skygcs.config.models import MessageName
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+
+LINK_PROBE = 0x6C69_6E6B << 16
+"""TIMESYNC.ts1 of a question over a deaf link: no clock, and of no other probe of ours."""
 
 STATION_COST = 1000
 """Of a link to a ground station, which may return a vehicle's frames: any other link to the vehicle is better."""
@@ -213,8 +219,10 @@ class Hub:
         *,
         recorder: Recorder | None = None,
         signing: Signing | None = None,
+        authority: AuthorityGate | None = None,
     ) -> None:
-        """``recorder`` gets every accepted frame and every message of ours."""
+        """``recorder`` gets every accepted frame and every message of ours. ``authority``: the gate of vehicles that
+        other sites may command; None: there are none."""
         own = config.daemon
         self.fast_path: Table | None = new_table(dialect, recording=recorder is not None)
         self.router = Router(
@@ -231,6 +239,8 @@ class Hub:
         """By channel id: translators of the frames sent there."""
         self.channels: dict[int, Channel] = {}
         self.faults = 0
+        self.run = secrets.token_hex(8)
+        """Names this run of the daemon to the federation's bridge."""
         self.replayed: set[int] = set()
         """Sources (sysid<<8|compid) that exist only in a recording: they take no orders."""
         self._config = config
@@ -242,6 +252,10 @@ class Hub:
         self._recorder = recorder
         self._record = None if recorder is None else recorder.offer
         self._signing = signing
+        self.authority = authority
+        self.authority_clock = boot_clock(loop)
+        """The clock of grants. The loop's own will not do: uvloop reads it once a turn, and a process that is stopped
+        within one goes on with the old time."""
         self._on_event = on_event
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
@@ -282,6 +296,8 @@ class Hub:
             if channel.translator.renumbers:
                 self._renumbering[channel.id] = channel.translator
         self.router.open(channel.id, channel_policy(channel.config, self.dialect, sysids))
+        if self.authority is not None and channel.translator is None:  # behind a bound channel there is a program
+            channel.gate = self.may_leave
         if self._signing is not None:
             self._signing.attach(channel)
         if self._heartbeat is not None:
@@ -306,6 +322,8 @@ class Hub:
             self._add_to_totals(channel)
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
+            if self.authority is not None:
+                self.authority.forget_channel(channel.id)
             closed = self._closed_channels
             closed[channel.link.name, channel.peer] = channel.sources
             kept = sum(map(len, closed.values()))
@@ -339,8 +357,9 @@ class Hub:
         on_vehicle_frame = None if self._fleet is None else self._fleet.on_frame
         shown = self._shown_of(channel)
         unix_us = time.time_ns() // 1000
-        renumbering, observers, record = self._renumbering, self._observers, self._record
-        together: list[tuple[Frame, tuple[int, ...]]] | None = [] if channel.in_datagrams and len(frames) > 1 else None
+        renumbering, observers, record, gate = self._renumbering, self._observers, self._record, self.authority
+        split = gate is not None or not channel.in_datagrams or len(frames) < 2  # a gate checks each frame
+        together: list[tuple[Frame, tuple[int, ...]]] | None = None if split else []
         for frame in frames:
             raw, key = frame.raw, frame.sysid << 8 | frame.compid
             size = len(raw)
@@ -359,7 +378,9 @@ class Hub:
                 counts = True
                 if state_sources and key in state_sources:
                     counts = self._counts(channel, frame, decision.verdict, now)
-                if together is None:
+                if gate is not None:
+                    self._send_gated(gate, channel_id, frame, decision.destinations)
+                elif together is None:
                     for destination in decision.destinations:
                         if destination in renumbering:
                             self._send_as_shown(destination, [frame])
@@ -382,10 +403,7 @@ class Hub:
             except Exception as error:
                 self.fault(error)
         if together:
-            try:
-                self._send_together(together)
-            except Exception as error:
-                self.fault(error)
+            self._send_together(together)
         if self.router.notes:
             self._drain_notes()
 
@@ -416,7 +434,14 @@ class Hub:
         return counts
 
     def _send_together(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
-        """Forward the frames of one datagram in one datagram, if all of them go to the same channels."""
+        """Forward the frames of one datagram; a fault ends with them."""
+        try:
+            self._send_datagram(frames)
+        except Exception as error:
+            self.fault(error)
+
+    def _send_datagram(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
+        """Forward them in one datagram, if all of them go to the same channels."""
         channels = self.channels
         destinations = frames[0][1]
         data = b"".join([frame.raw for frame, _ in frames])
@@ -444,6 +469,40 @@ class Hub:
             channel.send_whole(b"".join(shown), len(shown))
         elif shown:
             channel.send(shown[0])
+
+    # -- vehicles that other sites may command
+
+    def may_leave(self, channel_id: int, outgoing: Outgoing) -> bool:
+        """True if this may be written to a channel now, by the clock of now: see `core.routing.authority`."""
+        gate = self.authority
+        if gate is None:
+            return True
+        if isinstance(outgoing, OwnMessage):
+            if outgoing.exempt:
+                return True
+            target = target_of(outgoing.info, outgoing.payload)
+            if outgoing.to_system and target <= 0:
+                target = outgoing.to_system
+        else:
+            frame = outgoing if isinstance(outgoing, Frame) else check(outgoing, self.dialect.messages)[0]
+            if frame is None:
+                return False
+            target = target_of(frame.info, frame.payload)
+        others: set[int] = set()
+        if target == NO_TARGET and gate.leads_to_gated(channel_id):
+            others = {key >> 8 for key in self.router.autopilots_on(channel_id)}
+        return gate.passes(channel_id, target, others, self.authority_clock())
+
+    def _send_gated(self, gate: AuthorityGate, source_id: int, frame: Frame, destinations: tuple[int, ...]) -> None:
+        """Forward a frame as a frame, so that the channel can check it again when it is written; and note where gated
+        vehicles are heard."""
+        if gate.gates(frame.sysid) and self.router.hears(source_id, frame.sysid) and gate.hear(source_id, frame.sysid):
+            self.forget_flows()
+        for destination in destinations:
+            if destination in self._renumbering:
+                self._send_as_shown(destination, [frame])
+            elif self.may_leave(destination, frame):
+                self.channels[destination].send(frame)
 
     # -- the compiled fast path
 
@@ -484,6 +543,9 @@ class Hub:
             return None
         if any(d in self._renumbering for d in entry.destinations):
             return None  # each frame has to be translated
+        gate = self.authority
+        if gate is not None and any(gate.leads_to_gated(d) for d in entry.destinations):
+            return None  # each frame has to be checked
         outs = tuple(out for d in entry.destinations if (out := self.channels[d].out) is not None)
         if len(outs) != len(entry.destinations):
             return None
@@ -569,18 +631,29 @@ class Hub:
         *,
         everywhere: bool = False,
         key: Hashable | None = None,
+        exempt: bool = False,
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
-        ``everywhere``: on every channel on which it was heard, as for emergencies. False if that id was not
-        heard lately or every link refused. Raises ValueError as `pack` does.
+        ``everywhere``: on every channel on which it was heard, as for emergencies. ``exempt``: it is of vehicles.stop,
+        which needs no authority. False if that id was not heard lately, another site commands it, or every link
+        refused. Raises ValueError as `pack` does.
         """
-        ids = self.channels_to(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
-        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
+        ids = self.channels_to(
+            sysid,
+            compid,
+            everywhere=everywhere or priority is Priority.EMERGENCY,
+            setpoint=priority is Priority.SETPOINT,
+        )
+        message = OwnMessage(info, info.pack(values), *self._own)
+        message.to_system, message.exempt = sysid, exempt
+        return self._send_on(ids, message, priority, key)
 
-    def channels_to(self, sysid: int, compid: int, *, everywhere: bool = False) -> tuple[int, ...]:
+    def channels_to(
+        self, sysid: int, compid: int, *, everywhere: bool = False, setpoint: bool = False
+    ) -> tuple[int, ...]:
         """Ids of the channels that a message of ours to this system is sent on; sysid 0: to all vehicles."""
-        ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=everywhere)
+        ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=everywhere, setpoint=setpoint)
         if sysid == 0:
             ids = tuple(i for i in ids if self.channels[i].config.role != "gcs")
         return ids
@@ -613,6 +686,8 @@ class Hub:
             if (
                 channel is not None and channel.translator is None
             ):  # a program bound to vehicles gets no messages of ours
+                if self.authority is not None and not self.may_leave(channel_id, message):
+                    continue
                 sent |= channel.send(message, priority, key)
         return sent
 
@@ -682,8 +757,20 @@ class Hub:
     def choose_links(self, now: float) -> None:
         """Change over to the better link of each vehicle that is heard on several."""
         self.router.choose_links(now)
+        for key, channel_id in self.router.links_to_probe(now):
+            self._probe_link(key, channel_id)
         if self.router.notes:
             self._drain_notes()
+
+    def _probe_link(self, key: int, channel_id: int) -> None:
+        """Ask this vehicle over a link over which it did not hear us: its answer comes over the same link."""
+        info = self.dialect.by_name["TIMESYNC"]
+        address = {"target_system": key >> 8, "target_component": key & 0xFF}
+        named = {f.name for f in info.fields}
+        values = {"ts1": LINK_PROBE} | {name: value for name, value in address.items() if name in named}
+        message = OwnMessage(info, info.pack(values), *self._own)
+        message.to_system = key >> 8
+        self._send_on((channel_id,), message, Priority.COMMAND, None)
 
     def _on_switched(self, key: int, channel_id: int) -> None:
         """Another channel leads to this vehicle: what waits on the others must not come after what is sent there."""

@@ -1,4 +1,4 @@
-"""The web page of [web] as a process of its own: started with the daemon, restarted when it ends, ended with it.
+"""A process beside the daemon ([web], [federation]): started with it, restarted when it ends, ended with it.
 
     running     it ends                  -> waiting; an event, the first time of a series
     waiting     FIRST_PAUSE_S, doubling to LONGEST_PAUSE_S -> running
@@ -11,15 +11,14 @@ The daemon never waits for it: it is looked at twice a second.
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
-from pathlib import Path
+import threading
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
-from skygcs.config.web import WebConfig
 from skygcs.events import Event
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
@@ -27,26 +26,36 @@ STEADY_S = 30.0
 LOOK_S = 0.5
 
 
-class WebChild:
-    """Run `run` in a task; `close` ends the process."""
+class SupervisedChild:
+    """Run `run` in a task; `close` ends the process.
+
+    ``what``: for a person, "the web page"; ``kind``: begins the names of its changes in events.
+    ``more``: what its status has besides.
+    """
 
     def __init__(
         self,
-        config: WebConfig,
-        socket_path: Path,
+        what: str,
+        kind: str,
+        arguments: list[str],
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         *,
+        more: Mapping[str, Any] = MappingProxyType({}),
         command: list[str] | None = None,
     ) -> None:
         self.restarts = 0
-        self._line = (command or [sys.executable, "-m", "skygcs"]) + arguments(config, socket_path)
-        scheme = "http" if config.tls_cert is None else "https"
-        self.page = f"{scheme}://{f'[{config.host}]' if ':' in config.host else config.host}:{config.port}/"
+        self.what = what
+        self.kind = kind
+        self.more = more
+        self._line = (command or [sys.executable, "-m", "skygcs"]) + arguments
         self._loop = loop
         self._on_event = on_event
         self._process: subprocess.Popen[bytes] | None = None
         self._failing = False
+        self._closed = False
+        self._start_lock = threading.Lock()
+        """Around `_process` and `_closed`: the thread that starts a process goes on when the task is cancelled."""
 
     async def run(self) -> None:
         """Keep it running until the task is cancelled."""
@@ -59,8 +68,8 @@ class WebChild:
                     pause_s = FIRST_PAUSE_S
                 if not self._failing:
                     self._failing = True
-                    text = f"the web page's process has ended ({reason}); it is started again"
-                    self._on_event(Event("warning", None, None, text, {"change": "web_ended", "reason": reason}))
+                    text = f"the process of {self.what} has ended ({reason}); it is started again"
+                    self._report(text, "ended", reason=reason)
                 await asyncio.sleep(pause_s)
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
                 self.restarts += 1
@@ -70,28 +79,45 @@ class WebChild:
     async def _run_once(self) -> str:
         """Start it and wait for its end; how it ended."""
         try:
-            process = await asyncio.to_thread(subprocess.Popen, self._line, stdin=subprocess.PIPE)
+            process = await asyncio.to_thread(self._start)
         except OSError as error:
             return error.strerror or str(error)
-        self._process = process
         began = self._loop.time()
         while process.poll() is None:
             await asyncio.sleep(LOOK_S)
             if self._failing and self._loop.time() - began >= STEADY_S:
                 self._failing = False
-                self._on_event(Event("warning", None, None, "the web page is there again", {"change": "web_back"}))
+                self._report(f"{self.what} is there again", "back")
         self._release(process)
         code = process.returncode
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
+    def _start(self) -> subprocess.Popen[bytes]:
+        """In a thread. A process that is there only after `close` is ended at once. Raises OSError."""
+        process = subprocess.Popen(self._line, stdin=subprocess.PIPE)
+        with self._start_lock:
+            if self._closed:
+                self._end(process)
+            else:
+                self._process = process
+        return process
+
     def close(self) -> None:
-        """End it, without waiting. Idempotent."""
-        process, self._process = self._process, None
-        if process is not None and process.poll() is None:
-            process.send_signal(signal.SIGTERM)
+        """End it for good, without waiting. Idempotent."""
+        with self._start_lock:
+            self._closed = True
+            process, self._process = self._process, None
         if process is not None:
-            self._release(process)
-            process.returncode = process.returncode or 0  # nobody looks at it any more: its parent ends
+            self._end(process)
+
+    def _end(self, process: subprocess.Popen[bytes]) -> None:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+        self._release(process)
+        process.returncode = process.returncode or 0  # nobody looks at it any more: its parent ends
+
+    def _report(self, text: str, change: str, **data: str) -> None:
+        self._on_event(Event("warning", None, None, text, {"change": f"{self.kind}_{change}", **data}))
 
     def _release(self, process: subprocess.Popen[bytes]) -> None:
         if process.stdin is not None and not process.stdin.closed:
@@ -101,24 +127,8 @@ class WebChild:
         """For daemon.info."""
         process = self._process
         return {
-            "page": self.page,
+            **self.more,
             "running": process is not None and process.returncode is None,
             "pid": None if process is None else process.pid,
             "restarts": self.restarts,
         }
-
-
-def arguments(config: WebConfig, socket_path: Path) -> list[str]:
-    """The arguments of `skygcs` for this table."""
-    found = ["web", "--supervised", "--socket", os.fspath(socket_path), "--port", str(config.port)]
-    found += ["--host", config.host]
-    for name in config.names:
-        found += ["--name", name]
-    for option, path in (("--tls-cert", config.tls_cert), ("--tls-key", config.tls_key)):
-        if path is not None:
-            found += [option, os.fspath(path)]
-    if config.map is not None:
-        found += ["--map", os.fspath(config.map.image)]
-        for point in config.map.points:
-            found += [f"--map-point={','.join(map(repr, point))}"]
-    return found

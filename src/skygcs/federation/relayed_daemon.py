@@ -1,0 +1,211 @@
+"""The connection to the daemon that a client of the station socket has of its own.
+
+The client's lines go to the daemon as they came, and the daemon's lines to the client. Requests of the station go
+between them; their answers are known by an id that no client can guess, and are taken out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, cast
+
+from pydantic_core import to_json
+
+from skygcs.errors import RpcError
+from skygcs.rpc import error_codes
+from skygcs.rpc.address import tcp_address
+from skygcs.rpc.dispatch import parse
+
+REACH_WITHIN_S = 2.0
+"""A daemon that takes no connection for so long is not there."""
+
+MAX_LINE_BYTES = 32 << 20
+"""As the daemon's other clients (`rpc.client.MAX_REPLY_BYTES`)."""
+
+HIGH_WATER_BYTES = 256 * 1024
+"""Beyond this much that the daemon has not read, the client is not read."""
+
+OnAnswer = Callable[[bytes | RpcError], bytes]
+"""Gets the result of a request of ours; what it returns is written to the client in the answer's place."""
+
+_ANSWER = b'{"jsonrpc":"2.0","id":'
+
+
+class RelayedClient(Protocol):
+    """The client, as its connection to the daemon sees it."""
+
+    def on_daemon_lines(self, lines: bytes) -> None:
+        """Whole lines for the client."""
+        ...
+
+    def on_daemon_full(self, full: bool) -> None:
+        """The daemon does not take more, or takes it again."""
+        ...
+
+    def on_daemon_lost(self) -> None:
+        """The connection has ended; what waited for answers has got errors."""
+        ...
+
+    def end(self) -> None: ...
+
+
+class RelayedDaemon(asyncio.Protocol):
+    """`reach` once; `close` is idempotent. ``address``: a path or tcp://HOST:PORT; None: the station has no daemon."""
+
+    def __init__(self, client: RelayedClient, address: str | None, token: str | None) -> None:
+        self.full = False
+        """Whether it has not read what was written to it."""
+        self._client = client
+        self._address = address
+        self._token = token
+        self._transport: asyncio.Transport | None = None
+        self._partial = bytearray()
+        self._prefix = f'"{secrets.token_hex(8)}-'.encode()
+        """Of the ids of our own requests."""
+        self._asked: dict[bytes, OnAnswer] = {}
+        self._last_id = 0
+
+    @property
+    def connected(self) -> bool:
+        return self._transport is not None
+
+    @property
+    def absent(self) -> str:
+        """Why there is none, for a person."""
+        where = "has no daemon" if self._address is None else f"reaches no daemon at {self._address}"
+        return f"this station {where}: it shows and orders vehicles of other sites only (south/alpha, */all)"
+
+    async def reach(self) -> bool:
+        """Connect. False if there is a daemon in the fleet file and it does not answer."""
+        if self._address is None:
+            return True
+        try:
+            async with asyncio.timeout(REACH_WITHIN_S):
+                await self._connect(self._address)
+        except (OSError, TimeoutError, RpcError):
+            self.close()
+            return False
+        return True
+
+    async def _connect(self, address: str) -> None:
+        """Raises OSError, and RpcError for a wrong token."""
+        loop = asyncio.get_running_loop()
+        tcp = tcp_address(address)
+        if tcp is None:
+            await loop.create_unix_connection(lambda: self, address)
+        else:
+            await loop.create_connection(lambda: self, *tcp)
+        if tcp is not None and self._token is not None:
+            await self.ask("auth", {"token": self._token})
+
+    def close(self) -> None:
+        """Close the connection, if there is one."""
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            transport.close()
+
+    # -- to the daemon
+
+    def write(self, line: bytes) -> bool:
+        """A line of the client; False without a daemon."""
+        if self._transport is None:
+            return False
+        self._transport.write(line)
+        return True
+
+    def write_eof(self) -> None:
+        """The client sends no more."""
+        if self._transport is not None:
+            self._transport.write_eof()
+
+    async def ask(self, method: str, params: Mapping[str, Any], **members: Any) -> bytes:
+        """The result of a request of ours, as the daemon wrote it. ``members``: of the request, besides. Raises
+        RpcError."""
+        future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+
+        def on_answer(result: bytes | RpcError) -> bytes:
+            if not future.done():
+                if isinstance(result, RpcError):
+                    future.set_exception(result)
+                else:
+                    future.set_result(result)
+            return b""
+
+        self.start_asking(method, params, members, on_answer)
+        return await future
+
+    def start_asking(
+        self, method: str, params: Mapping[str, Any], members: Mapping[str, Any], on_answer: OnAnswer
+    ) -> None:
+        """Send a request of ours. Raises RpcError without a daemon."""
+        if self._transport is None:
+            raise RpcError(error_codes.NO_DAEMON, self.absent)
+        self._last_id += 1
+        key = self._prefix + f'{self._last_id}"'.encode()
+        self._asked[key] = on_answer
+        request = {"jsonrpc": "2.0", "id": key[1:-1].decode(), "method": method, "params": params, **members}
+        self._transport.write(to_json(request) + b"\n")
+
+    def pause_answers(self) -> None:
+        """The client does not read: nothing is read for it."""
+        if self._transport is not None:
+            self._transport.pause_reading()
+
+    def resume_answers(self) -> None:
+        if self._transport is not None:
+            self._transport.resume_reading()
+
+    # -- asyncio.Protocol: from the daemon
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
+        self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+
+    def data_received(self, data: bytes) -> None:
+        self._partial += data
+        end = self._partial.rfind(b"\n") + 1
+        if end:
+            lines = bytes(self._partial[:end])
+            del self._partial[:end]
+            self._pass_on(lines)
+        if len(self._partial) > MAX_LINE_BYTES:
+            self._client.end()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._transport = None
+        asked, self._asked = self._asked, {}
+        for on_answer in asked.values():
+            self._client.on_daemon_lines(
+                on_answer(RpcError(error_codes.NO_DAEMON, f"the daemon at {self._address} has gone"))
+            )
+        self._client.on_daemon_lost()
+
+    def pause_writing(self) -> None:
+        self.full = True
+        self._client.on_daemon_full(True)
+
+    def resume_writing(self) -> None:
+        self.full = False
+        self._client.on_daemon_full(False)
+
+    def _pass_on(self, lines: bytes) -> None:
+        if self._asked and self._prefix in lines:
+            lines = b"".join(self._without_our_answer(line) for line in lines.splitlines(keepends=True))
+        self._client.on_daemon_lines(lines)
+
+    def _without_our_answer(self, line: bytes) -> bytes:
+        """The line as the client gets it."""
+        if not line.startswith(_ANSWER + self._prefix):
+            return line
+        key = line[len(_ANSWER) : line.index(b'"', len(_ANSWER) + 1) + 1]
+        on_answer = self._asked.pop(key, None)
+        if on_answer is None:
+            return b""
+        head = _ANSWER + key + b',"result":'
+        if line.startswith(head):
+            return on_answer(line.rstrip()[len(head) : -1])
+        error = parse(line).get("error") or {}
+        code = error.get("code", error_codes.INTERNAL_ERROR)
+        return on_answer(RpcError(code, str(error.get("message")), error.get("data")))

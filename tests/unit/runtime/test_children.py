@@ -1,0 +1,98 @@
+"""The processes beside a daemon: the command lines that start them are ones that `skygcs` takes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.cli.serve import _parser
+from skygcs.config.federation import FederationConfig
+from skygcs.config.web import WebConfig, WebMapConfig
+from skygcs.events import Event
+from skygcs.runtime.children import federation_child, page_address, web_arguments
+from skygcs.runtime.supervised_child import SupervisedChild
+from support.hub import until
+
+SOCKET = Path("/run/x y.sock")
+
+
+def test_the_page_gets_its_table() -> None:
+    points = ((1.0, 2.0, 43.0, -79.0), (3.0, 4.0, 43.5, -79.5))
+    table = WebConfig(
+        host="10.0.0.1", port=80, names=("field",), tls_cert=Path("c"), map=WebMapConfig(image=Path("i"), points=points)
+    )
+    args = _parser().parse_args(web_arguments(table, SOCKET))
+    assert (args.socket, args.host, args.port, args.name, args.tls_cert) == (
+        str(SOCKET),
+        "10.0.0.1",
+        80,
+        ["field"],
+        Path("c"),
+    )
+    assert args.supervised and len(args.map_point) == 2
+    assert page_address(table) == "https://10.0.0.1:80/"
+
+
+async def test_the_bridge_gets_its_fleet_file_and_the_daemons_socket() -> None:
+    table = FederationConfig(site="north", servers=("tls://h",), nkey=Path("n.nk"))
+    child = federation_child(table, "/etc/fleet.toml", SOCKET, asyncio.get_running_loop(), lambda event: None)
+    args = _parser().parse_args(child._line[3:])
+    assert (args.file, args.socket, args.supervised, args.no_daemon) == (
+        Path("/etc/fleet.toml"),
+        str(SOCKET),
+        True,
+        False,
+    )
+    assert child.status() == {
+        **{"site": "north", "role": "site", "socket": f"{SOCKET}.federation"},
+        **{"running": False, "pid": None, "restarts": 0},
+    }
+
+
+async def test_a_child_that_ends_again_and_again_is_reported_once_and_ends_with_its_parent() -> None:
+    events: list[Event] = []
+    command = [sys.executable, "-c", "raise SystemExit(3)"]
+    child = SupervisedChild("the thing", "thing", [], asyncio.get_running_loop(), events.append, command=command)
+    task = asyncio.create_task(child.run())
+    await until(lambda: child.restarts >= 2, "it is started again")
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    assert [event.data for event in events] == [{"change": "thing_ended", "reason": "exit code 3"}]
+    assert "the process of the thing has ended (exit code 3); it is started again" in events[0].text
+
+
+async def test_a_process_that_is_there_after_the_end_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon ends while a thread starts the process: found as a process that nobody owned."""
+    asked, go_on = threading.Event(), threading.Event()
+    found: list[subprocess.Popen[bytes]] = []
+    popen = subprocess.Popen
+
+    def slow(*args: Any, **kwargs: Any) -> subprocess.Popen[bytes]:
+        asked.set()
+        go_on.wait()
+        found.append(popen(*args, **kwargs))
+        return found[0]
+
+    monkeypatch.setattr(subprocess, "Popen", slow)
+    loop = asyncio.get_running_loop()
+    command = [sys.executable, "-c", "import time; time.sleep(60)"]
+    child = SupervisedChild("the thing", "thing", [], loop, [].append, command=command)
+    task = asyncio.create_task(child.run())
+    await until(asked.is_set, "it is being started")
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    go_on.set()
+    await until(lambda: found, "it is started all the same")
+    pid = found[0].pid
+    _, status = await asyncio.wait_for(loop.run_in_executor(None, os.waitpid, pid, 0), 10)
+    assert os.WTERMSIG(status) == signal.SIGTERM
+    assert child.status()["pid"] is None
+    assert found[0].stdin is not None and found[0].stdin.closed
