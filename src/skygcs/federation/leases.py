@@ -1,0 +1,454 @@
+"""Holds the leases of the vehicles that several sites may command, and grants the daemon what they allow.
+
+    core.federation.lease      decides, for each vehicle
+    the hub's store            is read and written as that says; nothing is watched, the hub permits it to nobody
+    authority.grant / revoke   pass it on to the daemon, which judges by its own clock at the moment of sending
+
+A daemon that does not answer for DAEMON_SILENT_S has its leases run out: another site can take over from a daemon that
+hangs, and its grants end by themselves. The machines are made anew for each run of the daemon, so that a lease of the
+run before is another's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
+
+import nats.js.errors
+from pydantic_core import from_json, to_json
+
+from skygcs.core.federation.lease import (
+    VALID,
+    VALID_S,
+    Actions,
+    Answer,
+    Ask,
+    Entry,
+    Grant,
+    Lease,
+    LeaseConfig,
+    Look,
+    Report,
+    Revoke,
+    State,
+    Write,
+    decode_entry,
+    encode_entry,
+)
+from skygcs.core.federation.state_batch import RowLease
+from skygcs.errors import BusError, RpcError
+from skygcs.events import Event
+from skygcs.federation.bus import Message, store_errors
+from skygcs.federation.hub_config import LEASES
+from skygcs.rpc import error_codes
+
+if TYPE_CHECKING:
+    from nats.js.kv import KeyValue
+
+    from skygcs.federation.daemon_link import DaemonLink
+    from skygcs.federation.station import Station
+
+TICK_S = 0.1
+STORE_RETRY_S = 0.25
+ASK_WITHIN_S = 1.0
+BUSY_WITHIN_S = 0.5
+DAEMON_SILENT_S = 1.5
+"""A grant that waits so long for its answer: the daemon is stopped, or its loop hangs."""
+
+TAKE_WITHIN_S = 12.0
+"""For the outcome of a person's order: a new hub's wait, an expiry and some retries."""
+
+RELEASE_WITHIN_S = 1.0
+
+FLYING = frozenset({"engaging", "flying"})
+"""States of control in which a vehicle is not given away without force."""
+
+
+def boot_s() -> float:
+    """The clock of leases and grants: it runs while the machine sleeps, and the daemon reads the same."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class Leases:
+    """A part of the bridge: `run` in a task. ``lease_of`` and ``not_held`` answer for other parts."""
+
+    def __init__(self, station: Station, link: DaemonLink, clock: Callable[[], float] = boot_s) -> None:
+        """``link``: of this part alone."""
+        self._station = station
+        self._bus = station.bus
+        self._link = link
+        self._clock = clock
+        self._configs = station.config.vehicles
+        self._leases: dict[str, Lease] = {}
+        """Empty while there is no daemon."""
+        self._since_s: dict[str, float] = {}
+        self._store: KeyValue | None = None
+        self._hub = ""
+        self._looking: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._to_daemon: dict[str, Grant | Revoke] = {}
+        """By vehicle, the newest that the daemon does not know yet."""
+        self._told: dict[str, Grant | Revoke] = {}
+        self._for_daemon = asyncio.Event()
+        self._changed = asyncio.Event()
+        self._daemon_silent = False
+        self.problem: str | None = None
+        link.on_change(self._on_daemon)
+        self._bus.on_change(self._on_hub)
+        station.methods["federation.take"] = self._take
+        station.methods["federation.release"] = self._release
+        station.methods["federation.leases"] = self._status_of_all
+
+    # -- for other parts
+
+    def lease_of(self, vehicle: str) -> RowLease | None:
+        """For the state batches: the lease of a vehicle of ours, None if nobody is known to hold one."""
+        lease = self._leases.get(vehicle)
+        if lease is None or (holder := lease.holder) is None:
+            return None
+        status = lease.status(self._clock())
+        return RowLease(holder, int(status["revision"]), float(status["remaining_s"]))
+
+    def not_held(self, vehicle: str) -> str | None:
+        """Why this site does not command a vehicle; None if it does, or the vehicle needs no lease."""
+        if vehicle not in self._configs:
+            return None
+        lease = self._leases.get(vehicle)
+        if lease is None:
+            return f"{vehicle} is not commanded by {self._station.name} now: {self.problem or 'its daemon is away'}"
+        if lease.state in VALID and self._clock() < lease.valid_until:
+            return None
+        by = "" if lease.holder is None else f"; it is commanded by {lease.holder}"
+        return f"{vehicle} is not commanded by {self._station.name} now{by}"
+
+    def status(self) -> dict[str, Any]:
+        """For federation.status."""
+        now = self._clock()
+        return {
+            "problem": self.problem,
+            "daemon_silent": self._daemon_silent,
+            "leases": [lease.status(now) for lease in self._leases.values()],
+        }
+
+    # -- life
+
+    async def run(self) -> None:
+        """Until it is cancelled; what it holds is given back then."""
+        homes = sorted({config.home for config in self._configs.values()})
+        served = [await self._bus.serve(f"lease.{home}.*.request", self._on_request) for home in homes]
+        running = [
+            asyncio.create_task(work, name=f"leases: {name}")
+            for name, work in (("daemon", self._link.run()), ("grants", self._grant()), ("hub", self._keep_store()))
+        ]
+        try:
+            while True:
+                now = self._clock()
+                for name, lease in self._leases.items() if not self._daemon_silent else ():
+                    self._carry_out(name, lease, lease.tick(now))
+                self._changed.set()
+                self._changed = asyncio.Event()
+                for task in running:
+                    if task.done():
+                        task.result()
+                await asyncio.sleep(TICK_S)
+        finally:
+            await self._give_back()
+            for task in (*running, *self._tasks):
+                task.cancel()
+            await asyncio.gather(*running, *self._tasks, return_exceptions=True)
+            for subscription in served:
+                await subscription.close()
+
+    async def _give_back(self) -> None:
+        """An orderly end: the daemon stops first, then the store shows it."""
+        for name, lease in self._leases.items():
+            self._carry_out(name, lease, lease.release(self._clock()))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(RELEASE_WITHIN_S):
+                while any(lease.state is State.RELEASING for lease in self._leases.values()):
+                    for name, lease in self._leases.items():
+                        self._carry_out(name, lease, lease.tick(self._clock()))
+                    await asyncio.sleep(TICK_S / 2)
+
+    # -- the hub
+
+    def _on_hub(self) -> None:
+        if not self._bus.connected:
+            self._store = None
+            for name, lease in self._leases.items():
+                self._carry_out(name, lease, lease.hub_down(self._clock()))
+
+    async def _keep_store(self) -> None:
+        """Find the store after each connection."""
+        while True:
+            if self._bus.connected and self._store is None:
+                try:
+                    await self._open_store()
+                    self.problem = None
+                except BusError as error:
+                    self.problem = str(error)
+            await asyncio.sleep(STORE_RETRY_S)
+
+    async def _open_store(self) -> None:
+        connections = self._bus.counters.connections
+        store = await self._bus.key_value(LEASES)
+        with store_errors(LEASES):
+            info = await self._bus.jetstream().stream_info(f"KV_{LEASES}")
+        if not self._bus.connected or connections != self._bus.counters.connections:
+            return  # another connection meanwhile
+        self._store, self._hub = store, str(info.created)
+        for name, lease in self._leases.items():
+            self._carry_out(name, lease, lease.hub_up(self._hub, self._clock()))
+
+    # -- the daemon
+
+    def _on_daemon(self) -> None:
+        self._leases, self._daemon_silent = {}, False
+        self._to_daemon.clear()
+        self._told.clear()
+        if self._link.client is not None:
+            self._start(self._meet_daemon(), "what the daemon holds")
+
+    async def _meet_daemon(self) -> None:
+        """Make the machines for this run of the daemon; what it holds from an earlier bridge goes on."""
+        try:
+            found = await self._link.call("authority.status")
+        except RpcError as error:
+            self.problem = f"the daemon: {error}"
+            return
+        site, run, now = self._station.name, str(found["run"]), self._clock()
+        made: dict[str, Lease] = {}
+        for name, config in self._configs.items():
+            held = found["vehicles"].get(name)
+            if held is None or found["site"] != site:
+                self.problem = f"the daemon runs another fleet file: it does not know {name} as a vehicle of {site}"
+                continue
+            lease = Lease(LeaseConfig(name, config.home, site, run, config.without_hub == "continue"))
+            if held["hub"]:
+                lease.remember(held["hub"])
+            if held["held"]:
+                lease.adopt(now + held["remaining_s"], held["token"], held["hub"])
+            made[name] = lease
+        self._leases = made
+        if self._store is not None:
+            for name, lease in made.items():
+                self._carry_out(name, lease, lease.hub_up(self._hub, self._clock()))
+
+    async def _grant(self) -> None:
+        """Pass the newest grant or revocation of each vehicle on to the daemon."""
+        while True:
+            await self._for_daemon.wait()
+            self._for_daemon.clear()
+            while self._to_daemon:
+                name, action = next(iter(self._to_daemon.items()))
+                del self._to_daemon[name]
+                await self._tell_daemon(name, action)
+
+    async def _tell_daemon(self, name: str, action: Grant | Revoke) -> None:
+        lease = self._leases.get(name)
+        common = {"vehicle": name, "token": action.token, "hub": action.hub}
+        asked: Awaitable[Any]
+        if isinstance(action, Grant):
+            asked = self._link.call("authority.grant", **common, sent_s=action.sent_s, valid_for_s=VALID_S)
+        else:
+            asked = self._link.call("authority.revoke", **common, commander=action.commander)
+        call = asyncio.ensure_future(asked)
+        try:
+            await asyncio.wait({call}, timeout=DAEMON_SILENT_S)
+            self._daemon_silent = not call.done()
+            if self._daemon_silent:
+                self._report("warning", name, "the daemon does not answer: its leases run out")
+            answer = await call
+        except RpcError as error:
+            self.problem = f"the daemon: {error}"
+            return
+        finally:
+            self._daemon_silent = False
+            call.cancel()
+        if isinstance(action, Revoke) or answer["result"] == "granted":
+            self._told[name] = action
+        elif answer["result"] == "fenced":
+            self.problem = f"the daemon refused a grant for {name}: a newer token came before"
+        if isinstance(action, Revoke) and lease is not None and lease is self._leases.get(name):
+            lease.revoked(action.number)
+
+    # -- what the machines want
+
+    def _carry_out(self, name: str, lease: Lease, actions: Actions) -> None:
+        for action in actions:
+            match action:
+                case Write():
+                    self._start(self._write(name, lease, action), f"write the lease of {name}")
+                case Look():
+                    if name not in self._looking:
+                        self._start(self._look(name, lease), f"read the lease of {name}")
+                case Ask():
+                    self._start(self._ask(name, lease, action), f"ask for {name}")
+                case Report():
+                    self._report("federation", name, action.text)
+                case Grant() | Revoke():
+                    self._queue(name, lease, action)
+
+    def _queue(self, name: str, lease: Lease, action: Grant | Revoke) -> None:
+        said = name not in self._to_daemon and self._told.get(name) == action
+        if said and isinstance(action, Revoke) and lease.state is not State.RELEASING:
+            return
+        self._to_daemon[name] = action
+        self._for_daemon.set()
+
+    async def _write(self, name: str, lease: Lease, write: Write) -> None:
+        if write.holder is None or lease.state not in VALID:
+            self._since_s[name] = time.time()
+        value = encode_entry(write.holder, write.run, self._since_s.setdefault(name, time.time()), write.wanted_by)
+        answer: Answer = "failed"
+        store = self._store
+        if store is not None:
+            try:
+                with store_errors(LEASES):
+                    answer = await store.update(self._key(name), value, last=write.revision or 0)
+            except nats.js.errors.KeyWrongLastSequenceError:
+                answer = "conflict"
+            except BusError:
+                answer = "failed"
+        self._carry_out(
+            name, lease, self._if_current(name, lease, lambda: lease.answered(write.number, answer, self._clock()))
+        )
+
+    async def _look(self, name: str, lease: Lease) -> None:
+        self._looking.add(name)
+        store = self._store
+        try:
+            if store is None:
+                return
+            entry: Entry | None = None
+            try:
+                with store_errors(LEASES):
+                    found = await store.get(self._key(name))
+                entry = decode_entry(found.value or b"", found.revision or 0)
+            except nats.js.errors.KeyNotFoundError:
+                entry = None
+            except BusError:
+                return
+        finally:
+            self._looking.discard(name)
+        if store is self._store:
+            self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.seen(entry, self._clock())))
+
+    def _if_current(self, name: str, lease: Lease, call: Callable[[], Actions]) -> Actions:
+        """Nothing for the machine of a daemon that is gone."""
+        return call() if self._leases.get(name) is lease else []
+
+    def _key(self, name: str) -> str:
+        return f"{self._configs[name].home}.{name}"
+
+    # -- take-over on request
+
+    async def _ask(self, name: str, lease: Lease, ask: Ask) -> None:
+        subject = f"lease.{self._key(name)}.request"
+        message = {"v": 1, "by": self._station.name, "to": ask.holder, "force": ask.force}
+        try:
+            answer = from_json(await self._bus.request(subject, to_json(message), ASK_WITHIN_S))
+        except (BusError, ValueError):
+            return  # asked again; the key expires if the holder is gone
+        refusal = answer.get("refusal") if isinstance(answer, dict) else None
+        text = None if refusal is None else str(refusal)[:200]
+        self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.asked(text, self._clock())))
+
+    async def _on_request(self, message: Message) -> bytes | None:
+        """Another site asks for a vehicle; answered by the holder alone."""
+        try:
+            asked = from_json(message.data)
+            _, home, name, _ = message.subject.split(".")
+            by, to, force = asked["by"], asked["to"], asked.get("force", False)
+        except (ValueError, KeyError, TypeError):
+            return None
+        lease, config = self._leases.get(name), self._configs.get(name)
+        if lease is None or config is None or config.home != home or to != self._station.name:
+            return None
+        if not isinstance(by, str) or not 1 <= len(by) <= 16:
+            return None
+        busy = await self._busy(name)
+        refusal, actions = lease.requested(by, self._clock(), busy=busy, force=force is True)
+        self._carry_out(name, lease, self._if_current(name, lease, lambda: actions))
+        return to_json({"refusal": refusal})
+
+    async def _busy(self, name: str) -> str | None:
+        """What this site does with a vehicle now."""
+        try:
+            async with asyncio.timeout(BUSY_WITHIN_S):
+                state = await self._link.call("vehicles.get", target=name)
+        except (TimeoutError, RpcError):
+            return None
+        control = state.get("control") or {}
+        return f"it is flown by setpoints of {self._station.name}" if control.get("state") in FLYING else None
+
+    # -- what people ask over the station socket
+
+    async def _take(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Command a vehicle from this site: its holder is asked for the lease. Answered once that is decided."""
+        name, lease = self._named(params)
+        force, without_hub = params.get("force") is True, params.get("without_hub") is True
+        refusal = lease.take(self._clock(), force=force, without_hub=without_hub)
+        if refusal is not None:
+            raise RpcError(error_codes.REFUSED, f"{name}: {refusal}")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(TAKE_WITHIN_S):
+                while lease.state is State.WANTED or (lease.state in VALID and self._told_of(name) is not Grant):
+                    await self._changed.wait()
+        if lease.state not in VALID:
+            holder = f"{lease.holder} has it" if lease.holder else "nobody has it"
+            home = lease.config.home
+            alone = f"; its home {home} may go on without the hub: --force" if lease.config.goes_on_alone else ""
+            last = next((e.text for e in reversed(self._station.report.recent) if e.vehicle == name), holder)
+            raise RpcError(error_codes.REFUSED, f"{name} was not taken: {last}" + (alone if not lease.holder else ""))
+        return lease.status(self._clock())
+
+    def _told_of(self, name: str) -> type[Grant] | type[Revoke] | None:
+        told = self._told.get(name)
+        return None if told is None else type(told)
+
+    async def _release(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Give a vehicle's lease up, for another site to take; control by setpoints ends without an order."""
+        name, lease = self._named(params)
+        self._carry_out(name, lease, lease.release(self._clock()))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(TAKE_WITHIN_S):
+                while lease.state is State.RELEASING:
+                    await self._changed.wait()
+        return lease.status(self._clock())
+
+    async def _status_of_all(self, _: dict[str, Any]) -> list[dict[str, Any]]:
+        """The leases of the vehicles in [federation.vehicles]."""
+        now = self._clock()
+        return [lease.status(now) for lease in self._leases.values()]
+
+    def _named(self, params: dict[str, Any]) -> tuple[str, Lease]:
+        name = params.get("vehicle")
+        if isinstance(name, str) and "/" in name:  # as other sites' vehicles are named: home/alpha
+            home, _, rest = name.partition("/")
+            name = rest if rest in self._configs and self._configs[rest].home == home else name
+        if not isinstance(name, str) or name not in self._configs:
+            known = ", ".join(sorted(self._configs)) or "none"
+            raise RpcError(error_codes.REFUSED, f"[federation.vehicles] does not name {name}; it names: {known}")
+        lease = self._leases.get(name)
+        if lease is None:
+            raise RpcError(error_codes.REFUSED, f"{name}: {self.problem or 'the daemon of this site is away'}")
+        return name, lease
+
+    # -- the inside
+
+    def _start(self, work: Any, name: str) -> None:
+        task = asyncio.create_task(work, name=f"leases: {name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._report("fault", None, f"{task.get_name()} failed: {error!r}")
+
+    def _report(self, kind: str, vehicle: str | None, text: str) -> None:
+        self._station.report(Event(kind, vehicle, None, text, {}))

@@ -1,0 +1,94 @@
+"""Orders of other stations as a part of the bridge: their subject, the daemon, their record on the bus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from skygcs.core.federation.own_states import OwnStates
+from skygcs.core.federation.remote_sites import CONTESTED_S, RemoteSites
+from skygcs.federation.audit_file import AuditFile
+from skygcs.federation.bus import Message
+from skygcs.federation.daemon_orders import DaemonOrders
+from skygcs.federation.orders_taken import MAX_MESSAGES, OrdersTaken
+from skygcs.federation.station import Station
+from skygcs.rpc.client import connect
+
+FILE_NAME = "federation-orders.jsonl"
+"""In the daemon's log folder."""
+
+MAX_WAITING_RECORDS = 1000
+"""Of the record that waits to be sent to the bus; the file has all of them."""
+
+NotHeld = Callable[[str], str | None]
+
+
+def held(_: str) -> str | None:
+    """Of a site whose vehicles are all its own."""
+    return None
+
+
+class OrdersTakenPart:
+    """`run` in a task. ``not_held``: why this site does not command a vehicle of this name; None if it does."""
+
+    def __init__(self, station: Station, site: str, daemon_address: str, states: OwnStates, sites: RemoteSites) -> None:
+        """``states``: of this site's vehicles, as they are shared. ``sites``: shows if another bridge sends under this
+        site's name."""
+        self.not_held: NotHeld = held
+        self._station = station
+        self._records: asyncio.Queue[tuple[str, bytes]] = asyncio.Queue(MAX_WAITING_RECORDS)
+        self._records_lost = 0
+        self._states = states
+        self._sites = sites
+        self._daemon = DaemonOrders(
+            lambda: connect(daemon_address, token=station.daemon_token),
+            station.loop,
+            lambda name: name in self._states,
+        )
+        file = AuditFile(station.fleet.daemon.log_dir / FILE_NAME)
+        self._site = site
+        self._taken = OrdersTaken(
+            site, self._daemon, file, self._publish, self._why_not, station.clock.site_s, station.loop
+        )
+
+    async def run(self) -> None:
+        """Take orders until it is cancelled."""
+
+        async def answer(message: Message) -> bytes:
+            return await self._taken.answer(message.subject, message.data, message.sender)
+
+        subscription = await self._station.bus.serve(f"cmd.{self._site}.*", answer, at_once=MAX_MESSAGES)
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._daemon.run(), name="daemon of the orders")
+                group.create_task(self._send_records(), name="record of orders")
+        finally:
+            await subscription.close()
+            await self._taken.close()
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able."""
+        daemon = {"connected": self._daemon.connected, "text": self._daemon.text}
+        return {**self._taken.status(), "daemon": daemon, "records_lost": self._records_lost}
+
+    def _why_not(self, vehicle: str) -> str | None:
+        """Why no order of another station is taken for this vehicle."""
+        contested_s = self._station.clock.now_s() - self._sites.own_contested_at
+        if contested_s < CONTESTED_S:  # both get each order
+            return f"two bridges send as {self._site}: end one of them"
+        if vehicle in self._states and not self._states.shares(vehicle):
+            return f"{vehicle} is not shared with other stations (federation.share)"
+        return self.not_held(vehicle)
+
+    def _publish(self, subject: str, data: bytes) -> None:
+        try:
+            self._records.put_nowait((subject, data))
+        except asyncio.QueueFull:
+            self._records_lost += 1
+
+    async def _send_records(self) -> None:
+        while True:
+            subject, data = await self._records.get()
+            if not await self._station.bus.publish(subject, data):
+                self._records_lost += 1

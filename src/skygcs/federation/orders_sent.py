@@ -1,0 +1,463 @@
+"""Gives orders to vehicles of other sites: one request for each vehicle, sent once, and one outcome for each.
+
+    not sent       no connection to the hub, or the site does not answer a ping           refused
+    sent           an answer within FIRST_ANSWER_S of the beginning                       that status
+                   none, or the hub finds nobody who takes it                             unknown
+    running        the site is asked for the outcome, again and again                     that outcome
+                   no answer for SILENT_S                                                 unknown
+
+The deadline of an order is the moment at which this station stops waiting for the first answer, on the site's clock:
+what is shown as unknown begins no more, except an emergency stop, which the site takes 5 s longer. Nothing is ever
+sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site refuses an order that comes
+after that question.
+
+Each order begins with a ping, which compares the clocks. When the hub finds no subscriber for an order itself, that
+says little: a copy of it may still be on its way when the site is back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pydantic_core import from_json, to_json
+
+from skygcs.core.clock_offset import ClockComparison, ClockOffset
+from skygcs.core.federation.order_gate import ORDERING_ROLES
+from skygcs.core.federation.order_messages import (
+    METHODS,
+    OUTCOME_SUBJECT,
+    STOP,
+    OrderReply,
+    OrderRequest,
+    OutcomeQuestion,
+    Status,
+    decode_reply,
+    is_key,
+    vehicle_token,
+)
+from skygcs.core.federation.remote_sites import RemoteSites
+from skygcs.core.federation.site_names import SITE_NAME, qualified, select_at
+from skygcs.core.vehicle import stop
+from skygcs.errors import BusError, NobodyThere, RefusedError, ReplyLost, TargetError
+
+FIRST_ANSWER_S = 0.8
+"""From the order's beginning, the comparison of the clocks included: a site or hub that is away shows within 1 s."""
+
+EACH_FURTHER_S = 0.005
+"""Of an order to many vehicles, for each: what both bridges need for a request on a busy computer."""
+
+CLOCKS_S = 0.4
+"""Of these, for the comparison of the clocks."""
+
+CLOCK_AGE_S = 1.0
+"""The site is pinged again when the last answer is older."""
+
+MAX_CLOCK_ERROR_S = 0.17
+"""With a longer way to the site the time for an answer is used up on it."""
+
+ASK_WAIT_S = 0.8
+"""The site holds a question back so long for the order's end ..."""
+
+ASK_TIMEOUT_S = 1.3
+"""... and has to answer by then."""
+
+ASK_PAUSE_S = 0.2
+"""After a question that was not answered."""
+
+ASKS_PER_S = 200.0
+"""Questions of this station, with the many vehicles of one order."""
+
+SILENT_S = 3.0
+"""A hub that is started again is back within 2 s."""
+
+LONGEST_S = 150.0
+"""No order without wait_s takes longer: a command that reports its progress has 120 s."""
+
+MAX_SENT = 1024
+"""Orders that are remembered for `outcome`, the oldest makes room."""
+
+MAX_AT_ONCE = 1000
+"""Vehicles of one order."""
+
+MAX_SITES = 64
+
+Json = dict[str, Any]
+
+
+UNCERTAIN = (ReplyLost, NobodyThere)
+"""Errors of an order after which it may have been carried out, or may yet be."""
+
+
+class Requests(Protocol):
+    """`federation.bus.Bus`."""
+
+    async def request(self, subject: str, data: bytes, timeout_s: float) -> bytes:
+        """The answer. Raises BusError."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteVehicle:
+    """A vehicle of another site by its names there."""
+
+    site: str
+    name: str
+
+    def __str__(self) -> str:
+        return qualified(self.site, self.name)
+
+
+@dataclass(slots=True)
+class _Sent:
+    """An order that has left."""
+
+    request: OrderRequest
+    site: str
+    reply: OrderReply
+
+
+class OrdersSent:
+    """Of one station. ``station``: its name, ``role``: its role, for the record of the home site. ``sites``: what is
+    known of the others."""
+
+    methods = METHODS
+    """Methods that travel."""
+
+    def __init__(
+        self,
+        station: str,
+        role: str,
+        bus: Requests,
+        sites: RemoteSites,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        new_key: Callable[[], str] = lambda: secrets.token_hex(16),
+    ) -> None:
+        self.counters: Counter[str] = Counter()
+        """Orders by their status."""
+        self._station = station
+        self._role = role
+        self._bus = bus
+        self._sites = sites
+        self._loop = loop
+        self._new_key = new_key
+        self._run = new_key()[:8]
+        self._following = 0
+        """Orders whose outcome is asked for."""
+        self._seq = 0
+        self._clocks: OrderedDict[str, _SiteClock] = OrderedDict()
+        self._sent: OrderedDict[str, _Sent] = OrderedDict()
+
+    async def run(self) -> None:
+        """Nothing happens by itself: each order is in the task of its caller."""
+        await asyncio.Event().wait()
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {"sent": len(self._sent), **self.counters}
+
+    def check(
+        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], own: Sequence[str] = ()
+    ) -> None:
+        """Raises SkygcsError for an order that does not travel, or without the word of confirmation that it needs.
+        ``targets``: by site. ``own``: vehicles of this station that are to get the same order."""
+        vehicles, _ = self._vehicles(targets)
+        self._check(method, params, [*own, *map(str, vehicles)])
+
+    async def give(
+        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
+    ) -> dict[str, Json]:
+        """Give one order to vehicles of other sites; the outcomes by "site/name". ``own``: how many vehicles of this
+        station get it, too, after `check` with them. Raises SkygcsError before anything is sent."""
+        vehicles, empty = self._vehicles(targets)
+        if not own:
+            self._check(method, params, [str(vehicle) for vehicle in vehicles])
+        several = len(vehicles) + own > 1
+        return empty | await self._order(method, params, vehicles, by, several=several)
+
+    async def order(
+        self, method: str, params: Mapping[str, Any], vehicles: Sequence[RemoteVehicle], user: str
+    ) -> dict[str, Json]:
+        """As `give`, to these vehicles, which need not be known here. Raises RefusedError."""
+        self._check(method, params, [str(vehicle) for vehicle in vehicles])
+        return await self._order(method, params, vehicles, user, several=len(vehicles) > 1)
+
+    async def answer_outcome(self, params: Json) -> Json:
+        """What became of an order to a vehicle of another site, by the id that its outcome showed. The site is asked.
+
+        An order that has not come there when it is asked is refused from then on."""
+        return await self.outcome(str(params["id"]))
+
+    async def outcome(self, text: str) -> Json:
+        """What became of the order ``text``, "site/id" as shown with it, or "id" for one of this station. The site is
+        asked. Raises TargetError."""
+        site, _, key = text.rpartition("/")
+        sent = self._sent.get(key)
+        if not is_key(key) or not (sent if not site else SITE_NAME.fullmatch(site)):
+            raise TargetError(
+                f"{text[:100]!r} is no order of this station; give its id as it was shown: site/32 digits"
+            )
+        site = site or (sent.site if sent is not None else "")
+        try:
+            reply = await self._ask(site, key, 0.0, sent)
+            heard = True
+        except BusError as error:
+            heard = False
+            why = f"{site} does not answer: {error.reason}"
+            reply = OrderReply(key, "unknown", why) if sent is None or sent.reply.status == "unknown" else sent.reply
+        if sent is not None and heard:
+            sent.reply = reply
+        return {
+            "id": f"{site}/{key}",
+            "vehicle": None if sent is None else f"{site}/{sent.request.vehicle}",
+            "method": None if sent is None else sent.request.method,
+            "status": reply.status,
+            "text": reply.text,
+            "outcome": reply.outcome,
+            "answered": heard,
+        }
+
+    # -- the inside
+
+    def _vehicles(self, targets: Mapping[str, Sequence[str]]) -> tuple[list[RemoteVehicle], dict[str, Json]]:
+        """The vehicles that are meant, and a line for each site that shares none. Raises TargetError."""
+        vehicles: list[RemoteVehicle] = []
+        empty: dict[str, Json] = {}
+        for site, parts in targets.items():
+            found = select_at(site, parts, self._sites.rows(site))
+            vehicles += [RemoteVehicle(site, row.name) for row in found]
+            if not found:
+                empty[qualified(site, "all")] = _plain_outcome(False, "refused", f"refused: {site} shows no vehicle")
+        return vehicles, empty
+
+    async def _order(
+        self, method: str, params: Mapping[str, Any], vehicles: Sequence[RemoteVehicle], user: str, *, several: bool
+    ) -> dict[str, Json]:
+        given = dict(params)
+        given.pop("targets", None)
+        if several and method == STOP and given.get("action") == "kill":
+            given["confirm"] = "kill-1"  # the word for all was right; each site gets the one for its vehicle
+        began = self._loop.time()
+        self._seq += 1
+        seq = self._seq
+        by = f"{user}@{self._station}"
+        sites = list(dict.fromkeys(vehicle.site for vehicle in vehicles))
+        offsets = dict(zip(sites, await asyncio.gather(*(self._offset(site) for site in sites)), strict=True))
+        until = began + FIRST_ANSWER_S + EACH_FURTHER_S * (len(vehicles) - 1)
+        replies = await asyncio.gather(
+            *(self._given(v, method, given, by, seq, until, offsets[v.site]) for v in vehicles)
+        )
+        took_s = self._loop.time() - began
+        return {str(v): self._outcome(v, reply, took_s) for v, reply in zip(vehicles, replies, strict=True)}
+
+    def _check(self, method: str, params: Mapping[str, Any], names: Sequence[str]) -> None:
+        """Raises RefusedError for what does not travel, and without the word of confirmation that it needs."""
+        if self._role not in ORDERING_ROLES:
+            raise RefusedError(f"this station is an {self._role}: it gives no orders to other sites")
+        if method not in METHODS:
+            raise RefusedError(f"{method} does not travel to other sites; give it there")
+        if len(names) > MAX_AT_ONCE:
+            raise RefusedError(f"{len(names)} vehicles in one order; at most {MAX_AT_ONCE}")
+        if params.get("wait_s"):
+            raise RefusedError("--wait is for vehicles of this site: a remote order is carried out at once or not")
+        if params.get("together") is not None:
+            raise RefusedError("together: is for vehicles of this site; the others are kept apart by their own sites")
+        if method == "vehicles.goto":
+            if params.get("enu_m") is not None:
+                raise RefusedError("--enu is in metres from this site's origin; give LAT LON [HEIGHT] for another site")
+            if len(names) > 1:
+                raise RefusedError(
+                    "a formation is kept by its own site: give each vehicle of another site its own goto"
+                )
+        if method == STOP:
+            confirm = params.get("confirm")
+            if len(names) > 1 or confirm is None:  # of one vehicle, its site knows whether it counts twice
+                stop.require_confirmed(str(params.get("action")), dict.fromkeys(names), confirm)
+
+    async def _given(
+        self,
+        vehicle: RemoteVehicle,
+        method: str,
+        params: Json,
+        by: str,
+        seq: int,
+        until: float,
+        offset: ClockOffset | str,
+    ) -> OrderReply:
+        """One order to one vehicle, to its end. ``until``: its deadline, on this loop."""
+        key = self._new_key()
+        if isinstance(offset, str):
+            if method != STOP:
+                self.counters["not sent"] += 1
+                return OrderReply(key, "refused", f"{offset}; nothing was sent")
+            # not to try would be worse: the last comparison may do, or both wall clocks may be right
+            best = self._clocks[vehicle.site].best() if vehicle.site in self._clocks else None
+            deadline_s = until + (time.time() - self._loop.time() if best is None else best.offset_s)
+        else:
+            deadline_s = until + offset.offset_s - offset.error_s
+        request = OrderRequest(key, vehicle.name, method, params, deadline_s, by, self._role, self._run, seq)
+        sent = _Sent(request, vehicle.site, OrderReply(key, "unknown", "it has been sent"))
+        self._remember(sent)
+        sent.reply = await self._first_answer(sent, until)
+        if sent.reply.status == "running":
+            self._following += 1
+            try:
+                sent.reply = await self._followed(sent)
+            finally:
+                self._following -= 1
+        if sent.reply.status == "late":
+            self._clocks.pop(vehicle.site, None)
+        self.counters[sent.reply.status] += 1
+        return sent.reply
+
+    async def _first_answer(self, sent: _Sent, until: float) -> OrderReply:
+        request, site = sent.request, sent.site
+        subject = f"cmd.{site}.{vehicle_token(request.vehicle)}"
+        try:
+            payload = await self._bus.request(subject, request.encoded(), max(until - self._loop.time(), 0.0))
+        except UNCERTAIN as error:
+            return OrderReply(request.key, "unknown", f"{site} has not answered: {error.reason}")
+        except BusError as error:
+            return OrderReply(request.key, "refused", f"{site} cannot be reached: {error.reason}; nothing was sent")
+        return _read(site, request.key, payload)
+
+    async def _followed(self, sent: _Sent) -> OrderReply:
+        """Ask for the outcome of an order that is being carried out until it has ended."""
+        key, began = sent.request.key, self._loop.time()
+        failing_since: float | None = None
+        while True:
+            why = ""
+            try:
+                reply = await self._ask(sent.site, key, ASK_WAIT_S, sent)
+            except BusError as error:
+                why = error.reason
+                failing_since = self._loop.time() if failing_since is None else failing_since
+                await asyncio.sleep(ASK_PAUSE_S)
+            else:
+                failing_since = None
+                if reply.status == "never came":  # it came: the answer was "running"
+                    return OrderReply(key, "unknown", f"{sent.site} does not remember it")
+                if reply.status != "running":
+                    return reply
+                await asyncio.sleep(max(0.0, self._following / ASKS_PER_S - ASK_WAIT_S))
+            now = self._loop.time()
+            if failing_since is not None and now - failing_since > SILENT_S - ASK_TIMEOUT_S:
+                return OrderReply(key, "unknown", f"{sent.site} carries it out, and then was not heard: {why}")
+            if now - began > LONGEST_S:
+                return OrderReply(key, "unknown", f"{sent.site} still carries it out after {LONGEST_S:.0f} s")
+
+    async def _ask(self, site: str, key: str, wait_s: float, sent: _Sent | None) -> OrderReply:
+        """Raises BusError."""
+        question = OutcomeQuestion(key, wait_s, None if sent is None else sent.request.deadline_s)
+        payload = await self._bus.request(f"cmd.{site}.{OUTCOME_SUBJECT}", question.encoded(), ASK_TIMEOUT_S)
+        return _read(site, key, payload)
+
+    async def _offset(self, site: str) -> ClockOffset | str:
+        """The site's clock against this loop's, or why it is not known."""
+        clock = self._clocks.get(site)
+        if clock is None:
+            clock = self._clocks[site] = _SiteClock(site, self._bus, self._loop)
+            if len(self._clocks) > MAX_SITES:
+                self._clocks.popitem(last=False)
+        return await clock.offset()
+
+    def _remember(self, sent: _Sent) -> None:
+        self._sent[sent.request.key] = sent
+        if len(self._sent) > MAX_SENT:
+            self._sent.popitem(last=False)
+
+    def _outcome(self, vehicle: RemoteVehicle, reply: OrderReply, took_s: float) -> Json:
+        """As the daemon's outcomes are, with the order's id."""
+        ident = f"{vehicle.site}/{reply.key}"
+        if reply.outcome is not None and reply.status in ("done", "failed", "refused"):
+            return {**reply.outcome, "id": ident}
+        results: dict[Status, str] = {"done": "accepted", "failed": "failed", "unknown": "unknown"}
+        message = reply.text
+        if reply.status == "unknown":
+            message = f"outcome unknown: {reply.text}; ask: skygcs-cli federation outcome {ident}"
+        elif reply.status != "done":
+            message = f"{'refused' if reply.status != 'failed' else 'failed'}: {reply.text}"
+        result = results.get(reply.status, "refused")
+        return {**_plain_outcome(reply.status == "done", result, message, took_s), "id": ident}
+
+
+def _plain_outcome(ok: bool, result: str, message: str, took_s: float = 0.0) -> Json:
+    """As the daemon's, of an order that no daemon has answered."""
+    return {
+        "ok": ok,
+        "result": result,
+        "message": message,
+        "attempts": 0,
+        "elapsed_s": round(took_s, 3),
+        "status_texts": [],
+    }
+
+
+class _SiteClock:
+    """The clock of one site, compared with this loop's when it is needed: one question for all orders at a time."""
+
+    def __init__(self, site: str, bus: Requests, loop: asyncio.AbstractEventLoop) -> None:
+        self._site = site
+        self._bus = bus
+        self._loop = loop
+        self._comparison = ClockComparison()
+        self._compared_at = -math.inf
+        self._run: object = None
+        self._asking: asyncio.Task[str | None] | None = None
+
+    async def offset(self) -> ClockOffset | str:
+        """Why it is not known, if it is not."""
+        if self._loop.time() - self._compared_at > CLOCK_AGE_S:
+            if self._asking is None:
+                self._asking = self._loop.create_task(self._ask(), name=f"clock of {self._site}")
+                self._asking.add_done_callback(self._asked)
+            problem = await asyncio.shield(self._asking)
+            if problem is not None:
+                return problem
+        best = self.best()
+        if best is None:
+            return f"the clock of {self._site} is not known"
+        if best.error_s > MAX_CLOCK_ERROR_S:
+            return f"the way to {self._site} and back takes {best.round_trip_s:.1f} s, too long for orders"
+        return best
+
+    def best(self) -> ClockOffset | None:
+        """The best comparison of the last minute."""
+        return self._comparison.best(self._loop.time())
+
+    def _asked(self, _: object) -> None:
+        self._asking = None
+
+    async def _ask(self) -> str | None:
+        """Compare the clocks once; why it did not work."""
+        sent = self._loop.time()
+        try:
+            payload = await self._bus.request(f"here.{self._site}", to_json({"t0_s": sent}), CLOCKS_S)
+        except BusError as error:
+            return f"{self._site} cannot be reached: {error.reason}"
+        received = self._loop.time()
+        try:
+            answer = from_json(payload, allow_inf_nan=False)
+            remote_s, run = answer["site_s"], answer.get("run")
+            if isinstance(remote_s, bool) or not isinstance(remote_s, int | float):
+                raise TypeError
+        except (ValueError, TypeError, KeyError, AttributeError):
+            return f"{self._site} answers with something else than its clock"
+        if run != self._run:
+            self._run, self._comparison = run, ClockComparison()
+        if not self._comparison.add(sent, received, remote_s, wall_received=received, remote_wall=remote_s):
+            return f"{self._site} answers with something else than its clock"
+        self._compared_at = received
+        return None
+
+
+def _read(site: str, key: str, payload: bytes) -> OrderReply:
+    reply = decode_reply(key, payload)
+    return reply if reply is not None else OrderReply(key, "unknown", f"the answer of {site} cannot be read")

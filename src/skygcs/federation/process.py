@@ -1,0 +1,288 @@
+"""`skygcs federation run`: composition of the bridge, its life and its signals.
+
+Each part runs in a task of its own. One that fails is reported and run again after a pause; the others go on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import secrets
+import signal
+import socket
+import ssl
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skygcs import __version__
+from skygcs.config.federation import STATION_SUFFIX, FederationConfig, FederationMetricsConfig
+from skygcs.config.models import FleetConfig
+from skygcs.errors import ConfigError, SkygcsError
+from skygcs.events import Event
+from skygcs.federation.bus import Bus, BusOptions
+from skygcs.federation.nkeys_files import read_seed
+from skygcs.federation.station import Part, Reports, Station
+
+if TYPE_CHECKING:  # each is imported by the stations that have it
+    from skygcs.core.federation.own_states import OwnStates
+    from skygcs.core.federation.remote_sites import RemoteSites
+    from skygcs.federation.publisher import Publisher
+    from skygcs.federation.station_view import StationView
+
+RUN_ID_BYTES = 8
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+"""Before a part that failed is run again, doubling."""
+
+STEADY_S = 30.0
+"""A part that ran for so long begins with FIRST_PAUSE_S again."""
+
+CANCEL_AGAIN_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class FederationOptions:
+    """How the process was asked to run."""
+
+    daemon_address: str
+    """Of the station's daemon; the station socket stands beside it."""
+    daemon_token: str | None = None
+    with_daemon: bool = True
+    """False: a station that has none, as an observer's laptop."""
+    supervised: bool = False
+    """Started by a daemon: it ends when its standard input ends."""
+
+
+class FederationProcess:
+    """Everything of the process. `run` until `stop`."""
+
+    def __init__(self, fleet: FleetConfig, options: FederationOptions) -> None:
+        if fleet.federation is None:
+            raise ConfigError("federation", ["the fleet file has no table [federation]"])
+        self.options = options
+        self.config = fleet.federation
+        self.report = Reports()
+        loop = asyncio.get_running_loop()
+        name = self.config.site or socket.gethostname().partition(".")[0].lower()
+        self.bus = Bus(bus_options(self.config, name), loop, self.report)
+        self.station = Station(
+            config=self.config,
+            fleet=fleet,
+            name=name,
+            run_id=secrets.token_hex(RUN_ID_BYTES),
+            bus=self.bus,
+            daemon_address=options.daemon_address if options.with_daemon else None,
+            daemon_token=options.daemon_token,
+            socket_path=_station_socket(options.daemon_address),
+            loop=loop,
+            report=self.report,
+        )
+        self.station.methods["federation.status"] = self._status
+        self.parts = make_parts(self.station)
+        self._stopping = asyncio.Event()
+
+    async def _status(self, _: dict[str, Any]) -> dict[str, Any]:
+        """This bridge: version, names, the connection to the hub, and the counters of each of its parts."""
+        return self.status()
+
+    def status(self) -> dict[str, Any]:
+        """For federation.status: JSON-able."""
+        return {
+            "version": __version__,
+            "pid": os.getpid(),
+            "station": self.station.name,
+            "site": self.station.site,
+            "role": self.config.role,
+            "run": self.station.run_id,
+            "daemon": self.station.daemon_address,
+            "hub": self.bus.status(),
+            "parts": {name: part.status() for name, part in self.parts.items()},
+        }
+
+    async def run(self, on_ready: Callable[[FederationProcess], None] | None = None) -> None:
+        """Until `stop`."""
+        tasks = [asyncio.create_task(self._part(name, part), name=name) for name, part in self.parts.items()]
+        tasks.append(asyncio.create_task(self.bus.run(), name="hub"))
+        stopping = asyncio.create_task(self._stopping.wait(), name="stop")
+        try:
+            if on_ready is not None:
+                on_ready(self)
+            await asyncio.wait({stopping, *tasks}, return_when=asyncio.FIRST_COMPLETED)
+            for task in tasks:
+                if task.done():
+                    task.result()
+        finally:
+            stopping.cancel()
+            await cancelled(tasks[:-1])  # leases are given back while the hub is there
+            await cancelled(tasks[-1:])
+
+    async def _part(self, name: str, part: Part) -> None:
+        """Run one part for ever."""
+        pause_s = FIRST_PAUSE_S
+        while True:
+            began = self.station.now()
+            try:
+                await part.run()
+                reason = "it has ended"
+            except SkygcsError as error:
+                reason = str(error)
+            except Exception as error:
+                reason = f"{type(error).__name__}: {error}"
+            if self.station.now() - began >= STEADY_S:
+                pause_s = FIRST_PAUSE_S
+            text = f"federation: {name} has failed ({reason}); it is run again in {pause_s:g} s"
+            self.report(Event("fault", None, None, text, {"part": name, "reason": reason}))
+            await asyncio.sleep(pause_s)
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+
+    def stop(self) -> None:
+        """End `run`. Idempotent; safe as a signal handler of the loop."""
+        self._stopping.set()
+
+
+async def cancelled(tasks: Sequence[asyncio.Task[Any]]) -> None:
+    """Cancel tasks until all have ended. One cancellation can be lost: a group of tasks that fails at that moment, as
+    when the daemon goes that ends this process, raises its tasks' errors instead, which are handled, and goes on; so
+    does nats-py's connecting when an answer comes."""
+    waiting = set(tasks)
+    while waiting:
+        for task in waiting:
+            task.cancel()
+        _, waiting = await asyncio.wait(waiting, timeout=CANCEL_AGAIN_S)
+
+
+def make_parts(station: Station) -> dict[str, Part]:
+    """The parts of this station in the order in which they are started, by name. Each is imported by the stations that
+    have it.
+
+    A site with a daemon has all of them; an operator and an observer only those that read other sites and ask them.
+    """
+    from skygcs.core.federation.remote_sites import RemoteSites
+    from skygcs.federation.orders_sent import OrdersSent
+    from skygcs.federation.readers import Readers
+    from skygcs.federation.station_methods import OUTCOME
+    from skygcs.federation.station_view import StationView
+
+    parts: dict[str, Part] = {}
+    sites = RemoteSites(station.site, station.run_id)
+    subscribe_hz = station.config.subscribe_hz
+    readers = Readers(station.bus, sites, station.clock, own_site=station.site, subscribe_hz=subscribe_hz)
+    parts["readers"] = readers
+    parts["station socket"] = view = StationView(station, sites, readers)  # for CLI, page and programs
+    orders = OrdersSent(station.name, station.config.role, station.bus, sites, station.loop)
+    parts["orders to other sites"] = view.orders = orders
+    station.methods[OUTCOME] = orders.answer_outcome
+    if station.site is not None and (link := station.daemon_link("publisher")) is not None:
+        from skygcs.core.federation.own_states import OwnStates
+        from skygcs.federation.logs import SiteLogs
+        from skygcs.federation.orders_part import OrdersTakenPart
+        from skygcs.federation.publisher import Publisher
+
+        rate_hz, share = station.config.rate_hz, station.config.share
+        states = OwnStates(station.site, station.run_id, 1.0 / rate_hz, share)
+        parts["publisher"] = publisher = Publisher(station.bus, link, station.clock, states, rate_hz)
+        if station.fleet.monitor.mode != "off":
+            parts["conflicts"] = _conflict_watch(station, states, sites, view, publisher)
+        taken = parts["orders of other stations"] = OrdersTakenPart(station, station.site, link.address, states, sites)
+        if station.config.vehicles and (daemon := station.daemon_link("leases")) is not None:
+            from skygcs.federation.leases import Leases
+
+            leases = parts["leases"] = Leases(station, daemon)
+            publisher.lease_of, taken.not_held = leases.lease_of, leases.not_held
+        parts["logs"] = SiteLogs(station.bus, station.site, station.run_id, station.fleet.daemon.log_dir)
+    if station.config.metrics is not None:
+        parts["metrics"] = _metrics(station.config.metrics, station, sites, parts)
+    return parts
+
+
+def _metrics(config: FederationMetricsConfig, station: Station, sites: RemoteSites, parts: dict[str, Part]) -> Part:
+    """Numbers for Prometheus. Raises ConfigError if its library is missing."""
+    try:
+        from skygcs.federation.metrics import FederationMetrics
+    except ModuleNotFoundError:
+        raise ConfigError("federation.metrics", ["needs prometheus-client: pip install 'skygcs[metrics]'"]) from None
+    return FederationMetrics(config, station, sites, parts)
+
+
+def _conflict_watch(
+    station: Station, states: OwnStates, sites: RemoteSites, view: StationView, publisher: Publisher
+) -> Part:
+    """Our vehicles against those of other sites."""
+    from skygcs.federation.conflict_watch import ConflictWatch
+
+    async def send(event: Event, record: Mapping[str, Any]) -> None:
+        station.report(event)
+        view.show_event(record)
+        await publisher.send_event(record)
+
+    watch = ConflictWatch(station.fleet, states, sites, station.clock.now_s, send)
+    view.conflicts = watch.described
+    return watch
+
+
+def bus_options(config: FederationConfig, name: str) -> BusOptions:
+    """How this station reaches the hub. Raises ConfigError."""
+    key = read_seed(config.nkey)
+    return BusOptions(config.servers, key.seed, key.public_key, tls_context(config), f"skygcs {config.role} {name}")
+
+
+def tls_context(config: FederationConfig) -> ssl.SSLContext | None:
+    """Of the connections to the hub; None if no server of the list has TLS. Raises ConfigError for files that cannot be
+    used."""
+    if not config.uses_tls:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=None if config.ca is None else os.fspath(config.ca))
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError("federation.ca", [f"{config.ca}: {_file_reason(error)}"]) from None
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if config.cert is not None:
+        try:
+            context.load_cert_chain(config.cert, config.key)
+        except (OSError, ssl.SSLError) as error:
+            raise ConfigError("federation.cert", [f"{config.cert}, {config.key}: {_file_reason(error)}"]) from None
+    return context
+
+
+def _file_reason(error: OSError) -> str:
+    return error.strerror or str(error) if not isinstance(error, ssl.SSLError) else f"no PEM file: {error.reason}"
+
+
+def _station_socket(daemon_address: str) -> Path:
+    from skygcs.rpc.address import default_socket_path
+
+    base = default_socket_path() if "://" in daemon_address else Path(daemon_address)
+    return base.with_name(base.name + STATION_SUFFIX)
+
+
+async def serve_federation(fleet: FleetConfig, options: FederationOptions) -> None:
+    """Run the process until SIGINT or SIGTERM."""
+    process = FederationProcess(fleet, options)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, process.stop)
+    if options.supervised:
+        loop.add_reader(sys.stdin, _on_input, loop, process)
+    try:
+        await process.run(_freeze)
+    finally:
+        if options.supervised:
+            with contextlib.suppress(OSError, ValueError):
+                loop.remove_reader(sys.stdin)
+
+
+def _freeze(_: FederationProcess) -> None:
+    """The modules' objects stay until the end: a full collection would visit them for 25 ms each time."""
+    gc.collect()
+    gc.freeze()
+
+
+def _on_input(loop: asyncio.AbstractEventLoop, process: FederationProcess) -> None:
+    """Standard input is closed when the daemon ends, also when it is killed: stop."""
+    if not os.read(sys.stdin.fileno(), 4096):
+        loop.remove_reader(sys.stdin)
+        process.stop()

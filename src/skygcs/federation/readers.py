@@ -1,0 +1,213 @@
+"""What other sites send, as this station takes it: batches, events, and answers to pings for the offset of clocks.
+
+Of each site the newest batch waits to be read, no more: a station that is slow reads fewer, not older ones, and a site
+that floods the hub has one batch read each LEAST_APART_S, and EVENTS_PER_S events. A site is pinged at its first batch,
+each QUICK_S until QUICK_PINGS are answered, as the quickest answer counts, and then each PING_EVERY_S.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+from pydantic_core import from_json, to_json
+
+from skygcs.core.federation.remote_sites import MAX_SITES, RemoteSites
+from skygcs.core.federation.site_names import SITE_NAME
+from skygcs.core.federation.state_batch import decode_batch
+from skygcs.core.token_bucket import TokenBucket
+from skygcs.errors import BusError
+from skygcs.federation.bus import Bus, Message
+from skygcs.federation.site_clock import SiteClock
+
+FAST_HZ = 10
+"""``subscribe_hz`` from which a station reads the fast batches."""
+
+LEAST_APART_S = 0.03
+"""Between two batches of a site that are read. Those of the highest rate come 50 ms apart."""
+
+EVENTS_PER_S, EVENT_BURST = 50.0, 500.0
+"""Of a site; further ones are counted. A whole fleet that takes off has a few hundred at once."""
+
+PING_EVERY_S = 2.0
+QUICK_S = 0.25
+QUICK_PINGS = 8
+PING_WITHIN_S = 1.0
+
+MAX_EVENT_BYTES = 16_384
+MAX_EVENTS = 500
+"""Events of other sites that are kept for events.recent."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Readers:
+    """`run` in a task, until it is cancelled."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        sites: RemoteSites,
+        clock: SiteClock,
+        *,
+        own_site: str | None,
+        subscribe_hz: float = 10.0,
+    ) -> None:
+        self.counters: Counter[str] = Counter()
+        self.recent: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
+        """Events of other sites, with ``site``."""
+        self._bus = bus
+        self._sites = sites
+        self._clock = clock
+        self._own_site = own_site
+        self._series = "fast" if subscribe_hz >= FAST_HZ else "slow"
+        self.on_batch: list[Callable[[str], None]] = []
+        """Called with the site after each batch that was taken."""
+        self.on_event: list[Callable[[str, Mapping[str, Any]], None]] = []
+        """Called with the site and each of its events."""
+        self._waiting: dict[str, bytes] = {}
+        self._read_at: dict[str, float] = {}
+        self._event_rates: dict[str, TokenBucket] = {}
+        self._event_at: dict[str, tuple[str, int]] = {}
+        self._pinged_at: dict[str, float] = {}
+        self._answered: Counter[str] = Counter()
+        """Pings by site."""
+        self._pings: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """Read until it is cancelled."""
+        async with contextlib.AsyncExitStack() as stack:
+            for subject, read in ((f"state.*.{self._series}", self._on_state), ("event.*", self._on_event)):
+                stack.push_async_callback((await self._bus.subscribe(subject, read)).close)
+            while True:
+                await asyncio.sleep(QUICK_S)
+                self._ping_sites()
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {"series": self._series, "sites": len(self._sites.names), **self.counters, **self._sites.counters}
+
+    # -- states
+
+    def _on_state(self, message: Message) -> None:
+        """Keep the newest of the site, and read it at the end of this turn of the loop, or LEAST_APART_S after the last
+        one."""
+        site = _site_of(message.subject)
+        if site is None or (site not in self._read_at and len(self._read_at) >= 2 * MAX_SITES):
+            self.counters["batches_bad"] += 1
+            return
+        if site in self._waiting:
+            self.counters["batches_skipped"] += 1
+            self._waiting[site] = message.data
+            return
+        self._waiting[site] = message.data
+        wait_s = self._read_at.setdefault(site, -math.inf) + LEAST_APART_S - self._clock.now_s()
+        asyncio.get_running_loop().call_later(max(0.0, wait_s), self._read, site)
+
+    def _read(self, site: str) -> None:
+        data, now = self._waiting.pop(site), self._clock.now_s()
+        self._read_at[site] = now
+        try:
+            batch = decode_batch(data)
+            if batch.site != site:
+                raise ValueError(f"it names the site {batch.site}")
+        except ValueError as error:
+            self.counters["batches_bad"] += 1
+            _log.debug("bad batch", site=site, reason=str(error))
+            return
+        new = site not in self._sites
+        if not self._sites.take(batch, now):
+            return
+        self.counters["batches"] += 1
+        if new:
+            _log.info("site heard", site=site, vehicles=len(batch.vehicles))
+            self._ping_sites()
+        for observe in self.on_batch:
+            observe(site)
+
+    # -- events
+
+    def _on_event(self, message: Message) -> None:
+        site = _site_of(message.subject)
+        if site is None or site == self._own_site:
+            return
+        if not self._takes_event(site):
+            self.counters["events_beyond_rate"] += 1
+            return
+        try:
+            if len(message.data) > MAX_EVENT_BYTES:
+                raise ValueError("too long")
+            told = from_json(message.data, allow_inf_nan=False)
+            run, seq, event = told["run"], told["seq"], told["event"]
+            if told["site"] != site or not isinstance(run, str) or not isinstance(seq, int):
+                raise ValueError("no event")
+            if not isinstance(event, dict) or not isinstance(event.get("text"), str):
+                raise ValueError("no event")
+        except (ValueError, KeyError, TypeError):
+            self.counters["events_bad"] += 1
+            return
+        last = self._event_at.get(site)
+        if last is not None and last[0] == run and seq > last[1] + 1:
+            self.counters["events_lost"] += seq - last[1] - 1
+        if last is not None or len(self._event_at) < MAX_SITES:
+            self._event_at[site] = (run, seq)
+        self.recent.append({**event, "site": site})
+        for observe in self.on_event:
+            observe(site, event)
+
+    def _takes_event(self, site: str) -> bool:
+        now = self._clock.now_s()
+        rate = self._event_rates.get(site)
+        if rate is None:
+            if len(self._event_rates) >= MAX_SITES:
+                return False
+            rate = self._event_rates[site] = TokenBucket(EVENTS_PER_S, EVENT_BURST, now)
+        return rate.take(now)
+
+    # -- the offset of clocks
+
+    def _ping_sites(self) -> None:
+        now = self._clock.now_s()
+        for site in self._sites.names:
+            known = self._sites.clock(site, now) is not None and self._answered[site] >= QUICK_PINGS
+            every_s = PING_EVERY_S if known else QUICK_S
+            if now - self._pinged_at.get(site, float("-inf")) >= every_s and len(self._pings) < 2 * MAX_SITES:
+                self._pinged_at[site] = now
+                task = asyncio.get_running_loop().create_task(self._ping(site), name=f"ping {site}")
+                self._pings.add(task)
+                task.add_done_callback(self._pings.discard)
+        for site in [site for site in self._pinged_at if site not in self._sites]:
+            del self._pinged_at[site]
+            self._answered.pop(site, None)
+
+    async def _ping(self, site: str) -> None:
+        sent = self._clock.now_s()
+        try:
+            data = await self._bus.request(f"here.{site}", to_json({"t0_s": sent}), PING_WITHIN_S)
+        except BusError:  # away, nobody there, not permitted: the site's age is not known, and shown so
+            self.counters["pings_unanswered"] += 1
+            return
+        received = self._clock.now_s()
+        try:
+            told = from_json(data, allow_inf_nan=False)
+            t0_s, site_s, run = told["t0_s"], told["site_s"], told["run"]
+        except (ValueError, KeyError, TypeError):
+            t0_s = site_s = run = None
+        if t0_s != sent or not isinstance(run, str) or isinstance(site_s, bool) or not isinstance(site_s, int | float):
+            self.counters["pings_bad"] += 1
+            return
+        if self._sites.compare_clock(site, run, sent, received, float(site_s), unix_received=time.time()):
+            self.counters["pings"] += 1
+            self._answered[site] += 1
+
+
+def _site_of(subject: str) -> str | None:
+    """The second token of a subject, if it is a site's name."""
+    tokens = subject.split(".")
+    return tokens[1] if len(tokens) > 1 and SITE_NAME.fullmatch(tokens[1]) else None

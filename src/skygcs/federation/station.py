@@ -1,0 +1,97 @@
+"""What every part of the bridge is given: the bus, the daemon, the station's names, and where to report."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import structlog
+
+from skygcs.config.federation import FederationConfig
+from skygcs.config.models import FleetConfig
+from skygcs.events import Event
+from skygcs.federation.bus import Bus
+from skygcs.federation.daemon_link import DaemonLink
+from skygcs.federation.site_clock import SiteClock
+
+MAX_REPORTS = 200
+
+_log = structlog.get_logger("skygcs.federation")
+
+StationMethod = Callable[[dict[str, Any]], Awaitable[Any]]
+"""A method of the station socket: params in, JSON-able result out. Raises RpcError."""
+
+
+class Part(Protocol):
+    """One thing that the bridge does."""
+
+    async def run(self) -> None:
+        """Until it is cancelled. What it raises is reported, and it is run again after a pause."""
+        ...
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able, for federation.status."""
+        ...
+
+
+class Reports:
+    """Events of the bridge: logged, kept in a ring, passed to observers."""
+
+    def __init__(self) -> None:
+        self.recent: deque[Event] = deque(maxlen=MAX_REPORTS)
+        self.count = 0
+        self._observers: list[Callable[[Event], None]] = []
+
+    def add_observer(self, observer: Callable[[Event], None]) -> None:
+        self._observers.append(observer)
+
+    def __call__(self, event: Event) -> None:
+        self.count += 1
+        self.recent.append(event)
+        log = _log.error if event.kind == "fault" else _log.warning if event.kind == "warning" else _log.info
+        log(event.text, kind=event.kind, **({} if event.vehicle is None else {"vehicle": event.vehicle}))
+        for observer in self._observers:
+            observer(event)
+
+
+@dataclass(frozen=True)
+class Station:
+    """One per process, made by `skygcs.federation.process`."""
+
+    config: FederationConfig
+    fleet: FleetConfig
+    name: str
+    """The site's name; for an operator or observer without one, the name of its computer."""
+    run_id: str
+    """Random, of this run of the process: numbers begin anew with it."""
+    bus: Bus
+    daemon_address: str | None
+    """None: a station without a daemon."""
+    daemon_token: str | None
+    socket_path: Path
+    """Of the station socket."""
+    loop: asyncio.AbstractEventLoop
+    report: Reports
+    clock: SiteClock = field(default_factory=SiteClock)
+    """``site_s`` of it is the site's clock, which other sites compare theirs with."""
+    methods: dict[str, StationMethod] = field(default_factory=dict)
+    """The methods federation.* of the station socket; each part adds its own before anything runs."""
+
+    @property
+    def site(self) -> str | None:
+        """The name of the site if this station is one."""
+        return self.config.site if self.config.role == "site" else None
+
+    def daemon_link(self, name: str) -> DaemonLink | None:
+        """A connection to the daemon for the part of this name, which has to run it; None without a daemon."""
+        if self.daemon_address is None:
+            return None
+        return DaemonLink(self.daemon_address, self.daemon_token, name)
+
+    def now(self) -> float:
+        """The loop's clock: CLOCK_MONOTONIC."""
+        return self.loop.time()

@@ -1,0 +1,65 @@
+"""What a client of the station socket acts on: the parts of the bridge, as it sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from skygcs.federation.remote_feed import RemoteFeed
+
+
+class RemoteOrders(Protocol):
+    """Orders to vehicles of other sites; `skygcs.federation.orders_sent`."""
+
+    methods: frozenset[str]
+    """Methods that travel."""
+
+    def check(
+        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], own: Sequence[str] = ()
+    ) -> None:
+        """Raises SkygcsError for an order that does not travel, or that needs a word of confirmation. ``own``: the own
+        vehicles that are to get it, too."""
+        ...
+
+    async def give(
+        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
+    ) -> dict[str, dict[str, Any]]:
+        """The outcome of each vehicle by its name (south/alpha). ``params``: without targets. ``by``: the user of the
+        client. ``own``: how many own vehicles get it, after `check`. Raises SkygcsError before anything was sent."""
+        ...
+
+
+class StationServices(Protocol):
+    """What a client of the station acts on; `skygcs.federation.process` has all of it."""
+
+    site: str | None
+    daemon_address: str | None
+    """A path or tcp://HOST:PORT; None: this station has no daemon."""
+    daemon_token: str | None
+    feed: RemoteFeed
+    orders: RemoteOrders | None
+    """None: this station gives none to other sites."""
+
+    def site_names(self) -> Sequence[str]:
+        """The other sites that were heard."""
+        ...
+
+    def hub_problem(self) -> str | None:
+        """Why there may be more; None: the hub is there."""
+        ...
+
+    def states(self, targets: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+        """The states of vehicles of other sites. Raises TargetError."""
+        ...
+
+    async def full_state(self, site: str, target: str) -> dict[str, Any]:
+        """The whole state of one vehicle of another site. Raises SkygcsError."""
+        ...
+
+    def info(self) -> dict[str, Any]:
+        """For daemon.info of a station without a daemon."""
+        ...
+
+    def recent_events(self) -> list[dict[str, Any]]:
+        """Of other sites."""
+        ...

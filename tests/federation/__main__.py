@@ -1,0 +1,23 @@
+"""`make test-federation`: names the program that is missing, else runs the tests that need a real nats-server."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from skygcs.errors import SkygcsError
+from skygcs.federation.server_program import find_server
+
+
+def main(words: list[str]) -> int:
+    try:
+        find_server()
+    except SkygcsError as error:
+        print(error)
+        return 1
+    return subprocess.call([sys.executable, "-m", "pytest", str(Path(__file__).parent), *words])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

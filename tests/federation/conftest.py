@@ -1,0 +1,31 @@
+"""Fixtures of the tests that need a real nats-server."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from skygcs.errors import SkygcsError
+from skygcs.federation.server_program import find_server
+from support.hub import Hub
+
+
+@pytest.fixture(autouse=True)
+def _nats_server() -> None:
+    try:
+        find_server()
+    except SkygcsError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+async def hub(tmp_path: Path) -> AsyncIterator[Hub]:
+    """With the users of `support.hub.USERS`, on loopback without TLS."""
+    made = Hub(tmp_path)
+    await made.start()
+    try:
+        yield made
+    finally:
+        made.process.stop()

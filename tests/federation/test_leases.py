@@ -1,0 +1,54 @@
+"""Leases over a real hub, real daemons and bridges: what arrives at one vehicle that two sites hear."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from bench.federation.leases import killed, stopped, without_hub
+from support.hub import Hub
+from support.lease_races import USERS, race
+from support.process import DaemonProcess
+from support.sharing_sites import Flight, home_with_flight, sharing_sites
+
+
+async def test_two_sites_that_want_a_lease_at_once_never_both_get_it(tmp_path: Path) -> None:
+    hub = Hub(tmp_path, USERS)
+    await hub.start()
+    try:
+        found = await race(hub, 2, 30)
+    finally:
+        hub.process.stop()
+    assert found["winners"] == {"1": 60}
+
+
+async def test_the_holder_is_killed_and_the_other_site_takes_over(hub: Hub, tmp_path: Path) -> None:
+    def fly() -> None:
+        with sharing_sites(hub, tmp_path) as sites:
+            assert not sites.sends("south"), "it hears the vehicle and its client orders it, but it does not hold it"
+            assert killed(sites)["frames_after_ttl"] == 0
+            assert sites.sends("north")[-1].at_s < sites.sends("south")[0].at_s
+
+    await asyncio.to_thread(fly)
+
+
+@pytest.mark.parametrize("part", ["daemon", "bridge", "both"])
+async def test_what_was_stopped_past_the_ttl_sends_nothing_when_it_goes_on(part: str, hub: Hub, tmp_path: Path) -> None:
+    def fly() -> None:
+        with sharing_sites(hub, tmp_path) as sites:
+            found = stopped(sites, part)
+            assert found["frames_after_ttl"] == 0
+            assert found["frames_of_south_after"] > 0
+            assert sites.holder() == "south"
+
+    await asyncio.to_thread(fly)
+
+
+async def test_the_home_flies_on_while_its_hub_dies_restarts_and_is_replaced(hub: Hub, tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, home_with_flight(hub), name="north") as north:
+        flight = Flight(north)
+        await asyncio.to_thread(flight.begin)
+        found = await without_hub(hub, flight, each_s=4.0)
+    assert found["dead"]["lease"] == "alone"

@@ -1,0 +1,135 @@
+"""Two sites that want the same leases at the same moment: the bridges' own parts, over a real hub."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from skygcs.config.federation import SharedVehicle
+from skygcs.core.federation.lease import NEW_HUB_S, State
+from skygcs.core.routing.authority import AuthorityGate
+from skygcs.events import Event
+from skygcs.federation.bus import Bus
+from skygcs.federation.leases import Leases, boot_s
+from support.hub import Hub, until
+
+RACERS = ("north", "south")
+USERS = {name: {"role": "site", "orders": ["*"]} for name in (*RACERS, "east")}
+"""The vehicles' home is not there: it would take what is free."""
+
+
+class GateLink:
+    """In the place of the connection to a daemon: a real gate."""
+
+    def __init__(self, site: str, vehicles: list[str]) -> None:
+        self.gate = AuthorityGate(site, {name: i for i, name in enumerate(vehicles)})
+        self.client: object | None = None
+        self._observers: list[Callable[[], None]] = []
+
+    def on_change(self, observer: Callable[[], None]) -> None:
+        self._observers.append(observer)
+
+    async def run(self) -> None:
+        self.client = object()
+        for observer in self._observers:
+            observer()
+        await asyncio.Event().wait()
+
+    async def call(self, method: str, **params: Any) -> Any:
+        gate, now = self.gate, boot_s()
+        match method:
+            case "authority.status":
+                states = {name: gate.status_of(sysid, now) for name, sysid in gate.vehicles.items()}
+                return {"site": gate.site, "run": f"run of {gate.site}", "vehicles": states}
+            case "authority.grant":
+                until = params["sent_s"] + params["valid_for_s"]
+                result = gate.grant(params["vehicle"], until, now, token=params["token"], hub=params["hub"])
+                return {"result": result}
+            case "authority.revoke":
+                gate.revoke(params["vehicle"], token=params["token"], hub=params["hub"], commander=params["commander"])
+                return {}
+            case "vehicles.get":
+                return {"control": {"state": "flying"}}  # busy: who has won it does not hand it over
+        raise AssertionError(method)
+
+    def held(self) -> set[str]:
+        now = boot_s()
+        return {name for name, sysid in self.gate.vehicles.items() if not self.gate.is_closed(sysid, now)}
+
+
+class Racer:
+    """A site's part that holds leases."""
+
+    def __init__(self, site: str, bus: Bus, vehicles: list[str]) -> None:
+        self.link = GateLink(site, vehicles)
+        self.methods: dict[str, Any] = {}
+        shared = {name: SharedVehicle(home="east", without_hub="stop") for name in vehicles}
+        station: Any = SimpleNamespace(
+            bus=bus, name=site, config=SimpleNamespace(vehicles=shared), methods=self.methods, report=Reported()
+        )
+        self.leases = Leases(station, self.link)  # type: ignore[arg-type]
+
+    async def call(self, method: str, vehicle: str, **params: Any) -> None:
+        await self.methods[method]({"vehicle": vehicle, **params})
+
+    def states(self) -> Counter[str]:
+        return Counter(lease["state"] for lease in self.leases.status()["leases"])
+
+
+class Reported:
+    """In the place of `station.Reports`."""
+
+    def __init__(self) -> None:
+        self.recent: list[Event] = []
+
+    def __call__(self, event: Event) -> None:
+        self.recent.append(event)
+        del self.recent[:-200]
+
+
+async def race(hub: Hub, rounds: int, vehicles: int) -> dict[str, Any]:
+    """Both take all vehicles at once, for so many rounds; before each, the winners release them."""
+    names = [f"v{i}" for i in range(vehicles)]
+    winners: Counter[str] = Counter()
+    won: Counter[str] = Counter()
+    async with hub.bus("north") as north_bus, hub.bus("south") as south_bus:
+        racers = [Racer(site, bus, names) for site, bus in zip(RACERS, (north_bus, south_bus), strict=True)]
+        running = [asyncio.create_task(racer.leases.run()) for racer in racers]
+        try:
+            await until(lambda: all(r.states().total() == vehicles for r in racers), "the parts run")
+            for number in range(rounds):
+                await _all(racers, "federation.release", names)
+                if number == 0:
+                    await asyncio.sleep(NEW_HUB_S)
+                await _released(racers)
+                taking = asyncio.create_task(_all(racers, "federation.take", names))
+                await until(lambda: len(racers[0].link.held() | racers[1].link.held()) == vehicles, "all are held")
+                held = [racer.link.held() for racer in racers]
+                await asyncio.sleep(0.3)  # for a second winner, who comes later
+                both = set.intersection(*held) | set.intersection(*(racer.link.held() for racer in racers))
+                for name in names:
+                    winners["2" if name in both else str(sum(name in of for of in held))] += 1
+                won.update({racer.link.gate.site: len(of) for racer, of in zip(racers, held, strict=True)})
+                taking.cancel()
+                await asyncio.gather(taking, return_exceptions=True)
+        finally:
+            for task in running:
+                task.cancel()
+            await asyncio.gather(*running, return_exceptions=True)
+    return {"races": rounds * vehicles, "winners": dict(winners), "won": dict(won)}
+
+
+async def _all(racers: list[Racer], method: str, names: list[str]) -> None:
+    """The same of every vehicle at both sites; a refusal is an outcome like any other."""
+    calls = [racer.call(method, name) for name in names for racer in racers]
+    await asyncio.gather(*calls, return_exceptions=True)
+
+
+async def _released(racers: list[Racer]) -> None:
+    def free() -> bool:
+        return all(set(r.states()) <= {str(State.OBSERVED)} for r in racers) and not any(r.link.held() for r in racers)
+
+    await until(free, "all are released")
