@@ -99,7 +99,7 @@ class WebStation:
 
     def start_daemon(self) -> None:
         """Start the daemon, and wait for its vehicles."""
-        self.daemon_process = self._start("daemon.log", command("run", str(self.fleet_file)))
+        self.daemon_process = self._start("daemon.log", command("run", str(self.fleet_file)), session=True)
         wanted = sum(self._vehicles or (1, 0))
         self._wait("vehicles", lambda: len(self.call("vehicles.list")) >= wanted)
 
@@ -117,9 +117,11 @@ class WebStation:
         self.web_process = self._start("web.log", command(*arguments, *self._web))
         self._wait("web page", lambda: find_control(str(self.socket_path), self.port) is not None)
 
-    def _start(self, log: str, line: list[str]) -> subprocess.Popen[bytes]:
+    def _start(self, log: str, line: list[str], *, session: bool = False) -> subprocess.Popen[bytes]:
         with open(self.folder / log, "ab") as file:
-            return subprocess.Popen(line, stdout=file, stderr=file, cwd=self.folder, env=self._environment)
+            return subprocess.Popen(
+                line, stdout=file, stderr=file, cwd=self.folder, env=self._environment, start_new_session=session
+            )
 
     def _wait(self, what: str, condition: Any) -> None:
         deadline = time.monotonic() + READY_S

@@ -18,6 +18,7 @@ import aiohttp
 import pytest
 
 from skygcs.errors import SkygcsError
+from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.control_socket import ask_for_link, find_control
 from support.process import free_port, wait_until
 from support.web_page import WebPage, page_of, raw, status
@@ -284,6 +285,9 @@ class TlsWeb:
         except SkygcsError:
             return False
 
+    def descriptors(self) -> int:
+        return len(list(Path(f"/proc/{self.process.pid}/fd").iterdir()))
+
     def context(self) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=str(self.cert))
 
@@ -313,6 +317,8 @@ async def test_over_tls_a_page_signs_in_with_a_secure_cookie_and_has_a_websocket
         async with session.get(address, ssl=context, allow_redirects=False) as answer:
             assert answer.status == 303
             cookie = answer.headers["Set-Cookie"]
+            assert cookie.startswith(f"__Host-skygcs_{tls_web.port}=") and "Path=/" in cookie
+            assert "Domain" not in cookie
             assert {"Secure", "HttpOnly", "SameSite=Strict"} <= {part.strip() for part in cookie.split(";")}
             assert "max-age" in answer.headers["Strict-Transport-Security"]
             assert f"wss://127.0.0.2:{tls_web.port}" in answer.headers["Content-Security-Policy"]
@@ -345,6 +351,33 @@ def test_without_tls_or_with_an_old_one_nothing_is_served(tls_web: TlsWeb) -> No
     old.set_ciphers("DEFAULT")
     with socket.create_connection(place, timeout=60) as sock, old.wrap_socket(sock, server_hostname="127.0.0.2") as tls:
         assert tls.version() == "TLSv1.2", "the oldest that is served"
+
+
+async def test_connections_that_never_begin_their_handshake_are_bounded_and_keep_nobody_out(tls_web: TlsWeb) -> None:
+    """They hold a descriptor each, and come to no code of HTTP that could count them."""
+    context, opened = tls_web.context(), []
+    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+        async with session.get(tls_web.address(), ssl=context, allow_redirects=False) as answer:
+            assert answer.status == 303
+        ws = await session.ws_connect(f"{tls_web.base}/ws", ssl=context, origin=tls_web.base)
+        try:
+            for number in range(900):
+                sock = socket.socket()
+                sock.setblocking(False)
+                sock.connect_ex(("127.0.0.2", tls_web.port))
+                opened.append(sock)
+                if number % 100 == 99:
+                    await asyncio.sleep(0.1)  # it accepts them meanwhile
+            assert tls_web.descriptors() < MAX_CONNECTIONS + 60
+            await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.ping"})
+            while (await ws.receive_json(timeout=60)).get("id") != 1:
+                pass
+            async with session.get(tls_web.base, ssl=context, headers={"Connection": "close"}) as answer:
+                assert answer.status in (200, 503)
+        finally:
+            for sock in opened:
+                sock.close()
+            await ws.close()
 
 
 @pytest.mark.parametrize("what", ["missing", "no certificate", "another key"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 import signal
 import socket
@@ -14,7 +15,8 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from skygcs.web.http_server import MAX_CONNECTIONS, MAX_SOCKETS_EACH
+from skygcs.web.browser_connections import MAX_CONNECTIONS
+from skygcs.web.http_server import MAX_SOCKETS_EACH, MAX_VIEW_SOCKETS
 from support.process import wait_until
 from support.web_page import page_of, raw, status
 from support.web_station import WebStation, command
@@ -204,6 +206,26 @@ async def test_a_browser_has_few_websockets(station: WebStation) -> None:
             await ws.close()
 
 
+async def test_onlookers_keep_nobody_out_who_may_order(tmp_path: Path) -> None:
+    station = WebStation(tmp_path, None).start()
+    try:
+        async with contextlib.AsyncExitStack() as stack:
+            viewers = [await stack.enter_async_context(page_of(station, "view", ws=False)) for _ in range(4)]
+            opened, refused = [], 0
+            for viewer in viewers:
+                for _ in range(MAX_SOCKETS_EACH):
+                    try:
+                        opened.append(await viewer.session.ws_connect(f"{station.base}/ws", origin=station.base))
+                    except aiohttp.WSServerHandshakeError as error:
+                        assert error.status == 429
+                        refused += 1
+            assert (len(opened), refused) == (MAX_VIEW_SOCKETS, 4 * MAX_SOCKETS_EACH - MAX_VIEW_SOCKETS)
+            commander = await stack.enter_async_context(page_of(station))
+            assert (await commander.call("web.hello"))["result"]["role"] == "command"
+    finally:
+        station.close()
+
+
 # -- what a page does
 
 
@@ -269,7 +291,11 @@ async def test_a_restarted_process_knows_its_browsers(tmp_path: Path) -> None:
             station.stop_web(signal.SIGKILL)
             station.start_web()
             await page.open()
-            hello = (await page.call("web.hello"))["result"]
+            for _ in range(600):
+                hello = (await page.call("web.hello"))["result"]
+                if hello["daemon"]["text"] != "not connected yet":
+                    break
+                await asyncio.sleep(0.1)
             assert hello["role"] == "view" and hello["daemon"]["connected"] is False
             assert "no skygcs daemon" in hello["daemon"]["text"]
         assert mode_of_cookies(station) & 0o077 == 0
@@ -293,6 +319,31 @@ async def test_the_command_prints_a_further_address_of_a_role(
             while (reply := await ws.receive_json(timeout=30)).get("id") != 1:
                 pass
         assert reply["result"]["role"] == role
+
+
+async def test_after_a_sign_out_no_browser_gets_in_with_what_it_has(tmp_path: Path) -> None:
+    station = WebStation(tmp_path, None).start()
+    try:
+        async with page_of(station) as page:
+            unused = station.address()
+            line = command("web", "sign-out", "--socket", str(station.socket_path), "--port", str(station.port))
+            done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=120)
+            assert done.returncode == 0 and done.stdout.startswith("1 browser signed out"), done.stderr
+            assert page.ws is not None
+            assert (await page.ws.receive(timeout=60)).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
+            for address in (station.base, unused):
+                async with page.session.get(address) as answer:
+                    assert answer.status == 403
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await page.open()
+            station.stop_web(signal.SIGKILL)
+            station.start_web()
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await page.open()
+            async with page.session.get(station.address(), allow_redirects=False) as answer:
+                assert answer.status == 303
+    finally:
+        station.close()
 
 
 def test_of_a_page_that_is_not_there_no_address_is_printed(station: WebStation) -> None:
@@ -348,7 +399,7 @@ def test_the_daemon_starts_restarts_and_ends_its_page(tmp_path: Path) -> None:
         second = station.call("daemon.info")["web"]["pid"]
         assert second != first
         texts = [e["text"] for e in station.call("events.recent") if e["kind"] == "warning"]
-        assert any("web page's process has ended (SIGKILL)" in text for text in texts)
+        assert any("process of the web page has ended (SIGKILL)" in text for text in texts)
         station.stop_daemon()
         wait_until(lambda: not Path(f"/proc/{second}").exists(), "the page ends with the daemon")
         assert "?token=" not in station.logs()

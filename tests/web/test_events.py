@@ -78,6 +78,6 @@ def test_events_fit_a_phone(station, open_page, shot, theme) -> None:
     page = open_page(station, width=390, height=800, theme=theme, touch=True, path="/#events")
     until(page, "skygcs.store.state.vehicles.size === 3")
     alarm(page, "battery critically low: return to launch")
-    expect(page.locator(".events li").first).to_contain_text("battery critically low")
+    expect(page.locator(".events li", has_text="battery critically low")).to_be_visible()
     assert fits(page)
     shot(page, f"events-phone-{theme}")

@@ -98,6 +98,11 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     assert box is not None
     page.mouse.click(box["x"] + 500, box["y"] + 150)
     x, y = (float(page.get_by_label(f"{axis} in metres from the origin").input_value()) for axis in "xy")
+    there = page.evaluate("(({x, y}) => [x, y])(skygcs.view.pointerAt(500, 150, false))")
+    assert [x, y] == pytest.approx(there, abs=0.06), "the fields have the place that was clicked"
+    page.wait_for_timeout(200)
+    assert marks(page, 500, 150) > 20, "and it is marked"
+    assert marks(page, 700, 250) == 0
     shot(page, "order-go-to")
     press(page, order(page, "Send there"), HOLD_MS + 300)
     [message] = sent(page, "vehicles.goto")
@@ -110,6 +115,24 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     page.wait_for_timeout(HOLD_MS + 300)
     page.keyboard.up("r")
     assert len(sent(page, "vehicles.rtl")) == 1
+
+
+MARKED = """([x, y]) => {
+    const canvas = document.querySelector('canvas'), k = canvas.width / canvas.getBoundingClientRect().width;
+    const probe = document.body.appendChild(document.createElement('i'));
+    probe.style.color = 'var(--accent)';
+    const [r, g, b] = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
+    probe.remove();
+    const { data } = canvas.getContext('2d').getImageData((x - 9) * k, (y - 9) * k, 18 * k, 18 * k);
+    let found = 0;
+    for (let i = 0; i < data.length; i += 4) found += Math.hypot(data[i] - r, data[i + 1] - g, data[i + 2] - b) < 40;
+    return found;
+}"""
+"""Pixels of a draft's colour about a point of the canvas."""
+
+
+def marks(page: Page, x: float, y: float) -> int:
+    return int(page.evaluate(MARKED, [x, y]))
 
 
 def test_a_refusal_is_shown_in_the_daemons_words_and_stays(page: Page) -> None:

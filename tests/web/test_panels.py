@@ -105,7 +105,7 @@ def test_parameters_are_searched_edited_set_and_compared_with_a_file(station, op
     expect(difference).to_contain_text("1 of 2 differ")
     expect(difference).to_contain_text("NO_SUCH_PARAM")
     shot(page, "vehicle-params-diff")
-    difference.get_by_role("button", name="Take over 1 values").click()
+    difference.get_by_role("button", name="Take over 1 value").click()
     expect(waiting).to_contain_text(parameter)
     waiting.get_by_role("button", name="Discard").click()
     assert not page.errors

@@ -23,6 +23,13 @@ SMALL = """least => [...document.querySelectorAll('button, select, input, summar
 """What can be touched and is too small for a finger."""
 
 
+OVERFLOWING = """[...document.querySelectorAll('body *')]
+    .filter(e => e.getClientRects().length && e.clientWidth > 0 && e.scrollWidth > e.clientWidth + 1)
+    .filter(e => !['auto', 'scroll', 'hidden'].includes(getComputedStyle(e).overflowX))
+    .map(e => `${e.tagName} ${e.className} ${e.textContent.slice(0, 40)}`)"""
+"""What runs out of its box, over what is beside it."""
+
+
 @pytest.fixture
 def page(station: WebStation, open_page: Callable[..., Page]) -> Page:
     opened = open_page(station, width=390, height=844, touch=True)
@@ -40,6 +47,7 @@ def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) 
         page.wait_for_timeout(300)
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert page.evaluate(SMALL, LEAST_PX) == [], name
+        assert page.evaluate(OVERFLOWING) == [], name
         box = page.get_by_role("button", name="Stop all vehicles").bounding_box()
         assert box is not None and box["x"] + box["width"] <= 390 and box["height"] >= LEAST_PX
         shot(page, f"phone-{name.lower()}")
@@ -48,6 +56,38 @@ def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) 
         shot(page, f"phone-{name.lower()}-daylight")
         page.emulate_media(color_scheme="dark")
     assert page.errors == []  # type: ignore[attr-defined]
+
+
+CLEAR = """() => {
+    const { view, store } = skygcs, c = view.camera, canvas = document.querySelector('canvas').getBoundingClientRect();
+    const groups = [...document.querySelectorAll('.viewbuttons > .group')].map(g => g.getBoundingClientRect());
+    return [...store.state.vehicles.values()].filter(({position}) => {
+        const [x, y] = position.enu_m;
+        const px = canvas.left + c.widthPx / 2 + (x - c.x) * c.pxPerM;
+        const py = canvas.top + c.heightPx / 2 - (y - c.y) * c.pxPerM;
+        const out = px < canvas.left + 15 || px > canvas.right - 15 || py > canvas.top + c.heightPx - 15;
+        return out || groups.some(b => px > b.left - 15 && px < b.right + 15 && py > b.top - 15 && py < b.bottom + 15);
+    }).map(v => v.name);
+}"""
+"""Vehicles that are not in the view, or beneath its buttons."""
+
+
+def test_fit_shows_every_vehicle_beside_the_buttons(
+    make_station: Callable[..., WebStation], open_page: Callable[..., Page], shot: Shot
+) -> None:
+    opened = open_page(make_station((30, 20)), width=390, height=844, touch=True)
+    until(opened, "skygcs.store.state.names.length === 50")
+    until(opened, "[...skygcs.store.state.vehicles.values()].every(v => v.position?.enu_m)")
+    pane(opened, "View")
+    opened.wait_for_timeout(500)
+    assert opened.evaluate(CLEAR) == [], "as it is shown first"
+    for _ in range(3):
+        opened.get_by_role("button", name="Zoom in").tap()
+    assert opened.evaluate(CLEAR) != []
+    opened.get_by_role("button", name="Fit").tap()
+    opened.wait_for_timeout(300)
+    assert opened.evaluate(CLEAR) == []
+    shot(opened, "phone-fit-fifty")
 
 
 def test_no_column_of_the_table_is_cut_off(page: Page) -> None:

@@ -56,6 +56,25 @@ def test_a_formation_is_planned_and_played(station, open_page, shot, theme) -> N
     assert not page.errors
 
 
+def test_a_number_stays_as_it_is_typed_while_its_panel_is_drawn_again(station, open_page) -> None:
+    page = open_page(station)
+    select(page, "v1")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Final positions", exact=True).click()
+    height = page.get_by_label("Height of all")
+    rows = page.locator(".planpanel table tbody tr")
+    expect(rows).to_have_count(1)
+    height.fill("")
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2'], how: 'only'})")
+    expect(rows).to_have_count(2)  # it was drawn again
+    expect(height).to_have_value("")
+    height.press_sequentially("12")
+    expect(page.get_by_label("Height of v2")).to_have_value("12")
+    height.fill("0.1")  # below the least
+    height.blur()
+    expect(height).to_have_value("12")
+
+
 def test_final_positions_are_dragged_and_the_plan_is_flown(station, open_page, shot) -> None:
     page = open_page(station)
     select(page, "v1", "v2")

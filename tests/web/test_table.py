@@ -60,6 +60,18 @@ def test_every_column_has_its_value_in_the_units_of_people(page: Page, shot: Sho
     assert page.errors == []  # type: ignore[attr-defined]
 
 
+def test_companions_have_a_column_where_a_vehicle_has_one(
+    make_station: Callable[..., WebStation], open_page: OpenPage, shot: Shot
+) -> None:
+    computers = '[companions.pi]\nhost = "192.0.2.7"\nvehicle = "alpha"\n'
+    page = open_page(make_station((2, 1), more=GROUPS + computers))
+    expect(page.locator("th[data-column=companion]")).to_be_visible()
+    expect(page.locator("tr.row[data-name=alpha] td[data-column=companion]")).to_have_text("not heard")
+    expect(page.locator("tr.row[data-name=bravo] td[data-column=companion]")).to_have_text("–")
+    assert page.evaluate("(t => t.scrollWidth - t.clientWidth)(document.querySelector('.tablebox'))") <= 0
+    shot(page, "table-companion")
+
+
 def test_a_click_on_a_heading_sorts_and_a_second_one_turns_it_round(page: Page) -> None:
     page.get_by_role("button", name="Name").click()
     assert names(page) == ["alpha", "bravo", "charlie"]

@@ -1,4 +1,4 @@
-"""`skygcs web`: the web page as a process of its own, and `skygcs web link`: a further address of it."""
+"""`skygcs web`: the web page as a process of its own, a further address of it (`link`), and `sign-out`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "web", help="serve the web page of a running daemon", description="Serve the ground station as a web page."
     )
     web.add_argument(
-        "action", nargs="?", choices=("serve", "link"), default="serve", help="link: print a further address"
+        "action",
+        nargs="?",
+        choices=("serve", "link", "sign-out"),
+        default="serve",
+        help="link: print a further address; sign-out: forget all browsers, as when a phone is lost",
     )
     web.add_argument("--socket", help="the daemon's socket, or tcp://HOST:PORT, instead of the default one")
     web.add_argument("--port", type=int, help="of the page (default 8750; 0: a free one)")
@@ -52,7 +56,7 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 
 def _web(args: argparse.Namespace) -> int:
-    return _link(args) if args.action == "link" else _serve(args)
+    return {"serve": _serve, "link": _link, "sign-out": _sign_out}[args.action](args)
 
 
 def _link(args: argparse.Namespace) -> int:
@@ -60,6 +64,14 @@ def _link(args: argparse.Namespace) -> int:
 
     path = find_control(client_address(args.socket), args.port)
     print(ask_for_link(path, "view" if args.view else "command"))
+    return EXIT_OK
+
+
+def _sign_out(args: argparse.Namespace) -> int:
+    from skygcs.web.control_socket import ask_to_sign_out, find_control
+
+    count = ask_to_sign_out(find_control(client_address(args.socket), args.port))
+    print(f"{count} browser{'' if count == 1 else 's'} signed out; skygcs web link prints a new address")
     return EXIT_OK
 
 
@@ -105,14 +117,15 @@ def can_open_browser() -> bool:
     return os.isatty(1) and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def wait_for_link(rpc_socket: str, port: int) -> str:
-    """An address of a web process that is starting. Blocking; raises SkygcsError if it does not answer in time."""
+def wait_for_link(rpc_socket: str, port: int, *, own_user: bool = False) -> str:
+    """An address of a web process that is starting. Blocking; raises SkygcsError if it does not answer in time.
+    ``own_user``: to be opened in a browser of this user."""
     from skygcs.web.control_socket import ask_for_link, find_control
 
     deadline = time.monotonic() + LINK_WITHIN_S
     while True:
         try:
-            return ask_for_link(find_control(rpc_socket, port), "command")
+            return ask_for_link(find_control(rpc_socket, port), "command", own_user=own_user)
         except SkygcsError:
             if time.monotonic() > deadline:
                 raise

@@ -2,7 +2,8 @@
 
 Both firmwares get two MAVLink links over UDP on loopback. One goes to the ground station's port. The other goes to the
 launcher, which only listens: a ground station may come and go without the launcher losing sight of a vehicle, and the
-launcher is no ground station to any failsafe.
+launcher is no ground station to any failsafe. On request a third goes to another port of the ground station, as the
+radio of a vehicle that has Wi-Fi as well; it is a port of its own on the autopilot, with its own streams.
 
 ArduPilot takes all of it as options and a file of default parameters (libraries/AP_HAL_SITL/SITL_cmdline.cpp).
 A stock PX4 has fixed ports (14550, 14540+i, 18570+i) in its startup script, but the script searches $PATH for its
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from skygcs.core.geo import Origin, geodetic_from_enu
 
@@ -26,6 +27,9 @@ MIN_SPACING_M = 5.0
 
 PX4_LINK_BYTES_PER_S = 4_000_000
 """PX4 scales its stream rates down to this; what its own SITL script asks for."""
+
+PX4_SECOND_BYTES_PER_S = 5_760
+"""Of a second link: those of a telemetry port at 57600 baud."""
 
 WATCH_BYTES_PER_S = 20_000
 """Ample for the five messages a second of the launcher's link."""
@@ -64,7 +68,8 @@ class Home:
 @dataclass(frozen=True, slots=True)
 class Instance:
     """One autopilot to start. ``port`` is its own UDP port for the ground station's link, ``watch_port`` for the
-    launcher's (PX4 only: ArduPilot takes any). ``number`` is the firmware's instance number."""
+    launcher's, ``own_second_port`` for the ground station's second one (PX4 only: ArduPilot takes any). ``number`` is
+    the firmware's instance number."""
 
     autopilot: Autopilot
     sysid: int
@@ -72,11 +77,21 @@ class Instance:
     home: Home
     port: int = 0
     watch_port: int = 0
+    own_second_port: int = 0
     params: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         return f"{'px' if self.autopilot == 'px4' else 'copter'}{self.sysid}"
+
+
+class Ports(NamedTuple):
+    """UDP ports on loopback that an instance sends to: the ground station's, the launcher's, and the ground station's
+    for a second link (0: there is none)."""
+
+    gcs: int
+    listen: int
+    second: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,17 +113,25 @@ def homes(first: Home, count: int, spacing_m: float) -> list[Home]:
 
 
 def px4_launch(
-    instance: Instance, *, binary: str, etc: str, folder: str, gcs_port: int, listen_port: int, speedup: float = 1.0
+    instance: Instance,
+    *,
+    binary: str,
+    etc: str,
+    folder: str,
+    ports: Ports,
+    speedup: float = 1.0,
 ) -> Launch:
-    """PX4's SIH simulator. ``gcs_port`` and ``listen_port`` are the ground station's and the launcher's UDP ports."""
+    """PX4's SIH simulator."""
     scripts = "startup"
     links = [
         "#!/bin/sh",
         "# Written by skygcs sitl; found in PATH before PX4's own file of this name.",
-        f"mavlink start -x -u {instance.port} -r {PX4_LINK_BYTES_PER_S} -f -o {gcs_port}",
-        f"mavlink start -u {instance.watch_port} -r {WATCH_BYTES_PER_S} -m custom -o {listen_port}",
+        f"mavlink start -x -u {instance.port} -r {PX4_LINK_BYTES_PER_S} -f -o {ports.gcs}",
+        f"mavlink start -u {instance.watch_port} -r {WATCH_BYTES_PER_S} -m custom -o {ports.listen}",
         *(f"mavlink stream -u {instance.watch_port} -s {name} -r 1" for name in WATCHED),
     ]
+    if ports.second:
+        links.append(f"mavlink start -u {instance.own_second_port} -r {PX4_SECOND_BYTES_PER_S} -o {ports.second}")
     # Logging from boot, as is usual in SITL, writes 200 kB/s to the disk; this logs while armed.
     params = {"SDLOG_MODE": "0", **instance.params}
     before_command_client = [
@@ -143,8 +166,7 @@ def copter_launch(
     binary: str,
     defaults: str,
     folder: str,
-    gcs_port: int,
-    listen_port: int,
+    ports: Ports,
     rc_port: int,
     speedup: float = 1.0,
 ) -> Launch:
@@ -164,9 +186,9 @@ def copter_launch(
         ("-I", str(instance.number)),
         ("--sysid", str(instance.sysid)),
         ("--home", place),
-        ("--serial0", f"udpclient:127.0.0.1:{gcs_port}"),
-        ("--serial1", f"udpclient:127.0.0.1:{listen_port}"),
-        ("--serial2", "none:"),
+        ("--serial0", f"udpclient:127.0.0.1:{ports.gcs}"),
+        ("--serial1", f"udpclient:127.0.0.1:{ports.listen}"),
+        ("--serial2", f"udpclient:127.0.0.1:{ports.second}" if ports.second else "none:"),
     ]
     return Launch(
         argv=(binary, *(word for option in options for word in option)),
@@ -175,8 +197,8 @@ def copter_launch(
     )
 
 
-def fleet_text(instances: Sequence[Instance], *, port: int) -> str:
-    """The fleet file for `skygcs run`. The first home is the origin."""
+def fleet_text(instances: Sequence[Instance], *, port: int, second_port: int = 0) -> str:
+    """The fleet file for `skygcs run`. The first home is the origin. ``second_port``: see `Ports`."""
     first = instances[0].home
     lines = [
         "# Written by skygcs sitl.",
@@ -195,6 +217,7 @@ def fleet_text(instances: Sequence[Instance], *, port: int) -> str:
         f"port = {port}",
         'role = "vehicle"',
         "",
+        *_second_link(second_port),
         "# QGroundControl on this computer listens on 14550:",
         "# [links.qgc]",
         '# type = "udp_client"',
@@ -206,6 +229,14 @@ def fleet_text(instances: Sequence[Instance], *, port: int) -> str:
         lines += ["", f"[vehicles.{instance.name}]", f"sysid = {instance.sysid}"]
         lines += [f'autopilot = "{instance.autopilot}"']
     return "\n".join(lines) + "\n"
+
+
+def _second_link(port: int) -> list[str]:
+    """Lines of the second link to each vehicle, which costs more than the first, as a radio does; empty without one."""
+    if not port:
+        return []
+    where = [f"port = {port}", 'role = "vehicle"', "cost = 20", ""]
+    return ["[links.sitl_second]", 'type = "udp_server"', 'host = "127.0.0.1"', *where]
 
 
 class Readiness:

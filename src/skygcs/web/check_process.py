@@ -8,36 +8,41 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import resource
 import sys
 from typing import Any
 
 from skygcs.errors import RefusedError, SkygcsError
+from skygcs.web.sign_in import Role
 
 CHECK_TIMEOUT_S = 30.0
 """The certificate of a plan for 50 vehicles takes some seconds on a slow computer."""
 
 CHECK_MEMORY_BYTES = 1 << 30
 MAX_ANSWER_BYTES = 8 << 20
-AT_ONCE = 2
-"""Checks at the same time; further ones are refused."""
+AT_ONCE, OF_VIEWERS = 2, 1
+"""Checks at the same time, and those of browsers that may only look; further ones are refused."""
+
+NICE = 10
+"""A check that takes both processors leaves them to the daemon whenever it wants one."""
 
 
 class CheckRunner:
     """Runs the checks of `file_checks` in processes."""
 
     def __init__(self) -> None:
-        self._running = 0
+        self._running: list[Role] = []
 
-    async def run(self, name: str, params: dict[str, Any]) -> Any:
+    async def run(self, name: str, params: dict[str, Any], role: Role) -> Any:
         """The answer of a check. Raises SkygcsError with a text for a person."""
-        if self._running >= AT_ONCE:
-            raise RefusedError(f"{AT_ONCE} files are being checked; wait a moment")
-        self._running += 1
+        if len(self._running) >= AT_ONCE or (role == "view" and self._running.count(role) >= OF_VIEWERS):
+            raise RefusedError("other files are being checked; wait a moment")
+        self._running.append(role)
         try:
             return await _run(name, params)
         finally:
-            self._running -= 1
+            self._running.remove(role)
 
 
 async def _run(name: str, params: dict[str, Any]) -> Any:
@@ -49,7 +54,6 @@ async def _run(name: str, params: dict[str, Any]) -> Any:
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
-        limit=MAX_ANSWER_BYTES,
     )
     try:
         async with asyncio.timeout(CHECK_TIMEOUT_S):
@@ -61,7 +65,7 @@ async def _run(name: str, params: dict[str, Any]) -> Any:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
-    if process.returncode != 0 or len(output) > MAX_ANSWER_BYTES:
+    if process.returncode != 0:
         raise SkygcsError("the file could not be checked: it is too large, or not what its name says")
     answer = json.loads(output)
     if "problem" in answer:
@@ -73,6 +77,7 @@ def main() -> None:
     """The process."""
     from skygcs.web.file_checks import CHECKS
 
+    os.nice(NICE)
     resource.setrlimit(resource.RLIMIT_AS, (CHECK_MEMORY_BYTES, CHECK_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (int(CHECK_TIMEOUT_S), int(CHECK_TIMEOUT_S)))
     params = json.load(sys.stdin)
@@ -80,7 +85,10 @@ def main() -> None:
         answer: dict[str, Any] = {"result": CHECKS[sys.argv[1]](params)}
     except SkygcsError as error:
         answer = {"problem": str(error)}
-    json.dump(answer, sys.stdout, allow_nan=False)
+    text = json.dumps(answer, allow_nan=False)
+    if len(text) > MAX_ANSWER_BYTES:
+        sys.exit(1)  # the web process would have to read it
+    sys.stdout.write(text)
 
 
 if __name__ == "__main__":

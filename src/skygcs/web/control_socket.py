@@ -1,4 +1,4 @@
-"""The socket by which `skygcs web link` asks a running web process for a further address: 0600, one line each way.
+"""The socket by which `skygcs web link` and `skygcs web sign-out` ask a running web process: 0600, one line each way.
 
 It stands beside the daemon's socket and is named by the page's port, so that several web processes have one each.
 """
@@ -41,16 +41,24 @@ def find_control(rpc_socket: str, port: int | None) -> Path:
     return found[0]
 
 
-def ask_for_link(path: Path, role: Role) -> str:
-    """A further address. Raises SkygcsError."""
+def ask_for_link(path: Path, role: Role, *, own_user: bool = False) -> str:
+    """A further address. ``own_user``: to be opened in a browser of this user. Raises SkygcsError."""
+    return str(_ask(path, {"link": role, "own_user": own_user}, "address"))
+
+
+def ask_to_sign_out(path: Path) -> int:
+    """Have all browsers forgotten; how many were signed in. Raises SkygcsError."""
+    return int(_ask(path, {"sign_out": True}, "signed_out"))
+
+
+def _ask(path: Path, request: dict[str, Any], wanted: str) -> Any:
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as sock:
             sock.settimeout(ANSWER_S)
             sock.connect(str(path))
-            sock.sendall(json.dumps({"link": role}).encode() + b"\n")
+            sock.sendall(json.dumps(request).encode() + b"\n")
             line = sock.makefile("rb").readline(MAX_LINE_BYTES)
-        answer = json.loads(line)
-        return str(answer["address"])
+        return json.loads(line)[wanted]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SkygcsError(f"{path}: the web process does not answer ({error})") from None
 
@@ -64,11 +72,13 @@ def _answers(path: Path) -> bool:
 
 
 class ControlSocket:
-    """The listening side. ``link`` makes an address for a role."""
+    """The listening side. ``link`` makes an address for a role, for this user's browsers only or for any; ``sign_out``
+    forgets all browsers and returns their number."""
 
-    def __init__(self, path: Path, link: Callable[[Role], str]) -> None:
+    def __init__(self, path: Path, link: Callable[[Role, bool], str], sign_out: Callable[[], int]) -> None:
         self.path = path
         self._link = link
+        self._sign_out = sign_out
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
@@ -102,10 +112,12 @@ class ControlSocket:
             async with asyncio.timeout(ANSWER_S):
                 request = json.loads(await reader.readline())
                 if isinstance(request, dict) and request.get("link") in ROLES:
-                    answer = {"address": self._link(request["link"])}
+                    answer = {"address": self._link(request["link"], request.get("own_user") is True)}
+                elif isinstance(request, dict) and request.get("sign_out") is True:
+                    answer = {"signed_out": self._sign_out()}
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
-        except (TimeoutError, ValueError, ConnectionError):
+        except (TimeoutError, ValueError, RecursionError, ConnectionError):
             pass
         finally:
             writer.close()

@@ -16,20 +16,34 @@ They are connected all or not at all; a lost one ends the others, and all are ma
     slow         LOST_AFTER_S                                      -> connecting, after a pause
 
 Orders are passed on to a slow daemon: each has a deadline, after which the daemon refuses it.
+
+With [federation] the station socket stands beside the daemon's, and carries the vehicles of all sites:
+
+    the station socket   and its daemon   connected to        changes when
+    ------------------   --------------   -----------------   ---------------------------------------------------------
+    is there             is there         the station's       one of the two goes
+    is not there         is there         the daemon's        the station socket is there
+    is there             is not there     the station's       the daemon's socket is there
+
+A bridge that has ended takes nothing from our own vehicles: they are ordered and stopped by the daemon's socket.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import Coroutine
 from typing import Any, Protocol
 
 import structlog
 
+from skygcs.config.federation import STATION_SUFFIX
 from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, Subscription, connect
-from skygcs.web.daemon_clock import DaemonClock
+from skygcs.rpc.daemon_clock import DaemonClock
+from skygcs.rpc.error_codes import INVALID_PARAMS, LIMIT_EXCEEDED, NO_DAEMON
 from skygcs.web.roles import access
 from skygcs.web.state_batches import LatestStates
 
@@ -52,6 +66,7 @@ STATE_KEYS = (
     "control",
     "uplink",
     "separation",
+    "companion",
     "gps",
     "position",
     "attitude",
@@ -91,8 +106,11 @@ GONE_AFTER_S = 3.0
 """A vehicle of which no state came for so long, and none in the newest whole round, is one that the daemon has
 forgotten. The slowest rate has a round every two seconds."""
 
-NOT_ANSWERING = -32000
-"""The code of DaemonUnreachable, whose text would say to start one."""
+LOOK_EVERY_S = 2.0
+"""For the one of station socket and daemon's socket that was not there."""
+
+NO_BRIDGE = "The bridge to other sites does not answer: vehicles of other sites are not shown"
+NO_OWN_DAEMON = "This station's daemon does not answer: only vehicles of other sites are shown"
 
 ORDERS_WAITING = 60
 """Orders without an outcome on one connection; the daemon takes 64."""
@@ -130,6 +148,14 @@ class DaemonConnection:
         self.loop = asyncio.get_running_loop()
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
+        self.note: str | None = None
+        """What of the station is missing, although it is connected; for people."""
+        self.site: str | None = None
+        """The name of this station's site, where there are others."""
+        self._station_path = f"{default_socket_path() if '://' in address else address}{STATION_SUFFIX}"
+        self._by_station = False
+        self._missing: str | None = None
+        """The socket to look for."""
         self.reconnects = 0
         self.stopping = False
         """Set before `run` is cancelled."""
@@ -155,15 +181,17 @@ class DaemonConnection:
             raise DaemonUnreachable(self.address, self.text)
         ahead_s = self._clock.ahead_s
         due_s = None if deadline_s is None or ahead_s is None else deadline_s + ahead_s
-        if kind != "order":
-            return await client.relay(method, params, due_s)
-        if self._waiting >= ORDERS_WAITING:
-            raise RpcError(-32005, f"{ORDERS_WAITING} orders wait for their outcome; this one was not carried out")
-        self._waiting += 1
+        counted = int(kind == "order")
+        if counted and self._waiting >= ORDERS_WAITING:
+            text = f"{ORDERS_WAITING} orders wait for their outcome; this one was not carried out"
+            raise RpcError(LIMIT_EXCEEDED, text)
+        self._waiting += counted
         try:
             return await client.relay(method, params, due_s)
+        except ValueError as error:  # 1e999 is read as infinite, which JSON cannot carry on
+            raise RpcError(INVALID_PARAMS, f"{method}: {error}") from None
         finally:
-            self._waiting -= 1
+            self._waiting -= counted
 
     def operator_active(self) -> None:
         """A person used a page that may give orders."""
@@ -210,11 +238,29 @@ class DaemonConnection:
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
     async def _connect(self, stack: contextlib.AsyncExitStack) -> None:
-        """All at once: one after another a slow daemon would take four times as long. Raises RpcError, in a group."""
+        """To the station socket, or the daemon's (see the table). Raises RpcError, in a group."""
+        self.note = self.site = self._missing = None
+        self._by_station = _listens(self._station_path)
+        if self._by_station:
+            await self._connect_to(self._station_path, None, stack)
+            sites = await self._clients["reads"].call("federation.sites")
+            self.site = sites.get("site")
+            if "daemon" not in self.info or self.info["daemon"] is not None:
+                return
+            if "://" in self.address or not _listens(self.address):
+                self.note, self._missing = None if self.site is None else NO_OWN_DAEMON, self.address
+                return
+            self._by_station = False
+        await self._connect_to(self.address, self._token, stack)
+        if self.info.get("federation") is not None:
+            self.note, self._missing, self.site = NO_BRIDGE, self._station_path, None
+
+    async def _connect_to(self, address: str, token: str | None, stack: contextlib.AsyncExitStack) -> None:
+        """All at once: one after another a slow daemon would take four times as long."""
         clock = DaemonClock()
 
         async def one() -> Client:
-            client = await stack.enter_async_context(connect(self.address, token=self._token))
+            client = await stack.enter_async_context(connect(address, token=token))
             await client.call("operator.relay")
             self.info = await self._ask_info(client, clock)
             return client
@@ -246,7 +292,7 @@ class DaemonConnection:
                 self._show_slow(pages)
                 if not await _done_within(task, LOST_AFTER_S - SLOW_AFTER_S):
                     text = f"the daemon at {self.address} has not answered for {LOST_AFTER_S:g} s"
-                    raise RpcError(NOT_ANSWERING, text)
+                    raise RpcError(NO_DAEMON, text)  # the text of DaemonUnreachable would say to start one
             task.result()
         finally:
             self._silent.discard(name)
@@ -265,10 +311,23 @@ class DaemonConnection:
         feed = self._clients["feed"]
         async with asyncio.TaskGroup() as group:
             group.create_task(self._feed_states(feed, pages), name="states")
-            group.create_task(self._feed_events(feed.events(), pages), name="events")
+            group.create_task(self._feed_events(feed.events(self._everybody), pages), name="events")
             group.create_task(self._feed_plan(feed.plan(rate_hz=PLAN_RATE_HZ), pages), name="plan")
+            group.create_task(self._look(), name="look for the other socket")
             for name, client in self._clients.items():
                 group.create_task(self._keep_alive(name, client, pages), name=f"keep alive {name}")
+
+    @property
+    def _everybody(self) -> str:
+        """The targets that are all vehicles."""
+        return "*/all" if self._by_station else "all"
+
+    async def _look(self) -> None:
+        """Raises RpcError once the socket that was missing is there: all is connected to anew."""
+        while True:
+            await asyncio.sleep(LOOK_EVERY_S)
+            if self._missing is not None and "://" not in self._missing and _listens(self._missing):
+                raise RpcError(NO_DAEMON, f"{self._missing} is there now")
 
     async def _feed_states(self, feed: Client, pages: Pages) -> None:
         """One subscription at the rate that the pages want; none while no page is there."""
@@ -279,7 +338,7 @@ class DaemonConnection:
                 pages.wanted.clear()
                 await pages.wanted.wait()
                 continue
-            subscription = feed.encoded_telemetry("all", rate_hz=rate_hz, groups=STATE_KEYS)
+            subscription = feed.encoded_telemetry(self._everybody, rate_hz=rate_hz, groups=STATE_KEYS)
             began_at = self.loop.time()
             reading = self.loop.create_task(self._read_states(subscription, pages), name="telemetry")
             try:
@@ -341,6 +400,18 @@ async def _done_within(task: asyncio.Task[Any], seconds: float) -> bool:
     if not task.done():
         await asyncio.wait({task}, timeout=STOOD_STILL_S)
     return task.done()
+
+
+def _listens(path: str) -> bool:
+    """Whether a process takes connections at this path, or would if it were less busy."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(path)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+    return True
 
 
 def feed_rate_hz(wanted_hz: float | None) -> float | None:

@@ -6,8 +6,7 @@
     GET /map          the image beneath the fleet view
     GET /ws           the WebSocket (`page_clients`)
 
-Anything else is 404, another verb 405. Connections are bounded: those that have shown no cookie are closed after
-UNKNOWN_S, and first when all places are taken, so that a flood of them keeps nobody out who is signed in.
+Anything else is 404, another verb 405. Connections: `browser_connections`.
 """
 
 from __future__ import annotations
@@ -26,20 +25,16 @@ from aiohttp import WSMsgType, web
 from aiohttp.web_protocol import RequestHandler
 
 from skygcs.web.allow_list import AllowList
+from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
 from skygcs.web.page_clients import PageClient, PageClients
+from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
 from skygcs.web.sign_in import Role, SignIn
 
-MAX_CONNECTIONS = 128
-"""A browser opens six and its WebSockets."""
-
-MAX_SOCKETS, MAX_SOCKETS_EACH = 16, 4
-"""WebSockets in all, and of one browser."""
-
-UNKNOWN_S = 5.0
-"""Time for a new connection to show a cookie or a token."""
+MAX_SOCKETS, MAX_VIEW_SOCKETS, MAX_SOCKETS_EACH = 16, 12, 4
+"""WebSockets in all, of browsers that may only look, and of one browser: onlookers keep nobody out who may order."""
 
 SWEEP_S = 1.0
 
@@ -115,54 +110,6 @@ class Assets:
         return asset
 
 
-class _Refusing(asyncio.Protocol):
-    """Closes a connection beyond the limit at once."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport.close()
-
-
-class Places:
-    """The open connections, at most ``limit``. When all places are taken, one without a cookie is closed first."""
-
-    def __init__(self, limit: int = MAX_CONNECTIONS) -> None:
-        self.refused = 0
-        self._limit = limit
-        self._open: dict[RequestHandler, float] = {}
-        self._known: set[RequestHandler] = set()
-
-    def admit(self, handler: RequestHandler, now: float) -> bool:
-        """Keep the connection; False if all places are taken by known ones."""
-        self._forget_closed(now)
-        if len(self._open) >= self._limit:
-            unknown = next((other for other in self._open if other not in self._known), None)
-            self.refused += 1
-            if unknown is None:
-                return False
-            self._drop(unknown)
-        self._open[handler] = now
-        return True
-
-    def know(self, handler: RequestHandler) -> None:
-        """The connection has sent a valid cookie."""
-        self._known.add(handler)
-
-    def sweep(self, now: float) -> None:
-        """Close those that have shown nothing for too long."""
-        self._forget_closed(now)
-        for handler in [h for h, at in self._open.items() if h not in self._known and now - at > UNKNOWN_S]:
-            self._drop(handler)
-
-    def _drop(self, handler: RequestHandler) -> None:
-        self._open.pop(handler, None)
-        handler.force_close()
-
-    def _forget_closed(self, now: float) -> None:
-        for handler in [h for h, at in self._open.items() if h.transport is None and now - at > SWEEP_S]:
-            del self._open[handler]
-            self._known.discard(handler)
-
-
 class _PageSocket:
     """An aiohttp WebSocket as a page's tasks see it."""
 
@@ -192,7 +139,7 @@ class HttpServer:
         map_image: MapImage | None = None,
         static: Path = STATIC,
     ) -> None:
-        self.places = Places()
+        self.connections = BrowserConnections(self._new_handler)
         self.port = 0
         self._pages = pages
         self._sign_in = sign_in
@@ -202,8 +149,7 @@ class HttpServer:
         self._map = map_image
         self._assets = Assets(static)
         self._loop = asyncio.get_running_loop()
-        self._server: asyncio.Server | None = None
-        self._sweeping: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
         self._secure = False
         application = web.Application(middlewares=[self._guard], client_max_size=1024)
         application.router.add_get("/", self._index, allow_head=False)
@@ -226,37 +172,32 @@ class HttpServer:
         await self._runner.setup()
         self._secure = tls is not None
         self.port = sock.getsockname()[1]
-        self._server = await self._loop.create_server(
-            self._connection,
-            sock=sock,
-            ssl=tls,
-            backlog=128,
-            ssl_handshake_timeout=None if tls is None else UNKNOWN_S,
-        )
-        self._sweeping = self._loop.create_task(self._sweep(), name="sweep of connections")
+        sock.listen(BACKLOG)
+        self._tasks = [
+            self._loop.create_task(self.connections.run(sock, tls), name="connections of browsers"),
+            self._loop.create_task(self._sweep(), name="sweep of connections"),
+        ]
 
     async def close(self) -> None:
-        if self._sweeping is not None:
-            self._sweeping.cancel()
-        if self._server is not None:
-            self._server.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._runner.cleanup()
 
     @property
     def cookie_name(self) -> str:
-        """Browsers keep one jar for all ports of a host."""
-        return f"skygcs_{self.port}"
+        """Browsers keep one jar for all ports of a host. Over TLS the prefix has them take it from this host only."""
+        return f"{'__Host-' if self._secure else ''}skygcs_{self.port}"
 
-    def _connection(self) -> asyncio.Protocol:
+    def _new_handler(self) -> RequestHandler:
         server = self._runner.server
         assert server is not None
-        handler = server()
-        return handler if self.places.admit(handler, self._loop.time()) else _Refusing()
+        return server()
 
     async def _sweep(self) -> None:
         while True:
             await asyncio.sleep(SWEEP_S)
-            self.places.sweep(self._loop.time())
+            self.connections.sweep(self._loop.time())
             self._pages.wake_all()  # which finds pages that take nothing
 
     # -- every request
@@ -314,7 +255,7 @@ class HttpServer:
         role = self._sign_in.role_of(cookie, self._unix_time()) if cookie else None
         if role is None:
             return None
-        self.places.know(request.protocol)
+        self.connections.know(request.protocol)
         return self._sign_in.identity(cookie), role
 
     # -- what is served
@@ -327,7 +268,9 @@ class HttpServer:
         return self._file(request, "index.html") or _plain(503, NOT_BUILT)
 
     def _exchange(self, request: web.Request) -> web.StreamResponse:
-        cookie = self._sign_in.exchange(request.query["token"], self._unix_time())
+        cookie = self._sign_in.exchange(
+            request.query["token"], self._unix_time(), lambda: is_own_user(request.transport)
+        )
         if cookie is None:
             return web.Response(status=403, text=SIGN_IN, content_type="text/html")
         self._on_sign_in()
@@ -369,7 +312,11 @@ class HttpServer:
             return _plain(403, "not signed in")
         identity, role = known
         clients = self._pages.clients
-        if len(clients) >= MAX_SOCKETS or sum(c.identity == identity for c in clients) >= MAX_SOCKETS_EACH:
+        if (
+            len(clients) >= MAX_SOCKETS
+            or sum(c.identity == identity for c in clients) >= MAX_SOCKETS_EACH
+            or (role == "view" and sum(c.role == "view" for c in clients) >= MAX_VIEW_SOCKETS)
+        ):
             return _plain(429, "too many pages are open; close some")
         ws = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=PING_S, compress=False, timeout=1.0)
         if not ws.can_prepare(request).ok:
@@ -385,6 +332,8 @@ class HttpServer:
                         await ws.close(code=1003, message=b"text only")
                         break
                     client.on_message(message.data)
+                    if pause_s := client.pause_s(len(message.data)):
+                        await asyncio.sleep(pause_s)
             finally:
                 sending.cancel()
         finally:

@@ -16,14 +16,23 @@ import structlog
 from pydantic_core import from_json, to_json
 
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
-from skygcs.web.request_limits import PageLimits, deadline_problem
+from skygcs.rpc.error_codes import (
+    AWAY,
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    INVALID_REQUEST,
+    LIMIT_EXCEEDED,
+    METHOD_NOT_FOUND,
+    NOT_PERMITTED,
+    PARSE_ERROR,
+    REFUSED,
+    TOO_LATE,
+)
+from skygcs.web.fleet_digest import View
+from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
 from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates, PageStates
-
-PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
-INTERNAL_ERROR, REFUSED, LIMIT_EXCEEDED = -32603, -32002, -32005
-NO_DAEMON, NOT_PERMITTED, TOO_LATE = -32010, -32011, -32012
 
 EVENTS_WAITING = 256
 """As the daemon's own bound for a subscription."""
@@ -34,6 +43,9 @@ MANY_VEHICLES, MANY_RATE_HZ = 100, 5.0
 """Of more vehicles states come so often at most. A page carries each on with its velocity in between, so that nothing
 is seen of it; 200 states ten times a second take a third of a core of the daemon and the page, which draw and fly."""
 
+VERY_MANY_VEHICLES, VERY_MANY_RATE_HZ = 400, 2.0
+"""And of so many only so often: most of them are dots."""
+
 STUCK_S = 30.0
 """A page that takes nothing for so long is closed; one that wakes up connects again and gets everything anew."""
 
@@ -41,6 +53,8 @@ OPERATOR_EVERY_S = 0.5
 """A person's input is reported to the daemon so often at most."""
 
 MAX_ECHO_CHARS = 80
+
+ONLY_LOOKS = "this page may only look; skygcs web link prints an address that may more"
 
 _log = structlog.get_logger(__name__)
 
@@ -68,6 +82,10 @@ class Source(Protocol):
     takes_orders: bool
     text: str
     since: float
+    note: str | None
+    """What is missing although it is connected."""
+    site: str | None
+    """The name of the own site, where there are others."""
 
     async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
         """Its answer, encoded. Raises RpcError."""
@@ -139,14 +157,19 @@ class PageClients:
     def daemon_status(self) -> dict[str, Any]:
         source = self.source
         since_s = round(source.since, 3)
-        return {"connected": source.connected, "slow": source.slow, "text": source.text, "since_s": since_s}
+        status = {"connected": source.connected, "slow": source.slow, "text": source.text, "since_s": since_s}
+        return status | {"note": source.note, "site": source.site}
 
     def rate_hz(self) -> float | None:
         """The highest rate that a page wants, of a large fleet less; None: no page wants states."""
         wanted_hz = max((client.page_states.rate_hz for client in self.clients if client.page_states), default=None)
         if wanted_hz is None or len(self.states) <= MANY_VEHICLES:
             return wanted_hz
-        return min(wanted_hz, MANY_RATE_HZ)
+        return min(wanted_hz, MANY_RATE_HZ if len(self.states) <= VERY_MANY_VEHICLES else VERY_MANY_RATE_HZ)
+
+    def ending_beside(self, client: PageClient) -> int:
+        """Requests that end a flight and wait, of the other pages of this page's browser."""
+        return sum(c.ending_waiting for c in self.clients if c.identity == client.identity and c is not client)
 
     def operator_active(self, client: PageClient) -> None:
         now = self.loop.time()
@@ -169,10 +192,14 @@ class PageClients:
         self.states.end_round()
         self.wake_all()
 
-    async def close(self) -> None:
-        """End every page's tasks. Orders in progress are no longer waited for; what was sent stays sent."""
+    def close_pages(self) -> None:
+        """Close every page; their orders in progress go on."""
         for client in list(self.clients):
             client.close()
+
+    async def close(self) -> None:
+        """End every page's tasks. Orders in progress are no longer waited for; what was sent stays sent."""
+        self.close_pages()
         for task in list(self.orders):
             task.cancel()
         if self._round is not None:
@@ -213,6 +240,13 @@ class PageClient:
         self.pages.offer_kept(self)
         self.wake()
         return self.page_states.seq
+
+    def show(self, view: View) -> None:
+        """What it shows in full, of a large fleet."""
+        if self.page_states is None:
+            raise RpcError(REFUSED, "web.view: subscribe first")
+        self.page_states.show(view)
+        self.wake()
 
     def offer_event(self, body: bytes) -> None:
         if self.page_states is None:
@@ -272,13 +306,17 @@ class PageClient:
             if self._due is None:
                 self._due = self._loop.call_at(due, self._on_due)
             return None
-        store = self.pages.states
-        full, changed, gone = states.batch(now)
+        store, batch = self.pages.states, states.batch(now)
+        levels = b""
+        if batch.brief is not None:
+            levels = b'"brief":[%b],"left_out":%d,' % (b",".join(batch.brief), batch.left_out)
+            if batch.sites is not None:
+                levels += b'"sites":%b,' % _encode(batch.sites)
         return (
             b'{"jsonrpc":"2.0","method":"web.state","params":{"seq":%d,"full":%b,"now_s":%.4f,"heard_s":%.4f,"began_s":%.4f,"vehicles":['
-            % (states.seq, b"true" if full else b"false", now, store.heard_at, store.began_at)
-            + b",".join(changed)
-            + b'],"gone":%b}}' % _encode(list(gone))
+            % (states.seq, b"true" if batch.full else b"false", now, store.heard_at, store.began_at)
+            + b",".join(batch.states)
+            + b'],%b"gone":%b}}' % (levels, _encode(batch.gone))
         )
 
     def _on_due(self) -> None:
@@ -302,8 +340,9 @@ class PageClient:
         if method == "operator.active":
             self.pages.operator_active(self)
             return
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float):
-            self._refuse(None, INVALID_REQUEST, "a request needs an id: a string or a number")
+        if not _is_id(request_id):
+            text = f"a request needs an id: a number, or a string of at most {MAX_ID_CHARS} characters"
+            self._refuse(None, INVALID_REQUEST, text)
             return
         params = request.get("params", {})
         if not isinstance(params, dict):
@@ -314,11 +353,19 @@ class PageClient:
             self._refuse(request_id, *refusal)
             return
         ends_flight = method in ENDS_FLIGHT
-        exceeded = self._limits.begin(received_at, ends_flight=ends_flight)
+        exceeded = self._limits.begin(received_at, ends_flight=ends_flight, others=self.pages.ending_beside(self))
         if exceeded is not None:
             self._refuse(request_id, LIMIT_EXCEEDED, exceeded)
             return
         self._start(self._answer(request, params, ends_flight), order=self._is_order(method))
+
+    @property
+    def ending_waiting(self) -> int:
+        return self._limits.ending_waiting
+
+    def pause_s(self, size: int) -> float:
+        """After `on_message`: how long to read no further message from it."""
+        return self._limits.pause_s(size, self._loop.time())
 
     def _is_order(self, method: str) -> bool:
         return method not in self.pages.own and access(method) in ("order", "ends flight")
@@ -328,10 +375,7 @@ class PageClient:
         name = method[:MAX_ECHO_CHARS]
         if method in self.pages.own:
             if self.role != "command" and method in OWN_COMMANDS:
-                return (
-                    NOT_PERMITTED,
-                    f"{name}: this page may only look; skygcs web link prints an address that may more",
-                )
+                return NOT_PERMITTED, f"{name}: {ONLY_LOOKS}"
             return None
         if method.startswith(("web.", "replay.")):
             return METHOD_NOT_FOUND, f"no method {name}"
@@ -340,14 +384,14 @@ class PageClient:
                 return METHOD_NOT_FOUND, f"no method {name}"
             return REFUSED, f"{name} is not for pages"
         if not may(self.role, method):
-            return NOT_PERMITTED, f"{name}: this page may only look; skygcs web link prints an address that may more"
+            return NOT_PERMITTED, f"{name}: {ONLY_LOOKS}"
         if method not in READ and not self.pages.source.takes_orders:
             return REFUSED, f"{name}: this is a replay; nothing can be ordered"
         if method not in READ and (problem := deadline_problem(request.get("deadline_s"), now)) is not None:
             self.pages.counters["late_orders"] += 1
             return TOO_LATE, f"{name}: {problem}"
         if not self.pages.source.connected:
-            return NO_DAEMON, f"{name}: {self.pages.source.text}"
+            return AWAY, f"{name}: {self.pages.source.text}"
         return None
 
     def _refuse(self, request_id: object, code: int, text: str) -> None:
@@ -377,7 +421,7 @@ class PageClient:
                 result = await self.pages.source.call(method, params, deadline_s)
             reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), result)
         except DaemonUnreachable as error:
-            reply = _error(request_id, NO_DAEMON, str(error))
+            reply = _error(request_id, AWAY, str(error))
         except RpcError as error:
             reply = _error(request_id, error.code, error.message, error.data)
         except SkygcsError as error:
@@ -413,6 +457,18 @@ class PageClient:
 
 OWN_COMMANDS = frozenset({"replay.play", "replay.pause", "replay.seek", "replay.speed"})
 """Methods of the web process that the role view may not call."""
+
+
+def _is_id(value: object) -> bool:
+    match value:
+        case bool():
+            return False
+        case str():
+            return len(value) <= MAX_ID_CHARS
+        case int():
+            return -MAX_ID < value < MAX_ID
+        case _:
+            return isinstance(value, float)
 
 
 def _error(request_id: object, code: int, text: str, data: object = None) -> bytes:

@@ -24,11 +24,12 @@ from skygcs.config.files import open_regular
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import RpcError, SkygcsError
 from skygcs.events import Event
+from skygcs.rpc.error_codes import INVALID_PARAMS, REFUSED, TARGET_ERROR
 from skygcs.tlog.files import FileWindow, LogFile
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind
 from skygcs.tlog.reading import LogReader
 from skygcs.web.daemon_connection import STATE_KEYS, Pages
-from skygcs.web.page_clients import INVALID_PARAMS, REFUSED, OwnMethod, PageClient, PageClients
+from skygcs.web.page_clients import OwnMethod, PageClient, PageClients
 from skygcs.web.replay_fleet import Checkpoint, ReplayFleet
 from skygcs.web.state_batches import LatestStates
 
@@ -154,6 +155,8 @@ class ReplaySource:
         self.text = f"a recording: {path.name}"
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
+        self.note: str | None = None
+        self.site: str | None = None
         self.stopping = False
         self.fleet = ReplayFleet(dialect)
         self.position_s = 0.0
@@ -383,7 +386,6 @@ class ReplaySource:
 
 
 ORIGIN_KEYS = ("lat_deg", "lon_deg", "alt_amsl_m", "x_heading_deg")
-TARGET_ERROR = -32001
 _END: Any = object()
 
 

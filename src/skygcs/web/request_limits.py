@@ -17,10 +17,18 @@ ENDING_PER_S, ENDING_BURST = 20.0, 40.0
 """For STOP and its like: a key that repeats sends 30 a second."""
 
 MAX_WAITING, MAX_ENDING_WAITING = 16, 16
-"""Requests without an answer yet."""
+"""Requests without an answer yet: of a page, and those that end a flight of a browser with all its pages. The daemon
+takes 64 of the latter from all."""
 
 MAX_REFUSED = 2000
 """Refused requests after which the page is closed: it does not read the refusals."""
+
+MAX_ID_CHARS, MAX_ID = 64, 1 << 63
+"""Of a request's id, which its answer repeats; answers that are not read wait."""
+
+READ_BYTES_PER_S, READ_MESSAGES_PER_S, READ_AHEAD_S = 4 << 20, 200.0, 3.0
+"""A page is read from so quickly on the average, and for so long without a pause: 12 MiB or 600 messages. To read and
+refuse takes 20 µs a message and 20 ms for 4 MiB, in which nobody else's STOP is passed on."""
 
 DEADLINE_MAX_S = 30.0
 """An order may not lie about for longer than STOP repeats itself."""
@@ -32,18 +40,26 @@ class PageLimits:
     def __init__(self, now: float) -> None:
         self._requests = TokenBucket(REQUESTS_PER_S, REQUEST_BURST, now)
         self._ending = TokenBucket(ENDING_PER_S, ENDING_BURST, now)
-        self._waiting = self._ending_waiting = 0
+        self._waiting = self.ending_waiting = 0
         self.refused = 0
+        self._read_until = now - READ_AHEAD_S
+
+    def pause_s(self, size: int, now: float) -> float:
+        """After a message of ``size`` bytes, whatever was in it: how long not to read from the page."""
+        began = max(self._read_until, now - READ_AHEAD_S)
+        self._read_until = began + size / READ_BYTES_PER_S + 1.0 / READ_MESSAGES_PER_S
+        return max(self._read_until - now, 0.0)
 
     @property
     def exceeded(self) -> bool:
         """True if the page is to be closed."""
         return self.refused >= MAX_REFUSED
 
-    def begin(self, now: float, *, ends_flight: bool) -> str | None:
-        """Why a request is refused; None: it may go, and `end` is called when it was answered."""
+    def begin(self, now: float, *, ends_flight: bool, others: int = 0) -> str | None:
+        """Why a request is refused; None: it may go, and `end` is called when it was answered. ``others``: those that
+        end a flight and wait on other pages of the same browser."""
         bucket, waiting, most = (
-            (self._ending, self._ending_waiting, MAX_ENDING_WAITING)
+            (self._ending, self.ending_waiting + others, MAX_ENDING_WAITING)
             if ends_flight
             else (self._requests, self._waiting, MAX_WAITING)
         )
@@ -54,7 +70,7 @@ class PageLimits:
             self.refused += 1
             return f"at most {most} requests may wait for their answer; this one was not carried out"
         if ends_flight:
-            self._ending_waiting += 1
+            self.ending_waiting += 1
         else:
             self._waiting += 1
         return None
@@ -62,7 +78,7 @@ class PageLimits:
     def end(self, *, ends_flight: bool) -> None:
         """A request was answered."""
         if ends_flight:
-            self._ending_waiting -= 1
+            self.ending_waiting -= 1
         else:
             self._waiting -= 1
 
@@ -71,8 +87,8 @@ def deadline_problem(deadline_s: object, now: float) -> str | None:
     """Why an order with this deadline is not carried out; None: it is in time."""
     if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float):
         return "an order needs deadline_s, in the clock of web.hello"
-    if not deadline_s - now <= DEADLINE_MAX_S:
-        return f"deadline_s is {deadline_s - now:.0f} s ahead; at most {DEADLINE_MAX_S:g}"
+    if not deadline_s <= now + DEADLINE_MAX_S:  # compared, not subtracted: an integer may be too large for a float
+        return f"deadline_s is more than {DEADLINE_MAX_S:g} s ahead"
     if deadline_s < now:
-        return f"came {now - deadline_s:.1f} s after its deadline; it was not carried out"
+        return f"came {now - max(deadline_s, 0.0):.1f} s after its deadline; it was not carried out"
     return None

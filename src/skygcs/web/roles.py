@@ -14,6 +14,7 @@ Access = Literal["read", "order", "ends flight", "refused"]
 
 READ = frozenset(
     {
+        "authority.status",
         "clock.read",
         "commands.list",
         "companions.status",
@@ -137,10 +138,11 @@ NOT_PASSED_ON = frozenset(
     {
         *("auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"),
         *("companion.contact", "companion.order", "companion.setpoint"),
+        *("authority.grant", "authority.revoke"),
     }
 )
 """The web process subscribes once for all pages; corrections are a stream of bytes that no page has; a
-companion is called by its ground, which keeps the numbers."""
+companion is called by its ground, which keeps the numbers; authority is granted by the holder of a lease."""
 
 
 def access(method: str) -> Access:

@@ -1,8 +1,10 @@
 """Who may use the web page: one-time tokens of printed addresses, exchanged for cookies that have a role. Pure.
 
-    issue(role)        -> token, for an address that `skygcs web` prints; good once, for TOKEN_LIFE_S
+    issue(role)        -> token, for an address that `skygcs web` prints; good once, for TOKEN_LIFE_S; or for an address
+                          that it opens in a browser: good for OPENED_LIFE_S and for the same user's programs
     exchange(token)    -> cookie of that role; a second time None
     role_of(cookie)    -> the role, until it was not used for COOKIE_LIFE_S
+    sign_out()         nothing that was given out is good any more: a phone was lost
 
 Only digests are kept, so that neither a lookup's time nor the saved file gives a secret away.
 """
@@ -21,6 +23,9 @@ ROLES: tuple[Role, ...] = ("view", "command")
 TOKEN_LIFE_S = 3600.0
 """Somebody starts the process, walks to the field and opens the address there."""
 
+OPENED_LIFE_S = 120.0
+"""A slow computer starts its browser."""
+
 COOKIE_LIFE_S = 7 * 86400.0
 """A flight camp. Each use starts it anew."""
 
@@ -34,6 +39,13 @@ MAX_SECRET_CHARS = 128
 """Longer ones are wrong without being looked at."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Token:
+    role: Role
+    until: float
+    own_user: bool
+
+
 @dataclass(slots=True)
 class _Granted:
     role: Role
@@ -45,21 +57,26 @@ class SignIn:
 
     def __init__(self, new_secret: Callable[[], str]) -> None:
         self._new_secret = new_secret
-        self._tokens: dict[str, _Granted] = {}
+        self._tokens: dict[str, _Token] = {}
         self._cookies: dict[str, _Granted] = {}
 
-    def issue(self, role: Role, now: float) -> str:
-        """A token for one browser."""
+    def issue(self, role: Role, now: float, *, own_user: bool = False) -> str:
+        """A token for one browser. ``own_user``: which other users may see; it is of no use to them."""
         token = self._new_secret()
         while len(self._tokens) >= MAX_TOKENS:
             del self._tokens[next(iter(self._tokens))]
-        self._tokens[_digest(token)] = _Granted(role, now)
+        until = now + (OPENED_LIFE_S if own_user else TOKEN_LIFE_S)
+        self._tokens[_digest(token)] = _Token(role, until, own_user)
         return token
 
-    def exchange(self, token: str, now: float) -> str | None:
-        """The cookie for a token; None for one that is unknown, used or too old."""
-        granted = self._tokens.pop(_digest(token), None)
-        if granted is None or now - granted.at > TOKEN_LIFE_S:
+    def exchange(self, token: str, now: float, is_own_user: Callable[[], bool]) -> str | None:
+        """The cookie for a token; None for one that is unknown, used, too old or not for who sent it."""
+        key = _digest(token)
+        granted = self._tokens.get(key)
+        if granted is None or (granted.own_user and not is_own_user()):
+            return None
+        del self._tokens[key]
+        if now > granted.until:
             return None
         cookie = self._new_secret()
         if len(self._cookies) >= MAX_COOKIES:
@@ -82,6 +99,13 @@ class SignIn:
     def identity(self, cookie: str) -> str:
         """What distinguishes browsers without being a secret."""
         return _digest(cookie)
+
+    def sign_out(self) -> int:
+        """Forget every token and cookie; how many browsers were signed in."""
+        count = len(self._cookies)
+        self._tokens.clear()
+        self._cookies.clear()
+        return count
 
     def saved(self) -> dict[str, Any]:
         """The cookies as digests, for a process that takes over from this one; JSON-able."""

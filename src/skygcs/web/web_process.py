@@ -25,16 +25,17 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
+from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web.allow_list import allow_list, check_address
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection
 from skygcs.web.file_checks import CHECKS
+from skygcs.web.fleet_digest import view_of
 from skygcs.web.http_server import HttpServer
 from skygcs.web.map_image import MapImage
 from skygcs.web.page_clients import (
     DEFAULT_RATE_HZ,
-    INVALID_PARAMS,
     LEAST_RATE_HZ,
     MAX_RATE_HZ,
     OwnMethod,
@@ -100,6 +101,7 @@ class WebProcess:
         methods: dict[str, OwnMethod] = {
             "web.hello": self._hello,
             "web.subscribe": self._subscribe,
+            "web.view": self._show,
             "web.ping": self._ping,
         }
         if isinstance(self.source, ReplaySource):
@@ -107,8 +109,8 @@ class WebProcess:
         return methods | {name: self._check(name) for name in CHECKS}
 
     def _check(self, name: str) -> OwnMethod:
-        async def run(_: PageClient, params: dict[str, Any]) -> Any:
-            return await self.checks.run(name, params)
+        async def run(page: PageClient, params: dict[str, Any]) -> Any:
+            return await self.checks.run(name, params, page.role)
 
         return run
 
@@ -139,14 +141,17 @@ class WebProcess:
             raise RpcError(INVALID_PARAMS, f"rate_hz must be a number from {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g}")
         return {"seq": page.subscribe(float(rate_hz))}
 
+    async def _show(self, page: PageClient, params: dict[str, Any]) -> None:
+        page.show(view_of(params))
+
     async def _ping(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
         return {"now_s": round(self.loop.time(), 4)}
 
     # -- life
 
-    def link(self, role: Role) -> str:
-        """A further address with its token."""
-        return f"{self.base}/?token={self.sign_in.issue(role, time.time())}"
+    def link(self, role: Role, own_user: bool = False) -> str:
+        """A further address with its token. ``own_user``: to be opened in a browser of this user."""
+        return f"{self.base}/?token={self.sign_in.issue(role, time.time(), own_user=own_user)}"
 
     @property
     def base(self) -> str:
@@ -172,7 +177,14 @@ class WebProcess:
             on_sign_in=lambda: _write_cookies(cookies, self.sign_in.saved()),
             map_image=options.map_image,
         )
-        control = ControlSocket(control_path(_local_base(options.socket), self.port), self.link)
+
+        def sign_out() -> int:
+            count = self.sign_in.sign_out()
+            self.pages.close_pages()
+            _write_cookies(cookies, self.sign_in.saved())
+            return count
+
+        control = ControlSocket(control_path(_local_base(options.socket), self.port), self.link, sign_out)
         feeding = None
         try:
             await control.start()
@@ -223,7 +235,7 @@ async def serve_web(options: WebOptions) -> None:
         if options.open_browser:
             import webbrowser
 
-            loop.run_in_executor(None, webbrowser.open, web.link("command"))
+            loop.run_in_executor(None, webbrowser.open, web.link("command", own_user=True))
 
     await web.run(announce)
 

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import gc
 import json
+import os
 import socket
 import statistics
 from collections.abc import AsyncIterator
@@ -258,6 +259,7 @@ def measure_ticks(seconds: float) -> dict[str, Any]:
     """The lateness of control ticks without pages, and with one in Chromium and nine WebSocket clients of which one
     takes nothing and one floods; in turn, ROUNDS times."""
     with field(VEHICLES) as station:
+        prefer_as_the_service_does(station)
         fly_up(station)
         for outcome in station.call("control.set", targets=",".join(FLOWN), mode="position")["outcomes"].values():
             assert outcome["ok"], outcome
@@ -273,6 +275,19 @@ def measure_ticks(seconds: float) -> dict[str, Any]:
             "with_pages_ms": with_pages,
             "ratio": round(statistics.median(with_pages) / statistics.median(without), 3),
         }
+
+
+def prefer_as_the_service_does(station: WebStation) -> None:
+    """The daemon before the browser, as the unit of `skygcs service install` has it (a nice value of -10 and ten times
+    the CPU weight): a page that is drawn in software takes both processors of a small machine, and then the scheduler
+    decides about ticks and not the daemon. Linux shares among sessions; the daemon is one of its own."""
+    process = station.daemon_process
+    assert process is not None
+    for path in (f"/proc/{process.pid}/autogroup", "/proc/self/autogroup"):
+        with contextlib.suppress(OSError):  # without the right, or without autogroups: as the user has it
+            Path(path).write_text("-10" if path != "/proc/self/autogroup" else "0")
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
 
 
 def fly_up(station: WebStation) -> None:

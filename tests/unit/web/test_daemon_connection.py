@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from skygcs.errors import RpcError
+from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web import daemon_connection
 from skygcs.web.daemon_connection import DaemonConnection
 from skygcs.web.state_batches import LatestStates
@@ -47,6 +50,8 @@ class Daemon:
         self.writers: list[asyncio.StreamWriter] = []
         self.ahead_s = 0.0
         self.telemetry: list[tuple[asyncio.StreamWriter, int]] = []
+        self.more: dict[str, Any] = {}
+        """Further keys of every answer."""
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.append(writer)
@@ -60,6 +65,7 @@ class Daemon:
                 self.telemetry.append((writer, request["id"]))
             now_s = asyncio.get_running_loop().time() + self.ahead_s
             answer = {"jsonrpc": "2.0", "id": request["id"], "result": {"subscription": request["id"], "now_s": now_s}}
+            answer["result"] |= self.more
             writer.write(json.dumps(answer).encode() + b"\n")
 
     def send(self, *names: str, last: bool) -> None:
@@ -244,3 +250,61 @@ async def test_a_daemon_without_a_vehicle_is_an_empty_fleet_after_a_while(
         async with asyncio.timeout(60):
             await pages.woken.wait()
         assert states.complete and len(states) == 0
+
+
+async def test_where_there_is_a_bridge_all_sites_are_shown_and_without_it_ours_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The daemon's socket first, then the bridge's beside it, which ends again."""
+    monkeypatch.setattr(daemon_connection, "LOOK_EVERY_S", 0.02)
+    path = tmp_path / "gcs.sock"
+    async with serving(path) as daemon, connecting(path) as (connection, _):
+        daemon.more = {"federation": {"running": True}}
+        await until(lambda: connection.connected)
+        assert connection.note == daemon_connection.NO_BRIDGE and connection.site is None
+        await until(lambda: [r["params"]["targets"] for r in daemon.asked("subscribe") if "targets" in r["params"]])
+        assert {r["params"]["targets"] for r in daemon.asked("subscribe") if "targets" in r["params"]} == {"all"}
+        async with serving(tmp_path / "gcs.sock.federation") as bridge:
+            bridge.more = {"site": "north"}
+            await until(lambda: connection.connected and connection.site == "north")
+            assert connection.note is None
+            await until(lambda: len(bridge.asked("subscribe")) >= 3)
+            asked = {r["params"]["targets"] for r in bridge.asked("subscribe") if "targets" in r["params"]}
+            assert asked == {"*/all"}
+            await connection.call("vehicles.stop", {"targets": "all"})
+            assert len(bridge.asked("vehicles.stop")) == 1
+        await until(lambda: connection.connected and connection.note == daemon_connection.NO_BRIDGE)
+        await connection.call("vehicles.stop", {"targets": "all"})
+        assert len(daemon.asked("vehicles.stop")) == 1
+
+
+async def test_a_bridge_that_reaches_no_daemon_is_not_in_the_way_of_one_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(daemon_connection, "LOOK_EVERY_S", 0.02)
+    path = tmp_path / "gcs.sock"
+    async with serving(tmp_path / "gcs.sock.federation") as bridge, connecting(path) as (connection, _):
+        bridge.more = {"site": "north", "daemon": None}
+        await until(lambda: connection.connected)
+        assert connection.note == daemon_connection.NO_OWN_DAEMON
+        async with serving(path) as daemon:
+            daemon.more = {"federation": {"running": True}}
+            await until(lambda: connection.connected and connection.note == daemon_connection.NO_BRIDGE)
+            await connection.call("vehicles.hold", {"targets": "all"})
+            assert len(daemon.asked("vehicles.hold")) == 1
+
+
+async def test_what_cannot_be_carried_on_is_refused_and_nothing_waits_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "gcs.sock"
+    async with serving(path) as daemon, connecting(path) as (connection, _):
+        await until(lambda: connection.connected)
+        for params, text in (
+            ({"height_m": math.inf}, "JSON"),  # 1e999 in a message
+            ({"plan": "x" * (1 << 20)}, "the daemon takes"),
+        ):
+            for method in ("vehicles.takeoff", "vehicles.stop", "vehicles.list"):
+                with pytest.raises(RpcError, match=text) as refused:
+                    await connection.call(method, params, 100.0)
+                assert refused.value.code == INVALID_PARAMS
+        assert connection._waiting == 0 and connection.connected
+        assert not daemon.asked("vehicles.takeoff")

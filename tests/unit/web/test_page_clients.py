@@ -25,6 +25,7 @@ class FakeSource:
         self.slow = False
         self.text = "connected"
         self.since = 0.0
+        self.note = self.site = None
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.deadlines: list[float | None] = []
         self.active = 0
@@ -75,9 +76,11 @@ class Bench:
     async def _ping(self, _: PageClient, __: dict[str, Any]) -> Any:
         return {"now_s": 1.0}
 
-    def page(self, role: Role = "command", *, rate_hz: float | None = None) -> tuple[PageClient, FakeSocket]:
+    def page(
+        self, role: Role = "command", *, rate_hz: float | None = None, browser: str = "browser"
+    ) -> tuple[PageClient, FakeSocket]:
         socket = FakeSocket()
-        page = PageClient(self.pages, socket, role, "browser")
+        page = PageClient(self.pages, socket, role, browser)
         self.pages.clients[page] = None
         self.tasks.append(asyncio.create_task(page.send()))
         if rate_hz is not None:
@@ -162,6 +165,9 @@ async def test_an_error_is_answered_with_its_code(bench: Bench, method: str, cod
         ('{"method":"vehicles.list"}', -32600),
         ('{"id":true,"method":"vehicles.list"}', -32600),
         ('{"id":[],"method":"vehicles.list"}', -32600),
+        ('{"id":"' + "x" * 65 + '","method":"vehicles.list"}', -32600),
+        ('{"id":' + "9" * 400 + ',"method":"vehicles.list"}', -32600),
+        ('{"id":1,"method":"vehicles.arm","deadline_s":' + "9" * 400 + "}", -32012),
         ('{"id":1,"method":"vehicles.list","params":[1]}', -32602),
         ('{"id":1,"method":"no.such"}', -32601),
         ('{"id":1,"method":"web.no"}', -32601),
@@ -254,6 +260,26 @@ async def test_waiting_requests_are_bounded_and_stop_has_its_own_allowance(bench
         page.on_message(request("vehicles.stop", f"stop {number}", deadline_s=soon()))
     await asyncio.sleep(0.01)
     assert [method for method, _ in bench.source.calls].count("vehicles.stop") == MAX_ENDING_WAITING
+
+
+async def test_the_pages_of_one_browser_leave_places_for_the_stop_of_another(bench: Bench) -> None:
+    bench.source.held = asyncio.Event()
+    pages = [bench.page() for _ in range(4)]
+    for number in range(MAX_ENDING_WAITING):
+        for page, _ in pages:
+            page.on_message(request("vehicles.stop", number, deadline_s=soon()))
+    other, other_socket = bench.page(browser="another")
+    other.on_message(request("vehicles.stop", deadline_s=soon()))
+    await asyncio.sleep(0.01)
+    assert len(bench.source.calls) == MAX_ENDING_WAITING + 1
+    assert other_socket.sent == []
+    bench.source.held.set()
+    await asyncio.sleep(0.01)
+    assert "result" in other_socket.sent[0]
+    page, socket = pages[-1]
+    page.on_message(request("vehicles.stop", "again", deadline_s=soon()))
+    await asyncio.sleep(0.01)
+    assert "result" in socket.sent[-1]
 
 
 async def test_replies_that_are_not_read_count_as_waiting(bench: Bench) -> None:

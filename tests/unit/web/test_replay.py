@@ -18,11 +18,9 @@ from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.replay_fleet import ReplayFleet
 from skygcs.web.replay_source import Recording, ReplaySource
 from skygcs.web.state_batches import LatestStates
-from support.public_data import PUBLIC, ROOT
+from support.public_data import ROOT, public_file
 
-TLOGS = PUBLIC / "tlog"
-
-FLIGHT = TLOGS / "devmangrani-v2-radio-loss-f35.tlog"
+FLIGHT = "tlog/devmangrani-v2-radio-loss-f35.tlog"
 """One vehicle, ten minutes, a radio that loses a third."""
 
 DIALECT = load_dialect(["ardupilotmega", "px4-extras"])
@@ -73,8 +71,8 @@ class Replayed:
 
 
 @asynccontextmanager
-async def replayed(path: Path = FLIGHT) -> AsyncIterator[Replayed]:
-    bench = Replayed(path)
+async def replayed(path: Path | None = None) -> AsyncIterator[Replayed]:
+    bench = Replayed(path or public_file(FLIGHT))
     tasks = [asyncio.create_task(bench.source.run(bench.pages)), asyncio.create_task(bench.page.send())]
     try:
         yield bench
@@ -185,7 +183,7 @@ async def test_what_is_kept_does_not_grow_with_the_length(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("name", ["dronekit-2012-16k-truncated.tlog", "devmangrani-v2-radio-loss-f35.raw"])
 async def test_damaged_logs_and_raw_captures_are_played_too(name: str) -> None:
-    async with replayed(TLOGS / name) as bench:
+    async with replayed(public_file(f"tlog/{name}")) as bench:
         await bench.until(lambda: bench.source.recording.scanned)
         await bench.call("replay.seek", position_s=bench.source.recording.duration_s / 2)
         await bench.until(lambda: bench.source._seek_s is None)

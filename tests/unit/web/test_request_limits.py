@@ -9,8 +9,11 @@ import pytest
 from skygcs.web.request_limits import (
     DEADLINE_MAX_S,
     MAX_ENDING_WAITING,
+    MAX_MESSAGE_BYTES,
     MAX_REFUSED,
     MAX_WAITING,
+    READ_AHEAD_S,
+    READ_MESSAGES_PER_S,
     REQUEST_BURST,
     PageLimits,
     deadline_problem,
@@ -47,7 +50,36 @@ def test_an_order_in_time_is_carried_out(deadline: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "deadline", [None, True, "103", [], 99.99, -1e300, 0, 100.0 + DEADLINE_MAX_S + 0.01, 1e300, math.inf, math.nan]
+    "deadline",
+    [
+        None,
+        True,
+        "103",
+        [],
+        99.99,
+        -1e300,
+        0,
+        100.0 + DEADLINE_MAX_S + 0.01,
+        1e300,
+        math.inf,
+        math.nan,
+        10**400,
+        -(10**400),
+    ],
 )
 def test_an_order_without_a_deadline_or_after_it_is_not(deadline: object) -> None:
     assert deadline_problem(deadline, 100.0) is not None
+
+
+def test_a_page_is_read_from_at_a_pace_that_a_person_never_reaches() -> None:
+    limits = PageLimits(0.0)
+    assert not any(limits.pause_s(200, at / 50) for at in range(10_000)), "fifty messages a second for minutes"
+    flood = PageLimits(0.0)
+    now, read = 0.0, 0
+    while now < 10.0:
+        read += 1
+        now += flood.pause_s(40, now)
+    assert read <= READ_MESSAGES_PER_S * (10.0 + READ_AHEAD_S) + 1
+    large = PageLimits(0.0)
+    assert [large.pause_s(MAX_MESSAGE_BYTES, 0.0) > 0 for _ in range(4)] == [False, False, True, True]
+    assert large.pause_s(0, 60.0) == 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 
-from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, TOKEN_LIFE_S, SignIn
+from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, OPENED_LIFE_S, TOKEN_LIFE_S, SignIn
 
 
 def sign_in() -> SignIn:
@@ -13,33 +13,47 @@ def sign_in() -> SignIn:
     return SignIn(lambda: f"secret-{next(numbers)}")
 
 
+def exchanged(store: SignIn, token: str, now: float) -> str | None:
+    """By somebody who may be anybody."""
+    return store.exchange(token, now, lambda: False)
+
+
 def test_a_token_gives_a_cookie_of_its_role_once() -> None:
     store = sign_in()
     token = store.issue("view", 0.0)
-    cookie = store.exchange(token, 1.0)
+    cookie = exchanged(store, token, 1.0)
     assert cookie is not None and cookie != token
     assert store.role_of(cookie, 2.0) == "view"
-    assert store.exchange(token, 1.0) is None
+    assert exchanged(store, token, 1.0) is None
+
+
+def test_a_token_of_an_opened_address_is_of_no_use_to_other_users_and_not_used_up_by_them() -> None:
+    store = sign_in()
+    token, late = (store.issue("command", 0.0, own_user=True) for _ in range(2))
+    assert exchanged(store, token, 1.0) is None
+    assert store.exchange(token, 1.0, lambda: True) is not None
+    assert store.exchange(token, 1.0, lambda: True) is None
+    assert store.exchange(late, OPENED_LIFE_S + 1, lambda: True) is None
 
 
 def test_an_unknown_token_or_cookie_is_nothing() -> None:
     store = sign_in()
     store.issue("command", 0.0)
     for wrong in ("", "x", "secret-1", "s" * 1_000_000, "\ud800", "\0"):
-        assert store.exchange(wrong, 0.0) is None
+        assert exchanged(store, wrong, 0.0) is None
         assert store.role_of(wrong, 0.0) is None
 
 
 def test_a_token_is_too_old_after_its_life() -> None:
     store = sign_in()
     first, second = store.issue("command", 0.0), store.issue("command", 0.0)
-    assert store.exchange(first, TOKEN_LIFE_S) is not None
-    assert store.exchange(second, TOKEN_LIFE_S + 1) is None
+    assert exchanged(store, first, TOKEN_LIFE_S) is not None
+    assert exchanged(store, second, TOKEN_LIFE_S + 1) is None
 
 
 def test_a_cookie_lives_from_its_last_use() -> None:
     store = sign_in()
-    cookie = store.exchange(store.issue("command", 0.0), 0.0)
+    cookie = exchanged(store, store.issue("command", 0.0), 0.0)
     assert cookie is not None
     assert store.role_of(cookie, COOKIE_LIFE_S) == "command"
     assert store.role_of(cookie, 2 * COOKIE_LIFE_S) == "command"
@@ -50,18 +64,18 @@ def test_a_cookie_lives_from_its_last_use() -> None:
 def test_both_tables_are_bounded_and_the_oldest_goes() -> None:
     store = sign_in()
     tokens = [store.issue("view", 0.0) for _ in range(MAX_TOKENS + 1)]
-    assert store.exchange(tokens[0], 0.0) is None
-    assert store.exchange(tokens[1], 0.0) is not None
+    assert exchanged(store, tokens[0], 0.0) is None
+    assert exchanged(store, tokens[1], 0.0) is not None
     cookies = []
     for at in range(MAX_COOKIES + 1):
-        cookies.append(store.exchange(store.issue("view", at), at) or "")
+        cookies.append(exchanged(store, store.issue("view", at), at) or "")
     assert store.role_of(cookies[0], at) is None
     assert store.role_of(cookies[-1], at) == "view"
 
 
 def test_what_is_saved_holds_no_secret_and_is_taken_over() -> None:
     store = sign_in()
-    cookie = store.exchange(store.issue("command", 5.0), 5.0)
+    cookie = exchanged(store, store.issue("command", 5.0), 5.0)
     assert cookie is not None
     saved = json.loads(json.dumps(store.saved()))
     assert cookie not in json.dumps(saved)

@@ -1,7 +1,7 @@
 // The columns of the fleet table: what a cell says, how it is sorted, and when it warns. Pure.
 
 import { ageText, fixed, percentText } from "./format.ts";
-import { ageOf, isHeard, silenceOf, type Vehicle } from "./store.ts";
+import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
 
 export type Tone = "" | "muted" | "warning" | "danger" | "good";
 
@@ -23,6 +23,8 @@ export interface Column {
   numeric?: boolean;
   /** Shown on a phone. */
   narrow?: boolean;
+  /** Shown only while a vehicle of the fleet has it. */
+  when?: (vehicle: Vehicle) => boolean;
   /** A value of the vehicle, not of the connection to it: grey when it is not heard. */
   cell: (vehicle: Vehicle, now_s: number) => Cell;
   /** What it is sorted by; null last. */
@@ -93,6 +95,7 @@ export const COLUMNS: readonly Column[] = [
     sortBy: (v) => v.control?.control_mode ?? v.control?.mode ?? "",
   },
   { id: "plan", title: "Plan", cell: planCell, sortBy: (v) => planCell(v).text },
+  { id: "companion", title: "Companion", when: (v) => v.companion != null, cell: companionCell, sortBy: (v, now) => companionCell(v, now).text },
 ];
 
 export function autopilotName(family: string): string {
@@ -125,7 +128,7 @@ function batteryCell(v: Vehicle, now_s: number): Cell {
 function gpsCell(v: Vehicle, now_s: number): Cell {
   if (v.gps === null) return UNKNOWN;
   const text = [v.gps.fix?.toUpperCase(), v.gps.satellites === null ? null : `${v.gps.satellites} sat`].filter(Boolean).join("  ");
-  return aged(v, v.gps, now_s, text, (v.gps.fix_type ?? 0) < 3 ? "warning" : "");
+  return aged(v, v.gps, now_s, text, (v.gps.fix_type ?? 3) < 3 ? "warning" : "");
 }
 
 function bestLink(v: Vehicle): { name: string; loss: number | null } | null {
@@ -165,6 +168,24 @@ function guardCell(v: Vehicle): Cell {
   return cell("clear", "good");
 }
 
+/** The computer on the vehicle: our connection to it, else whether MAVLink of it is heard. */
+function companionCell(v: Vehicle, now_s: number): Cell {
+  const { companion } = v;
+  if (companion == null) return UNKNOWN;
+  const { name, link, error, version, age_s } = companion;
+  const title = [name, version, error].filter(Boolean).join(", ");
+  if (link !== null) return cell(link, link === "up" ? "good" : link === "down" ? "danger" : "muted", title);
+  const age = age_s === null ? null : ageOf(v, { age_s }, now_s);
+  if (age === null) return cell("not heard", "warning", title);
+  return age > SILENT_S ? cell(`silent ${ageText(age)}`, "warning", title) : cell("heard", "", title);
+}
+
+/** What needs a person, besides not being heard; the server counts the same (fleet_digest.py). */
+export function isProblem(v: Vehicle): boolean {
+  const near = v.separation !== null && v.separation.level !== "notice";
+  return v.failsafe || near || v.uplink?.heard === false || (v.battery?.percent ?? 100) <= EMPTY_BATTERY_PERCENT;
+}
+
 function planCell(v: Vehicle): Cell {
   if (v.mission === null || v.mission.count === null || v.mission.count === 0) return UNKNOWN;
   return cell(`${v.mission.seq ?? "?"} of ${v.mission.count}`);
@@ -175,7 +196,8 @@ export interface Sorting {
   down: boolean;
 }
 
-/** Names of vehicles that match a filter: each word in name, id, group, mode, autopilot or a word of its state. */
+/** Names of vehicles that match a filter: each word in name, id, group, mode, autopilot or a word of its state. The
+ *  server looks into the same words of a large fleet (fleet_digest.py). */
 export function matches(vehicle: Vehicle, filter: string, now_s: number): boolean {
   const words = filter.toLowerCase().split(/\s+/).filter(Boolean);
   if (words.length === 0) return true;
@@ -183,6 +205,7 @@ export function matches(vehicle: Vehicle, filter: string, now_s: number): boolea
     vehicle.armed === true ? "armed" : "disarmed",
     vehicle.failsafe ? "failsafe" : "",
     isHeard(vehicle, now_s) ? "heard" : "silent",
+    isHeard(vehicle, now_s) && !isProblem(vehicle) ? "" : "problem",
     vehicle.landed.replace("_", " "),
   ];
   const text = [vehicle.name, vehicle.sysid, ...vehicle.groups, vehicle.mode, vehicle.autopilot, ...state].join(" ").toLowerCase();
@@ -203,7 +226,7 @@ function compare(a: number | string | null, b: number | string | null, down: boo
   return down ? -order : order;
 }
 
-export type Grouping = "none" | "group" | "autopilot" | "mode";
+export type Grouping = "none" | "site" | "group" | "autopilot" | "mode";
 
 /** Rows of the table: vehicles, with a heading before each group. */
 export type Row = { kind: "group"; title: string; names: string[] } | { kind: "vehicle"; vehicle: Vehicle };

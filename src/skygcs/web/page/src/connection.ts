@@ -181,7 +181,7 @@ export class Connection {
   /** Reports that a person touched the page: at most once a second, and only what the browser itself calls trusted. */
   personActive(event: Event): void {
     const now = this.env.nowMs();
-    if (!event.isTrusted || !this.open || now - this.activeAtMs < ACTIVE_EVERY_MS) return;
+    if (!event.isTrusted || ("repeat" in event && event.repeat === true) || !this.open || now - this.activeAtMs < ACTIVE_EVERY_MS) return;
     this.activeAtMs = now;
     this.socket?.send(JSON.stringify({ jsonrpc: "2.0", method: "operator.active" }));
   }

@@ -18,6 +18,13 @@ export function FleetCanvas({ store, connection, view }: PanelProps) {
     const element = canvas.current;
     if (element === null) return;
     const detach = view.attach(element);
+    view.buttons = () => {
+      const { left, top } = element.getBoundingClientRect();
+      return [...(element.parentElement?.querySelectorAll(".viewbuttons > .group") ?? [])].map((group) => {
+        const box = group.getBoundingClientRect();
+        return { left: box.left - left, top: box.top - top, right: box.right - left, bottom: box.bottom - top };
+      });
+    };
     const end = beginInput(element, view, store, {
       place: (text) => { if (readout.current !== null) readout.current.value = text; },
       band: (box) => showBand(band.current, box),

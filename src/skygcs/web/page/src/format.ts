@@ -14,17 +14,32 @@ export function ageText(seconds: number): string {
   return `${(seconds / 3600).toFixed(0)} h`;
 }
 
+/** The time of day of an event. */
+export function timeText(unix_s: number): string {
+  return new Date(unix_s * 1000).toLocaleTimeString([], { hourCycle: "h23" });
+}
+
 export function percentText(ratio: number | null | undefined): string | null {
   if (ratio === null || ratio === undefined) return null;
   const percent = ratio * 100;
   return `${percent === 0 || percent >= 9.95 ? percent.toFixed(0) : percent.toFixed(1)} %`;
 }
 
-/** "alpha, bravo and 3 more": who an order is for. */
+/** "alpha, bravo and 3 more", or "3 of north and 12 of south": who an order is for. */
 export function namesText(names: readonly string[], most = 3): string {
   if (names.length === 0) return "nothing";
   if (names.length <= most) return listText(names);
+  if (names.some((name) => name.includes("/"))) return listText(countsBySite(names));
   return `${names.slice(0, most - 1).join(", ")} and ${names.length - most + 1} more`;
+}
+
+function countsBySite(names: readonly string[]): string[] {
+  const counts = new Map<string, number>();
+  for (const name of names) {
+    const site = name.includes("/") ? name.slice(0, name.indexOf("/")) : "this site";
+    counts.set(site, (counts.get(site) ?? 0) + 1);
+  }
+  return [...counts].map(([site, count]) => `${count} of ${site}`);
 }
 
 function listText(names: readonly string[]): string {

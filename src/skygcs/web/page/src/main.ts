@@ -24,7 +24,7 @@ if (root !== null) {
 beginPanels(store);
 beginSession(connection, store, () => performance.now());
 
-// Only a person's own input is reported as such; the browser marks it.
+// Only a person's own input is reported as such: the browser marks it, and a key that something lies on repeats itself.
 for (const kind of ["pointerdown", "keydown", "wheel", "touchstart"] as const) {
   addEventListener(kind, (event) => connection.personActive(event), { capture: true, passive: true });
 }

@@ -1,6 +1,7 @@
 // Orders to vehicles: what they are, how each is sent, and what is said of it. An order is sent once.
 
 import { ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S, type Connection } from "./connection.ts";
+import { siteOf } from "./levels.ts";
 import type { OrderState, Store } from "./store.ts";
 import type { Outcome } from "./types.ts";
 
@@ -11,6 +12,8 @@ export interface OrderRequest {
   params: object;
   /** Vehicles that it is for, or null: all that the daemon knows. */
   targets: readonly string[] | null;
+  /** Another way to say who: all vehicles of all sites, be they known here or not. */
+  to?: string;
   withinS?: number;
 }
 
@@ -39,7 +42,7 @@ export async function sendOrder(store: Store, connection: Connection, request: O
     return state;
   };
   try {
-    const params = { targets: request.targets === null ? "all" : [...request.targets], ...request.params };
+    const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params };
     const answer = await connection.order<{ outcomes?: Record<string, Outcome> } | null>(
       request.method,
       params,
@@ -53,15 +56,15 @@ export async function sendOrder(store: Store, connection: Connection, request: O
   }
 }
 
-/** STOP: all vehicles hold where they are, by every link. */
-export function sendStop(store: Store, connection: Connection): Promise<OrderState> {
-  return sendOrder(store, connection, {
-    label: "STOP all",
-    method: "vehicles.stop",
-    params: {},
-    targets: null,
-    withinS: STOP_DEADLINE_S,
-  });
+/** STOP: all vehicles hold where they are, by every link. Those of other sites get it as an order of their own: ours wait
+ *  for no hub. */
+export function sendStop(store: Store, connection: Connection): void {
+  const { names, sites } = store.state;
+  const stop = { method: "vehicles.stop", params: {}, withinS: STOP_DEADLINE_S };
+  const others = names.filter((name) => siteOf(name) !== "");
+  const ours = others.length === 0 ? null : names.filter((name) => siteOf(name) === "");
+  if (ours === null || ours.length > 0) void sendOrder(store, connection, { ...stop, label: "STOP all", targets: ours, to: "all" });
+  if (others.length > 0) void sendOrder(store, connection, { ...stop, label: `STOP all of ${sites.filter(Boolean).join(", ")}`, targets: others, to: "*/all" });
 }
 
 export function refusalText(error: unknown): string {

@@ -5,6 +5,7 @@ import { namesText, fixed } from "./format.ts";
 import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
+import { fullName } from "./levels.ts";
 import { OrderHistory } from "./order_list.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
 import type { PanelProps } from "./panels/registry.ts";
@@ -79,7 +80,7 @@ interface ButtonsProps extends PanelProps {
 
 function OrderButtons(props: ButtonsProps) {
   const { targets, enabled, send } = props;
-  const who = namesText(targets);
+  const who = useTargetsText(props);
   const [heightText, setHeightText] = useState(String(DEFAULT_HEIGHT_M));
   const height = Number(heightText);
   const heightOk = heightText.trim() !== "" && height > 0 && height <= MOST_HEIGHT_M;
@@ -123,6 +124,12 @@ function OrderButtons(props: ButtonsProps) {
   );
 }
 
+/** Who an order is for, each with its site where there are several. */
+function useTargetsText({ store, targets }: Pick<ButtonsProps, "store" | "targets">): string {
+  useStore(store, (state) => state.daemon?.site);
+  return namesText(targets.map((name) => fullName(store.state, name)));
+}
+
 function Key({ letter }: { letter: string }) {
   return <kbd aria-hidden="true">{letter}</kbd>;
 }
@@ -142,6 +149,7 @@ function useHoldKey(enabled: boolean, button: { readonly current: HTMLElement | 
 }
 
 function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
+  const who = useTargetsText({ store, targets });
   const chooser = useRef<HTMLButtonElement>(null);
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   const [fields, setFields] = useState({ x: "", y: "", height: "" });
@@ -181,7 +189,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
           </label>
         ))}
       </div>
-      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${namesText(targets)} to x ${fields.x}, y ${fields.y}${up}`}
+      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${fields.x}, y ${fields.y}${up}`}
         act={() => {
           if (place === null) return;
           const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
@@ -201,6 +209,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
 
 function Mode({ store, targets, enabled, send }: ButtonsProps) {
   const families = useStore(store, (state) => [...new Set(targets.map((name) => state.vehicles.get(name)?.autopilot ?? ""))].sort().join(" "));
+  const who = useTargetsText({ store, targets });
   const [mode, setMode] = useState("");
   const choices = modesFor(families.split(" "));
   useEffect(() => {
@@ -215,7 +224,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
           {choices.map((name) => <option key={name} value={name}>{name}</option>)}
         </select>
       </label>
-      <HoldButton targets={targets} class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${namesText(targets)}`}
+      <HoldButton targets={targets} class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${who}`}
         act={() => void send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
         <span>Set</span>
       </HoldButton>
@@ -224,8 +233,9 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
 }
 
 /** What stops motors: folded away, held down, and confirmed to the daemon with the number of vehicles. */
-function Emergency({ targets, enabled, send }: ButtonsProps) {
-  const who = namesText(targets);
+function Emergency(props: ButtonsProps) {
+  const { targets, enabled, send } = props;
+  const who = useTargetsText(props);
   return (
     <details class="emergency">
       <summary>Emergency</summary>

@@ -1,17 +1,20 @@
 // What follows each new connection: hello, subscription, origin, recent events. Everything is shown anew.
 
 import type { Connection } from "./connection.ts";
+import { viewParams } from "./levels.ts";
 import type { Store } from "./store.ts";
 import type { DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
 
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
 const GREET_AGAIN_MS = 1_000;
+const VIEW_EVERY_MS = 250;
 
 /** Joins the connection and the store; returns what ends it. */
 export function beginSession(connection: Connection, store: Store, nowMs: () => number): () => void {
   let seq: number | null = null;
   let originGeneration: number | null = null;
+  let view = "";
 
   async function subscribe(): Promise<void> {
     seq = (await connection.call<{ seq: number }>("web.subscribe", { rate_hz: UPDATES_HZ })).seq;
@@ -32,6 +35,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     store.dispatch({ type: "hello", hello, atMs: nowMs() });
     seq = null;
     originGeneration = null;
+    view = "";
     await subscribe();
     connection.settled();
     await fetchFromDaemon();
@@ -66,6 +70,16 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     }
   }
 
+  /** Of a large fleet: what this page shows in full. */
+  function sendView(): void {
+    if (store.state.counts === null) return;
+    const params = viewParams(store.state, store.near);
+    const text = JSON.stringify(params);
+    if (text === view) return;
+    view = text;
+    connection.call("web.view", params).catch(() => { view = ""; });
+  }
+
   function onDaemon(daemon: DaemonLink): void {
     store.dispatch({ type: "daemon", daemon });
     if (daemon.connected && !daemon.slow) void fetchFromDaemon();
@@ -81,8 +95,10 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     connection.on<PlanStatus>("web.plan", (plan) => store.dispatch({ type: "plan", plan })),
     connection.on<{ event: FleetEvent }>("event", ({ event }) => store.dispatch({ type: "event", event })),
   ];
+  const viewing = setInterval(sendView, VIEW_EVERY_MS);
   connection.begin();
   return () => {
+    clearInterval(viewing);
     for (const each of undo) each();
     connection.end();
   };

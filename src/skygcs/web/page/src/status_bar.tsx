@@ -5,6 +5,7 @@ import type { Connection } from "./connection.ts";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore, useTick } from "./hooks.ts";
 import { isHeard, serverNowS, type Store } from "./store.ts";
+import { isInAir } from "./site_rows.ts";
 import { setTheme, theme, type Theme } from "./theme.ts";
 
 export function FleetSummary({ store }: { store: Store }) {
@@ -13,12 +14,13 @@ export function FleetSummary({ store }: { store: Store }) {
   const vehicles = [...state.vehicles.values()];
   const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
   const armed = heard.filter((vehicle) => vehicle.armed === true).length;
-  const flying = heard.filter((vehicle) => vehicle.landed === "in_air" || vehicle.landed === "takeoff" || vehicle.landed === "landing").length;
+  const flying = heard.filter(isInAir).length;
   const failsafe = heard.filter((vehicle) => vehicle.failsafe).length;
   const silent = vehicles.length - heard.length;
   return (
     <p class="summary">
       <Figure count={vehicles.length} word={vehicles.length === 1 ? "vehicle" : "vehicles"} />
+      {state.sites.length > 1 && <Figure count={state.sites.length} word="sites" />}
       <Figure count={armed} word="armed" />
       <Figure count={flying} word="in the air" />
       {failsafe > 0 && <Figure count={failsafe} word="failsafe" tone="danger" />}
@@ -73,6 +75,7 @@ export function Banner({ store, connection }: { store: Store; connection: Connec
       </div>
     );
   }
+  if (daemon?.note != null) return <div class="banner" role="status">{daemon.note}.</div>;
   if (hello?.replay === true) return null;
   if (hello?.role === "view") return <div class="banner" role="status">This address may only look: no orders.</div>;
   return null;

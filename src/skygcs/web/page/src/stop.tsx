@@ -15,7 +15,7 @@ export function StopButton({ store, connection }: { store: Store; connection: Co
     const onKey = (event: KeyboardEvent): void => {
       if (refused || !event.isTrusted || !isStopKey(event, isTextField(event.target))) return;
       event.preventDefault();
-      void sendStop(store, connection);
+      sendStop(store, connection);
     };
     addEventListener("keydown", onKey, { capture: true });
     return () => removeEventListener("keydown", onKey, { capture: true });
@@ -30,11 +30,11 @@ export function StopButton({ store, connection }: { store: Store; connection: Co
       aria-label="Stop all vehicles"
       aria-keyshortcuts="Shift+S F8"
       onPointerDown={(event) => {
-        if (event.button === 0) void sendStop(store, connection);
+        if (event.button === 0) sendStop(store, connection);
       }}
       onClick={(event) => {
         // a press was handled on its way down; this is the keyboard's, or a screen reader's
-        if (event.detail === 0) void sendStop(store, connection);
+        if (event.detail === 0) sendStop(store, connection);
       }}
     >
       STOP

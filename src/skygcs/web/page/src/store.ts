@@ -1,7 +1,8 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, StateBatch, Vec3, VehicleState } from "./types.ts";
+import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
+import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, SiteCounts, StateBatch, Vec3, VehicleState } from "./types.ts";
 import { Trails } from "./trails.ts";
 
 /** A vehicle of which nothing came for so long is shown as not heard, whatever was last said of it. */
@@ -14,6 +15,8 @@ const REACHED_M = 1.5;
 /** A vehicle's newest state and the server's time that its ages refer to. */
 export interface Vehicle extends VehicleState {
   heard_s: number;
+  /** Only this much is sent of it now: what is null is not asked for. */
+  brief?: boolean;
 }
 
 export type OrderState = "pending" | "done" | "failed" | "unknown";
@@ -49,8 +52,17 @@ export interface State {
   plan: PlanStatus | null;
   clock: ClockSample | null;
   vehicles: ReadonlyMap<string, Vehicle>;
-  /** Names by system id. */
+  /** Names by site and system id. */
   names: readonly string[];
+  /** Sites of these vehicles; "" is the station's own. */
+  sites: readonly string[];
+  /** Of a large fleet: what the server counted of each site. */
+  counts: readonly SiteCounts[] | null;
+  leftOut: number;
+  /** Sites whose vehicles the table shows. */
+  unfolded: ReadonlySet<string>;
+  /** The table's filter. */
+  search: string;
   selection: ReadonlySet<string>;
   /** The one whose panel is shown: the one selected last. */
   shown: string | null;
@@ -72,6 +84,11 @@ export const EMPTY: State = {
   clock: null,
   vehicles: new Map(),
   names: [],
+  sites: [],
+  counts: null,
+  leftOut: 0,
+  unfolded: new Set(),
+  search: "",
   selection: new Set(),
   shown: null,
   events: [],
@@ -90,6 +107,8 @@ export type Action =
   | { type: "plan"; plan: PlanStatus }
   | { type: "batch"; batch: StateBatch; atMs: number }
   | { type: "select"; names: readonly string[]; how: "only" | "add" | "toggle" }
+  | { type: "search"; search: string }
+  | { type: "unfold"; site: string }
   | { type: "event"; event: FleetEvent }
   | { type: "recentEvents"; events: readonly FleetEvent[] }
   | { type: "goals"; goals: ReadonlyMap<string, Vec3> }
@@ -120,14 +139,18 @@ export function reduce(state: State, action: Action): State {
       return state.clock === null ? state : { ...state, clock: { ...state.clock, atMs: state.clock.atMs - action.ms } };
     case "daemon": // what a daemon said of its plan is not true of the next one
       return { ...state, daemon: action.daemon, plan: action.daemon.connected ? state.plan : null };
-    case "origin":
-      return { ...state, origin: action.origin };
+    case "origin": // goals are in metres from the one before
+      return { ...state, origin: action.origin, goals: sameOrigin(state.origin, action.origin) ? state.goals : new Map() };
     case "plan":
       return { ...state, plan: action.plan };
     case "batch":
       return applyBatch(state, action.batch, action.atMs);
     case "select":
       return select(state, action.names, action.how);
+    case "search":
+      return { ...state, search: action.search };
+    case "unfold":
+      return { ...state, unfolded: toggled(state.unfolded, action.site) };
     case "event":
       return addEvents(state, [action.event]);
     case "recentEvents":
@@ -153,20 +176,28 @@ export function reduce(state: State, action: Action): State {
 function applyBatch(state: State, batch: StateBatch, atMs: number): State {
   const vehicles = new Map(batch.full ? [] : state.vehicles);
   for (const name of batch.gone) vehicles.delete(name);
-  for (const vehicle of batch.vehicles) vehicles.set(vehicle.name, { ...vehicle, heard_s: batch.heard_s });
-  const same = !batch.full && vehicles.size === state.names.length && batch.vehicles.every((v) => state.vehicles.has(v.name));
+  for (const vehicle of batch.vehicles) vehicles.set(vehicle.name, vehicleOf(vehicle, batch.heard_s));
+  for (const row of batch.brief ?? []) vehicles.set(row[0], briefVehicle(row));
+  const same = !batch.full && vehicles.size === state.names.length && [...vehicles.keys()].every((name) => state.vehicles.has(name));
   const names = same && batch.gone.length === 0 ? state.names : namesBySysid(vehicles);
   const selection = names === state.names ? state.selection : keepKnown(state.selection, vehicles);
   return {
     ...state,
     vehicles,
     names,
+    sites: names === state.names ? state.sites : [...new Set(names.map(siteOf))],
+    counts: batch.sites ?? (batch.full || batch.brief === undefined ? null : state.counts),
+    leftOut: batch.left_out ?? 0,
     selection,
     goals: without(state.goals, (name, goal) => isOver(vehicles.get(name), goal)),
     shown: state.shown !== null && vehicles.has(state.shown) ? state.shown : lastOf(selection),
     clock: { now_s: batch.now_s, atMs },
     generation: batch.full ? state.generation + 1 : state.generation,
   };
+}
+
+function sameOrigin(a: Origin | null, b: Origin | null): boolean {
+  return a?.lat_deg === b?.lat_deg && a?.lon_deg === b?.lon_deg && a?.x_heading_deg === b?.x_heading_deg;
 }
 
 /** The goal is reached, or the vehicle is gone. */
@@ -182,8 +213,14 @@ function without(goals: ReadonlyMap<string, Vec3>, gone: (name: string, goal: Ve
 
 function namesBySysid(vehicles: ReadonlyMap<string, Vehicle>): readonly string[] {
   return [...vehicles.values()]
-    .sort((a, b) => a.sysid - b.sysid || a.compid - b.compid || a.name.localeCompare(b.name))
+    .sort((a, b) => siteOf(a.name).localeCompare(siteOf(b.name)) || a.sysid - b.sysid || a.compid - b.compid || a.name.localeCompare(b.name))
     .map((vehicle) => vehicle.name);
+}
+
+function toggled(set: ReadonlySet<string>, one: string): ReadonlySet<string> {
+  const changed = new Set(set);
+  if (!changed.delete(one)) changed.add(one);
+  return changed;
 }
 
 function keepKnown(selection: ReadonlySet<string>, vehicles: ReadonlyMap<string, Vehicle>): ReadonlySet<string> {
@@ -248,6 +285,8 @@ export type Listener = (state: State) => void;
 export class Store {
   state: State = EMPTY;
   readonly trails = new Trails();
+  /** Vehicles that the fleet view draws in detail, if they are few. */
+  near: readonly string[] = [];
   private readonly listeners = new Set<Listener>();
   private readonly actionListeners = new Set<(action: Action, state: State) => void>();
   private scheduled = false;

@@ -2,7 +2,9 @@
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { COLUMNS, matches, rowsOf, sorted, type Cell, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
-import { useSlowState } from "./hooks.ts";
+import { ageText } from "./format.ts";
+import { useSlowState, useStore } from "./hooks.ts";
+import { siteRows, type SiteRow } from "./site_rows.ts";
 import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
 
@@ -15,7 +17,8 @@ const OVERSCAN = 6;
 export function FleetTable({ store }: { store: Store }) {
   const { state, nowMs } = useSlowState(store, REFRESH_MS);
   const [sorting, setSorting] = useState<Sorting>({ column: "id", down: false });
-  const [filter, setFilter] = useState("");
+  const filter = useStore(store, (now) => now.search);
+  useStore(store, (now) => now.unfolded);
   const [grouping, setGrouping] = useState<Grouping>("none");
   const [cursor, setCursor] = useState<string | null>(null);
   const box = useRef<HTMLDivElement>(null);
@@ -26,9 +29,12 @@ export function FleetTable({ store }: { store: Store }) {
   useFilterKey(field);
 
   const now_s = serverNowS(state, nowMs);
-  const found = [...state.vehicles.values()].filter((vehicle) => matches(vehicle, filter, now_s));
-  const rows = rowsOf(sorted(found, sorting, now_s), grouping);
-  const columns = narrow ? COLUMNS.filter((column) => column.narrow) : COLUMNS;
+  const large = state.counts !== null;
+  // a brief is no row: of a large fleet the server sends in full what is unfolded, or what the filter finds
+  const found = sorted([...state.vehicles.values()].filter((vehicle) => vehicle.brief !== true && matches(vehicle, filter, now_s)), sorting, now_s);
+  const bySite = grouping === "site" || (large && grouping === "none");
+  const rows: (Row | SiteRow)[] = bySite ? siteRows(state, found, now_s) : rowsOf(found, grouping);
+  const columns = COLUMNS.filter(({ when, narrow: onPhone }) => (narrow ? onPhone : when === undefined || [...state.vehicles.values()].some(when)));
   const names = rows.flatMap((row) => (row.kind === "vehicle" ? [row.vehicle.name] : []));
   const shown = rows.slice(window.first, window.first + window.count);
 
@@ -67,16 +73,15 @@ export function FleetTable({ store }: { store: Store }) {
             onChange={() => store.dispatch({ type: "select", names: all ? [] : names, how: "only" })} />
         </label>
         <input ref={field} type="search" placeholder="Filter: name, group, mode, armed, silent …" aria-label="Filter vehicles" value={filter}
-          onInput={(event) => setFilter(event.currentTarget.value)} />
-        <label class="grouping">Group by{" "}
-          <select value={grouping} onChange={(event) => setGrouping(event.currentTarget.value as Grouping)}>
-            <option value="none">nothing</option>
-            <option value="group">group</option>
-            <option value="autopilot">autopilot</option>
-            <option value="mode">mode</option>
-          </select>
-        </label>
-        <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : `${names.length} shown`}</span>
+          onInput={(event) => store.dispatch({ type: "search", search: event.currentTarget.value })} />
+        <select class="grouping" aria-label="Group by" value={bySite ? "site" : grouping} onChange={(event) => setGrouping(event.currentTarget.value as Grouping)}>
+          {!large && <option value="none">Not grouped</option>}
+          {(large || state.sites.length > 1) && <option value="site">By site</option>}
+          <option value="group">By group</option>
+          <option value="autopilot">By autopilot</option>
+          <option value="mode">By mode</option>
+        </select>
+        <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : bySite && names.length === 0 ? `${state.names.length} vehicles` : `${names.length} shown`}</span>
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
         <table aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
@@ -86,7 +91,9 @@ export function FleetTable({ store }: { store: Store }) {
           <tbody>
             <Spacer rows={window.first} rowPx={rowPx} />
             {shown.map((row, i) =>
-              row.kind === "group" ? (
+              row.kind === "site" ? (
+                <SiteHeading key={`/${row.counts.site}`} row={row} width={columns.length} own={state.daemon?.site ?? null} store={store} />
+              ) : row.kind === "group" ? (
                 <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
               ) : (
                 <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} index={window.first + i}
@@ -96,6 +103,7 @@ export function FleetTable({ store }: { store: Store }) {
             <Spacer rows={Math.max(rows.length - window.first - shown.length, 0)} rowPx={rowPx} />
           </tbody>
         </table>
+        {state.leftOut > 0 && <p class="note">{state.leftOut} more are not listed: that would be too many. Fold a site, or filter.</p>}
         {rows.length === 0 && <p class="note">{state.vehicles.size === 0 ? "No vehicle was heard yet." : "No vehicle matches the filter."}</p>}
       </div>
     </div>
@@ -125,6 +133,28 @@ function GroupRow({ row, width, store }: { row: Extract<Row, { kind: "group" }>;
         <button type="button" onClick={() => store.dispatch({ type: "select", names: row.names, how: "only" })} title="Select this group">
           {row.title} <span class="muted">{row.names.length}</span>
         </button>
+      </th>
+    </tr>
+  );
+}
+
+function SiteHeading({ row, width, own, store }: { row: SiteRow; width: number; own: string | null; store: Store }) {
+  const { site, vehicles, heard, armed, in_air, problems, oldest_age_s } = row.counts;
+  const title = site || (own ?? "This site");
+  const age = oldest_age_s === null || !Number.isFinite(oldest_age_s) ? "one never heard" : `oldest ${ageText(oldest_age_s)}`;
+  return (
+    <tr class="grouprow siterow" data-site={site}>
+      <th colSpan={width} scope="colgroup">
+        <button type="button" aria-expanded={row.unfolded} title={row.unfolded ? "Fold" : "Unfold"} onClick={() => store.dispatch({ type: "unfold", site })}>
+          <span aria-hidden="true">{row.unfolded ? "▾" : "▸"}</span> {title}
+        </button>
+        <span class="muted">{heard === vehicles ? vehicles : `${heard} of ${vehicles}`} heard, {armed} armed, {in_air} in the air, {age}</span>
+        {problems > 0 && (
+          <button type="button" class="problems" title="List them" onClick={() => store.dispatch({ type: "search", search: `${site && `${site}/ `}problem` })}>
+            {problems} {problems === 1 ? "problem" : "problems"}
+          </button>
+        )}
+        <button type="button" class="muted" title={`Select ${row.names.length} vehicles`} onClick={() => store.dispatch({ type: "select", names: row.names, how: "only" })}>Select</button>
       </th>
     </tr>
   );

@@ -72,9 +72,10 @@ export class Trails {
     for (const { name, position, armed } of batch.vehicles) {
       const enu = position?.enu_m;
       if (enu === null || enu === undefined) continue;
-      if (position !== null && position.origin_generation !== this.originGeneration) {
+      const generation = position?.origin_generation ?? this.originGeneration; // a vehicle of another site has none
+      if (position !== null && generation !== this.originGeneration) {
         this.clear();
-        this.originGeneration = position.origin_generation;
+        this.originGeneration = generation;
       }
       let trail = this.byName.get(name);
       if (trail === undefined) {

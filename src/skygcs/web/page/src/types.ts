@@ -82,6 +82,18 @@ export interface Uplink extends Aged {
   rtt_s: number | null;
 }
 
+/** The computer on a vehicle. */
+export interface Companion {
+  name: string | null;
+  /** The daemon's connection to it; null: it has none. */
+  link: "connecting" | "up" | "down" | null;
+  since_s: number | null;
+  error: string | null;
+  version: string | null;
+  /** Of its newest MAVLink message; null: none was heard. */
+  age_s: number | null;
+}
+
 /** The state of one vehicle as web.state carries it. */
 export interface VehicleState {
   name: string;
@@ -104,6 +116,8 @@ export interface VehicleState {
   control: Control | null;
   uplink: Uplink | null;
   separation: Separation | null;
+  /** Absent: the daemon is of an earlier version. */
+  companion?: Companion | null;
   gps: Gps | null;
   position: Position | null;
   attitude: (Aged & { roll_deg: number; pitch_deg: number; yaw_deg: number }) | null;
@@ -112,6 +126,37 @@ export interface VehicleState {
   vfr: (Aged & { groundspeed_mps: number | null; climb_mps: number | null; throttle_percent: number | null }) | null;
   mission: (Aged & { seq: number | null; count: number | null }) | null;
   links: Readonly<Record<string, LinkCounters>>;
+}
+
+/** A row of `Digest` in fleet_digest.py. */
+export type Brief = readonly [
+  name: string,
+  sysid: number | null,
+  autopilot: string,
+  armed: boolean | null,
+  landed: string,
+  failsafe: boolean,
+  connected: boolean,
+  silence_s: number | null,
+  x: number | null,
+  y: number | null,
+  z: number | null,
+  yaw_deg: number | null,
+  at_s: number,
+  lat_deg?: number | null,
+  lon_deg?: number | null,
+];
+
+export interface SiteCounts {
+  /** "" is the station's own. */
+  site: string;
+  vehicles: number;
+  heard: number;
+  armed: number;
+  in_air: number;
+  problems: number;
+  /** Of the vehicle that is silent for the longest time; null: one was never heard. */
+  oldest_age_s: number | null;
 }
 
 export interface StateBatch {
@@ -123,6 +168,11 @@ export interface StateBatch {
   heard_s: number;
   vehicles: readonly VehicleState[];
   gone: readonly string[];
+  /** Of a large fleet only, and all that is not in `vehicles`. */
+  brief?: readonly Brief[];
+  sites?: readonly SiteCounts[];
+  /** Vehicles that this page's view asks for, and that are too many. */
+  left_out?: number;
 }
 
 export interface FleetEvent {
@@ -140,6 +190,10 @@ export interface DaemonLink {
   slow: boolean;
   text: string;
   since_s: number;
+  /** What of the station is missing although it is connected. */
+  note?: string | null;
+  /** The name of the station's own site; null: there are no others. */
+  site?: string | null;
 }
 
 export interface MapPin {

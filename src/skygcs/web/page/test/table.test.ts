@@ -23,8 +23,20 @@ test("the table has every column that the issue lists", () => {
   const ids = COLUMNS.map((column) => column.id);
   assert.deepEqual(ids, [
     ...["name", "id", "autopilot", "mode", "armed", "height", "battery", "gps", "link", "age", "loss"],
-    ...["failsafe", "guard", "control", "plan"],
+    ...["failsafe", "guard", "control", "plan", "companion"],
   ]);
+});
+
+test("a companion: its connection, else whether it is heard; a column only where one is", () => {
+  const with_ = (more: object) => heard("a", 1, { companion: { name: "pi", link: null, since_s: null, error: null, version: "1.0", age_s: null, ...more } });
+  assert.deepEqual(cell("companion", with_({ link: "up" })), { text: "up", tone: "good", title: "pi, 1.0" });
+  assert.deepEqual(cell("companion", with_({ link: "down", error: "no route" })), { text: "down", tone: "danger", title: "pi, 1.0, no route" });
+  assert.equal(cell("companion", with_({ age_s: 0.4 })).text, "heard");
+  assert.equal(cell("companion", with_({ age_s: 0.4 }), 1010).text, "silent 10 s");
+  assert.equal(cell("companion", with_({})).tone, "warning");
+  assert.equal(cell("companion", heard("a", 1)).text, "–");
+  const column = COLUMNS.find((one) => one.id === "companion");
+  assert.deepEqual([heard("a", 1), with_({})].map((v) => column?.when?.(v)), [false, true]);
 });
 
 test("what is not known is a dash, never a number", () => {

@@ -45,6 +45,12 @@ test("fit shows all of the bounds, and a single vehicle with some metres around 
   assert.ok(one.pxPerM < 30);
 });
 
+test("fit leaves out what buttons cover at the top", () => {
+  const [top, bottom] = [50, 0].map((y) => toScreenY(fitted(CAMERA, { left: 0, right: 10, bottom: 0, top: 50 }, 150), y));
+  near(top ?? NaN, 150, 1e-9);
+  near(bottom ?? NaN, 600 - 64, 1e-9);
+});
+
 test("lengths of the scale are 1, 2 or 5", () => {
   for (const pxPerM of [0.03, 0.7, 3, 11, 200]) {
     const length = niceLengthM(pxPerM, 140);
@@ -100,7 +106,7 @@ test("a map lies where its two points pin it, turned and scaled", () => {
 });
 
 test("labels cover neither each other nor a vehicle nor the edge, and stay where they were", () => {
-  const requests = Array.from({ length: 60 }, (_, i) => ({ id: `v${i}`, xPx: 100 + (i % 10) * 45, yPx: 100 + Math.floor(i / 10) * 45, widthPx: 90 }));
+  const requests = Array.from({ length: 60 }, (_, i) => ({ id: `v${i}`, xPx: 100 + (i % 10) * 45, yPx: 100 + Math.floor(i / 10) * 45, widthPx: 90, nameWidthPx: 30 }));
   const placed = placeLabels(requests, new Map(), 800, 600);
   assert.ok(placed.size > 0 && placed.size < 60);
   assert.ok(placed.has("v0"), "the first is the most important one");
@@ -109,7 +115,7 @@ test("labels cover neither each other nor a vehicle nor the edge, and stay where
     assert.ok(request);
     const left = request.xPx + at.dx;
     const top = request.yPx + at.dy;
-    return { left, top, right: left + 90, bottom: top + (at.full ? 32 : 17) };
+    return { left, top, right: left + (at.full ? 90 : 30), bottom: top + (at.full ? 32 : 17) };
   });
   for (const [i, a] of boxes.entries()) {
     assert.ok(a.left >= 0 && a.top >= 0 && a.right <= 800 && a.bottom <= 600);
@@ -117,6 +123,9 @@ test("labels cover neither each other nor a vehicle nor the edge, and stay where
     for (const { xPx, yPx } of requests) assert.ok(xPx < a.left || xPx > a.right || yPx < a.top || yPx > a.bottom);
   }
   assert.deepEqual(placeLabels(requests, placed, 800, 600), placed);
+  const { dx, dy } = placed.get("v0") ?? { dx: 0, dy: 0 };
+  const covered = { left: 100 + dx - 5, top: 100 + dy - 5, right: 100 + dx + 5, bottom: 100 + dy + 40 };
+  assert.notDeepEqual(placeLabels(requests, placed, 800, 600, [covered]).get("v0"), { dx, dy, full: true });
 });
 
 function scene(vehicles: ReturnType<typeof vehicle>[], nowMs = 0, carry = true) {

@@ -1,6 +1,7 @@
 // All events in one list: severity, filter, acknowledgement, and the sound for what needs a person.
 
 import { useEffect, useReducer, useState } from "preact/hooks";
+import { timeText } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
 import { keyOf, SEVERITIES, shownEvents, type JudgedEvent, type Severity } from "./event_severity.ts";
@@ -65,7 +66,7 @@ function EventRow({ event, acknowledged, select }: { event: JudgedEvent; acknowl
   const open = event.severity === "alarm" && !acknowledged;
   return (
     <li data-severity={event.severity} data-open={open}>
-      <time class="muted">{new Date(event.time_unix_s * 1000).toLocaleTimeString([], { hour12: false })}</time>
+      <time class="muted">{timeText(event.time_unix_s)}</time>
       <span class="severity">{event.severity}</span>
       {vehicle === null ? (
         <span class="who muted">–</span>

@@ -36,31 +36,33 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
   return (
     <section class="card" aria-label="On board">
       <h3>On board</h3>
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>vehicle</th>
-            <th>state</th>
-            <th class="number">item</th>
-            <th class="number">mission</th>
-            <th class="number">fence</th>
-          </tr>
-        </thead>
-        <tbody>
-          {status.map((one) => (
-            <tr key={one.vehicle}>
-              <td>{one.vehicle}</td>
-              <td>
-                {one.transfer === null ? (one.state ?? "not reported") : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
-                {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
-              </td>
-              <td class="number">{one.item ?? "–"}</td>
-              <td class="number">{one.counts.mission ?? "?"}</td>
-              <td class="number">{one.counts.fence ?? "?"}</td>
+      <div class="scroll tall">
+        <table class="plain">
+          <thead>
+            <tr>
+              <th>vehicle</th>
+              <th>state</th>
+              <th class="number">item</th>
+              <th class="number">mission</th>
+              <th class="number">fence</th>
             </tr>
-          ))}
-        </tbody>
-      </table>
+          </thead>
+          <tbody>
+            {status.map((one) => (
+              <tr key={one.vehicle}>
+                <td>{one.vehicle}</td>
+                <td>
+                  {one.transfer === null ? (one.state ?? "unknown") : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
+                  {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
+                </td>
+                <td class="number">{one.item ?? "–"}</td>
+                <td class="number">{one.counts.mission ?? "?"}</td>
+                <td class="number">{one.counts.fence ?? "?"}</td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      </div>
       {orders && (
         <div class="row wrap">
           <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
@@ -69,13 +71,13 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
           <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
             Pause
           </button>
-          <button type="button" onClick={() => order("Resume mission", "missions.resume")}>
+          <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>
             Resume
-          </button>
+          </HoldButton>
           <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
-          <button type="button" disabled={item === null} onClick={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
+          <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
             Go to it
-          </button>
+          </HoldButton>
           <HoldButton danger targets={targets} what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
             Delete mission
           </HoldButton>

@@ -244,6 +244,8 @@ export function NumberField(props: {
   placeholder?: string;
   onValue: (value: number | null) => void;
 }) {
+  // what is being typed stays as it is, also while it is no number yet and the panel is drawn again
+  const [typed, setTyped] = useState<string | null>(null);
   return (
     <label class="field">
       <span>{props.label}</span>
@@ -251,15 +253,17 @@ export function NumberField(props: {
         type="number"
         aria-label={props.label}
         inputMode="decimal"
-        value={props.value ?? ""}
+        value={typed ?? props.value ?? ""}
         min={props.least}
         max={props.most}
         step={props.step ?? "any"}
         placeholder={props.placeholder}
         onInput={(event) => {
-          const { valueAsNumber, validity } = event.currentTarget;
+          const { value, valueAsNumber, validity } = event.currentTarget;
+          setTyped(value);
           props.onValue(Number.isFinite(valueAsNumber) && validity.valid ? valueAsNumber : null);
         }}
+        onBlur={() => setTyped(null)}
       />
       {props.unit !== undefined && <span class="unit">{props.unit}</span>}
     </label>

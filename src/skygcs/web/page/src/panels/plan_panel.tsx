@@ -221,19 +221,21 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
         </label>
       </div>
       {goals.size > 0 && (
-        <table class="plain">
-          <tbody>
-            {[...goals].map(([name, [x, y, up]]) => (
-              <tr key={name}>
-                <td>{name}</td>
-                <td class="number">{x.toFixed(1)}, {y.toFixed(1)}</td>
-                <td>
-                  <NumberField label={`Height of ${name}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && setGoals(new Map([...goals, [name, [x, y, value]]]))} />
-                </td>
-              </tr>
-            ))}
-          </tbody>
-        </table>
+        <div class="scroll tall">
+          <table class="plain">
+            <tbody>
+              {[...goals].map(([name, [x, y, up]]) => (
+                <tr key={name}>
+                  <td>{name}</td>
+                  <td class="number">{x.toFixed(1)}, {y.toFixed(1)}</td>
+                  <td>
+                    <NumberField label={`Height of ${name}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && setGoals(new Map([...goals, [name, [x, y, value]]]))} />
+                  </td>
+                </tr>
+              ))}
+            </tbody>
+          </table>
+        </div>
       )}
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
       <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />

@@ -132,7 +132,11 @@ const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "place P", v
 function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: boolean }) {
   const [gains, setGains] = useState<GainsOf | null>(null);
   const [error, setError] = useState<string | null>(null);
-  const [changes, setChanges] = useState<Readonly<Record<string, number | null>>>({});
+  const [changes, setChanges] = useState<Readonly<Record<string, number>>>({});
+  const change = (key: string) => (typed: number | null): void => {
+    const now = typed === null ? [] : [[key, typed] as const]; // what is no number is no change
+    setChanges((before) => Object.fromEntries([...Object.entries(before).filter(([other]) => other !== key), ...now]));
+  };
   useEffect(() => {
     if (!enabled) return undefined;
     let here = true;
@@ -145,8 +149,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
     };
   }, [store, connection, name, enabled]);
   if (gains === null) return <Failure text={error} />;
-  const changed = Object.entries(changes).filter(([key, value]) => value !== null && value !== valueAt(gains, key));
-  const invalid = Object.values(changes).includes(null);
+  const changed = Object.entries(changes).filter(([key, value]) => value !== valueAt(gains, key));
   const apply = async (): Promise<void> => {
     const request = { label: `Set ${changed.length} gains`, method: "control.gains", params: { targets: [name], ...nested(changed) }, targets: [name] };
     const answer = await orderWith<GainsAnswer>(store, connection, request, ({ outcomes }) => ({
@@ -159,7 +162,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
     setChanges({});
   };
   return (
-    <section aria-label="Gains">
+    <section class="panelbody" aria-label="Gains">
       <h3>Gains of attitude control</h3>
       <div class="gains">
         {(["xy", "z"] as const).map((axis) => (
@@ -172,7 +175,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
                 value={changes[`${axis}.${key}`] ?? value}
                 least={0}
                 most={100}
-                onValue={(typed) => setChanges((before) => ({ ...before, [`${axis}.${key}`]: typed }))}
+                onValue={change(`${axis}.${key}`)}
               />
             ))}
           </fieldset>
@@ -183,10 +186,10 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
         value={changes["hover_thrust"] ?? gains.hover_thrust}
         least={0}
         most={1}
-        onValue={(typed) => setChanges((before) => ({ ...before, hover_thrust: typed }))}
+        onValue={change("hover_thrust")}
       />
       <div class="row">
-        <HoldButton targets={[name]} what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0 || invalid} act={() => void apply()}>
+        <HoldButton targets={[name]} what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0} act={() => void apply()}>
           Set gains
         </HoldButton>
         <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>
@@ -204,7 +207,7 @@ function valueAt(gains: GainsOf, key: string): number | undefined {
 }
 
 /** {"xy.vel_p": 1} as {xy: {vel_p: 1}}. */
-function nested(changes: readonly (readonly [string, number | null])[]): object {
+function nested(changes: readonly (readonly [string, number])[]): object {
   const found: Record<string, unknown> = {};
   for (const [key, value] of changes) {
     const [axis = "", gain] = key.split(".");

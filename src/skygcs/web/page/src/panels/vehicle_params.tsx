@@ -294,13 +294,11 @@ function FileDifference({ store, connection, book, keep }: VehicleProps & { book
         <section class="card" aria-label={`Compared with ${found.name}`}>
           <header class="row">
             <h3>{found.name}</h3>
-            <span class="muted">
-              {found.changes.length} of {found.entries} differ, {found.same} are the same
-            </span>
             <button type="button" class="quiet" aria-label="Close" onClick={check.clear}>
               ×
             </button>
           </header>
+          <p class="muted">{found.changes.length} of {found.entries} differ, {found.same} are the same</p>
           {[...found.warnings, ...found.problems].map((text) => <p key={text} class="failure">{text}</p>)}
           {found.unknown.length > 0 && <p class="muted">{found.unknown.length} that the vehicle does not have: {found.unknown.slice(0, 8).join(", ")}</p>}
           {found.skipped.length > 0 && <p class="muted">{found.skipped.length} that belong to one vehicle are left out: calibration, statistics, identity</p>}
@@ -334,7 +332,7 @@ function FileDifference({ store, connection, book, keep }: VehicleProps & { book
                 check.clear();
               }}
             >
-              Take over {found.changes.length} values
+              Take over {found.changes.length === 1 ? "1 value" : `${found.changes.length} values`}
             </button>
           )}
         </section>

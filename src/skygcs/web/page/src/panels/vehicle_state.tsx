@@ -1,5 +1,6 @@
 // All telemetry of one vehicle by group, with ages; its status texts and components.
 
+import { timeText } from "../format.ts";
 import { useStore, useTick } from "../hooks.ts";
 import { Age, Failure, Fold, usePolled } from "./parts.tsx";
 import { fieldText, groupsOf, labelOf } from "./telemetry_text.ts";
@@ -113,7 +114,7 @@ export function VehicleTexts(props: VehicleProps) {
         {events.slice(-60).reverse().map((event) => (
           <li key={event.id}>
             <span class="muted">
-              {new Date(event.time_unix_s * 1000).toLocaleTimeString()} {event.kind.replace("_", " ")}
+              {timeText(event.time_unix_s)} {event.kind.replace("_", " ")}
             </span>{" "}
             {event.text}
           </li>

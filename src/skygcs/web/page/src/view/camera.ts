@@ -47,17 +47,19 @@ export function zoomedAt(camera: Camera, factor: number, xPx: number, yPx: numbe
   return { ...camera, pxPerM, x: camera.x + before.x - after.x, y: camera.y + before.y - after.y };
 }
 
-/** All of the bounds with a margin; a single vehicle gets some metres around it, not the closest zoom. */
-export function fitted(camera: Camera, bounds: Bounds, marginPx = 64, leastM = 30): Camera {
+/** All of the bounds with a margin, at the top `topPx`; a single vehicle gets some metres around it, not the closest zoom. */
+export function fitted(camera: Camera, bounds: Bounds, topPx = 0, marginPx = 64, leastM = 30): Camera {
   const width = Math.max(bounds.right - bounds.left, leastM);
   const height = Math.max(bounds.top - bounds.bottom, leastM);
   const roomX = Math.max(camera.widthPx - 2 * marginPx, camera.widthPx / 2);
-  const roomY = Math.max(camera.heightPx - 2 * marginPx, camera.heightPx / 2);
+  const overPx = Math.max(topPx - marginPx, 0);
+  const roomY = Math.max(camera.heightPx - 2 * marginPx - overPx, camera.heightPx / 2);
+  const pxPerM = clamp(Math.min(roomX / width, roomY / height), LEAST_PX_PER_M, MOST_PX_PER_M);
   return {
     ...camera,
     x: (bounds.left + bounds.right) / 2,
-    y: (bounds.bottom + bounds.top) / 2,
-    pxPerM: clamp(Math.min(roomX / width, roomY / height), LEAST_PX_PER_M, MOST_PX_PER_M),
+    y: (bounds.bottom + bounds.top + overPx / pxPerM) / 2,
+    pxPerM,
   };
 }
 

@@ -3,6 +3,7 @@
 import type { Camera } from "./camera.ts";
 import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera.ts";
 import type { Frame } from "./frame.ts";
+import type { Box } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body, Meeting } from "./scene.ts";
@@ -12,6 +13,8 @@ import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
 export type Pen = CanvasRenderingContext2D;
 
 const GRID_PX = 96;
+/** The scale bar is as long at most. */
+const SCALE_PX = 140;
 const GLYPH_PX = 9;
 /** How far the pictures of a vehicle and of a home reach from their middles. */
 const BODY_PX = 14;
@@ -56,9 +59,19 @@ function crisp(px: number): number {
   return Math.round(px) + 0.5;
 }
 
+/** Where `drawScale` draws: no label is put there. */
+export function scaleBoxes(camera: Camera): Box[] {
+  const { heightPx } = camera;
+  const widthPx = niceLengthM(camera.pxPerM, SCALE_PX) * camera.pxPerM;
+  return [
+    { left: 0, top: heightPx - 42, right: 24 + widthPx, bottom: heightPx - 14 },
+    { left: 4, top: heightPx - 114, right: 64, bottom: heightPx - 46 },
+  ];
+}
+
 /** Scale bar, north, and where the axes point, on the lower left; above the side view if there is one. */
 export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Frame | null): void {
-  const length = niceLengthM(camera.pxPerM, 140);
+  const length = niceLengthM(camera.pxPerM, SCALE_PX);
   const widthPx = length * camera.pxPerM;
   const x = 20;
   const y = camera.heightPx - 20;
@@ -442,6 +455,23 @@ export function drawBodies(
   }
 }
 
+/** Many vehicles, from afar: dots, smaller of what is on the ground. */
+export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], colourOf: (body: Body) => string): void {
+  rings(pen, camera, palette, bodies, 0.5);
+  const byColour = new Map<string, Path2D>();
+  for (const body of bodies) {
+    const colour = colourOf(body);
+    let path = byColour.get(colour);
+    if (path === undefined) byColour.set(colour, (path = new Path2D()));
+    const half = body.armed && body.heard ? 3 : 2;
+    path.rect(Math.round(toScreenX(camera, body.x)) - half, Math.round(toScreenY(camera, body.y)) - half, 2 * half, 2 * half);
+  }
+  for (const [colour, path] of byColour) {
+    pen.fillStyle = colour;
+    pen.fill(path);
+  }
+}
+
 function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
   pen.lineJoin = "round";
   pen.beginPath();
@@ -455,7 +485,7 @@ function drawBody(pen: Pen, palette: Palette, direction: number, colour: string,
   if (!filled) pen.stroke();
 }
 
-function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[]): void {
+function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
   const circles = (wanted: (body: Body) => boolean, radius: number, width: number, colour: string): void => {
     const ringed = bodies.filter(wanted);
     if (ringed.length === 0) return;
@@ -470,8 +500,8 @@ function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body
     pen.lineWidth = width;
     pen.stroke();
   };
-  circles((body) => body.selected, 15, 2, palette.selection);
-  circles((body) => body.failsafe && body.heard, 19, 2.5, palette.danger);
+  circles((body) => body.selected, 15 * scale, 2, palette.selection);
+  circles((body) => body.failsafe && body.heard, 19 * scale, 2.5, palette.danger);
 }
 
 function dart(path: Path2D | Pen, x: number, y: number, yawRad: number, size: number): void {

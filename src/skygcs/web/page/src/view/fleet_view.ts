@@ -6,7 +6,7 @@ import type { MapPin } from "../types.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
 import * as draw from "./drawing.ts";
 import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePlacement } from "./frame.ts";
-import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, type Placement } from "./labels.ts";
+import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, type Box, type Placement } from "./labels.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
 import { Sprites } from "./sprites.ts";
@@ -17,6 +17,8 @@ const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
 /** The canvas is never finer than that: twice the pixels cost four times the time, and nobody sees the difference. */
 const MOST_RATIO = 2;
 const HIT_PX = 18;
+/** Between the buttons and a vehicle that is fitted into the view: its ring has a radius of 19. */
+const BELOW_BUTTONS_PX = 24;
 const LABELS_EVERY_MS = 150;
 /** While the view moves, trails are drawn anew so often, or when that took long, in a tenth of the time. */
 const TRAILS_EVERY_MS = 200;
@@ -25,6 +27,10 @@ const TRAILS_SHARE = 10;
 const TRAILS_ANEW_MS = 10_000;
 /** A frame that takes longer to draw is followed by a pause of as long, so that the page stays quick to answer. */
 const SLOW_DRAW_MS = 10;
+
+/** More vehicles at once are dots, and have no label but those that need a person. */
+const MANY_SHOWN = 200;
+const MOST_URGENT = 60;
 
 export interface ViewOptions {
   side: boolean;
@@ -49,6 +55,8 @@ export class FleetView {
   options: ViewOptions = { side: true, labels: true, trails: true, map: true, ...recalledOptions() };
   readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0, faults: 0 };
   tool: Tool | null = null;
+  /** What lies on the canvas: buttons. */
+  buttons: () => readonly Box[] = () => [];
   private canvas: HTMLCanvasElement | null = null;
   private pen: draw.Pen | null = null;
   private palette: Palette | null = null;
@@ -118,7 +126,8 @@ export class FleetView {
   /** Everything into view: the selected vehicles, or all vehicles and overlays. */
   fit(what: "all" | "selected" = "all"): void {
     const bounds = this.boundsOf(what);
-    if (bounds !== null) this.camera = fitted(this.camera, bounds);
+    const topPx = Math.max(0, ...this.buttons().map((box) => box.bottom + BELOW_BUTTONS_PX));
+    if (bounds !== null) this.camera = fitted(this.camera, bounds, topPx);
     this.changed();
   }
 
@@ -296,6 +305,8 @@ export class FleetView {
     const colourOf = (body: Body): string => (body.heard ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
     const { bodies } = this.scene;
     const shown = this.visible(camera);
+    const afar = shown.length > MANY_SHOWN;
+    this.store.near = afar ? [] : shown.map(({ name }) => name);
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     pen.fillStyle = palette.ground;
     pen.fillRect(0, 0, camera.widthPx, this.heightPx);
@@ -303,13 +314,14 @@ export class FleetView {
     draw.drawGrid(pen, camera, palette);
     draw.drawOrigin(pen, camera, palette);
     draw.drawOverlays(pen, camera, palette, this.overlays.values());
-    draw.drawHomes(pen, camera, palette, this.homes(state), this.sprites);
+    if (!afar) draw.drawHomes(pen, camera, palette, this.homes(state), this.sprites);
     if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
     if (this.options.trails) draw.drawTrailEnds(pen, camera, this.store.trails, shown, colourOf);
     draw.drawGoals(pen, camera, shown, colourOf);
     draw.drawMeetings(pen, camera, palette, meetingsOf(this.scene, this.frame));
-    draw.drawBodies(pen, camera, palette, shown, colourOf, this.sprites);
-    if (this.options.labels) this.drawLabels(pen, camera, palette, shown, nowMs);
+    if (afar) draw.drawDots(pen, camera, palette, shown, colourOf);
+    else draw.drawBodies(pen, camera, palette, shown, colourOf, this.sprites);
+    if (this.options.labels) this.drawLabels(pen, camera, palette, afar ? shown.filter(isUrgent).slice(0, MOST_URGENT) : shown, nowMs);
     draw.drawScale(pen, camera, palette, this.frame);
     if (this.options.side) {
       this.sideTopM = topOf(bodies, this.sideTopM);
@@ -408,10 +420,14 @@ export class FleetView {
         xPx: toScreenX(camera, body.x),
         yPx: toScreenY(camera, body.y),
         widthPx: sprites[i]?.widthPx ?? 0,
+        nameWidthPx: sprites[i]?.nameWidthPx ?? 0,
         urgency: (body.failsafe || body.conflict !== null ? 2 : 0) + (body.selected ? 1 : 0),
       }));
       requests.sort((a, b) => b.urgency - a.urgency);
-      this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx);
+      this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx, [
+        ...this.buttons(),
+        ...draw.scaleBoxes(camera),
+      ]);
     }
     pen.imageSmoothingEnabled = false; // they lie on whole pixels
     shown.forEach((body, i) => {
@@ -421,11 +437,15 @@ export class FleetView {
       const x = Math.round((toScreenX(camera, body.x) + at.dx) * this.ratio) / this.ratio;
       const y = Math.round((toScreenY(camera, body.y) + at.dy) * this.ratio) / this.ratio;
       const height = at.full ? LABEL_HEIGHT_PX : LABEL_HEIGHT_PX / 2;
-      const rows = at.full ? sprite.canvas.height : sprite.canvas.height / 2;
-      pen.drawImage(sprite.canvas, 0, 0, sprite.canvas.width, rows, x, y, LABEL_WIDTH_PX, height);
+      const width = Math.min(Math.ceil(widthOf(sprite, at.full)), LABEL_WIDTH_PX);
+      pen.drawImage(sprite.canvas, 0, 0, width * this.ratio, height * this.ratio, x, y, width, height);
     });
     pen.imageSmoothingEnabled = true;
   }
+}
+
+function isUrgent(body: Body): boolean {
+  return body.failsafe || body.conflict !== null || body.selected;
 }
 
 function sameCamera(a: Camera, b: Camera): boolean {

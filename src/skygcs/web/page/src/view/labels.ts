@@ -17,6 +17,8 @@ interface Sprite {
   key: string;
   writtenMs: number;
   widthPx: number;
+  /** Of the first line alone. */
+  nameWidthPx: number;
 }
 
 export class LabelSprites {
@@ -48,7 +50,7 @@ export class LabelSprites {
       const canvas = document.createElement("canvas");
       canvas.width = Math.ceil(WIDTH_PX * this.ratio);
       canvas.height = Math.ceil(HEIGHT_PX * this.ratio);
-      sprite = { canvas, key: "", writtenMs: 0, widthPx: 0 };
+      sprite = { canvas, key: "", writtenMs: 0, widthPx: 0, nameWidthPx: 0 };
       this.sprites.set(id, sprite);
     }
     this.write(sprite, first, second, dim, palette);
@@ -70,6 +72,7 @@ export class LabelSprites {
     pen.font = strong;
     const name = shortened(pen, first, WIDTH_PX - 2 * PAD_PX);
     const over = pen.measureText(name).width;
+    sprite.nameWidthPx = over + 2 * PAD_PX;
     sprite.widthPx = Math.min(Math.max(over, under) + 2 * PAD_PX, WIDTH_PX);
     // a ground of its own: lines of the view run beneath it, not through it
     pen.fillStyle = palette.ground;
@@ -101,7 +104,8 @@ export interface Placement {
   full: boolean;
 }
 
-interface Box {
+/** A rectangle of the canvas. */
+export interface Box {
   left: number;
   top: number;
   right: number;
@@ -113,25 +117,29 @@ export interface LabelRequest {
   xPx: number;
   yPx: number;
   widthPx: number;
+  nameWidthPx: number;
 }
 
 const CELL_PX = 64;
 const GAP_PX = 15;
 
-/** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none. */
+/** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none.
+ * `covered`: where buttons and marks of the view are. */
 export function placeLabels(
   requests: readonly LabelRequest[],
   before: ReadonlyMap<string, Placement>,
   viewWidthPx: number,
   viewHeightPx: number,
+  covered: readonly Box[] = [],
 ): Map<string, Placement> {
   const cells = new Map<number, Box[]>();
+  for (const box of covered) take(cells, box);
   const placed = new Map<string, Placement>();
   // no label covers a vehicle
   for (const { xPx, yPx } of requests) take(cells, { left: xPx - 7, top: yPx - 7, right: xPx + 7, bottom: yPx + 7 });
   for (const request of requests) {
     const had = before.get(request.id);
-    const sides = had === undefined ? sidesOf(request.widthPx) : [had, ...sidesOf(request.widthPx)];
+    const sides = had === undefined ? sidesOf(request) : [had, ...sidesOf(request)];
     for (const side of sides) {
       const box = boxOf(request, side);
       const inside = box.left >= 2 && box.top >= 2 && box.right <= viewWidthPx - 2 && box.bottom <= viewHeightPx - 2;
@@ -144,9 +152,15 @@ export function placeLabels(
   return placed;
 }
 
-function sidesOf(widthPx: number): Placement[] {
+/** How wide a label is that is drawn whole, or its name alone. */
+export function widthOf(label: { widthPx: number; nameWidthPx: number }, full: boolean): number {
+  return full ? label.widthPx : label.nameWidthPx;
+}
+
+function sidesOf(request: LabelRequest): Placement[] {
   const sides: Placement[] = [];
   for (const full of [true, false]) {
+    const widthPx = widthOf(request, full);
     const height = full ? HEIGHT_PX : LINE_PX + 3;
     sides.push(
       { dx: GAP_PX, dy: -height / 2, full },
@@ -161,7 +175,7 @@ function sidesOf(widthPx: number): Placement[] {
 function boxOf(request: LabelRequest, side: Placement): Box {
   const left = request.xPx + side.dx;
   const top = request.yPx + side.dy;
-  return { left, top, right: left + request.widthPx, bottom: top + (side.full ? HEIGHT_PX : LINE_PX + 3) };
+  return { left, top, right: left + widthOf(request, side.full), bottom: top + (side.full ? HEIGHT_PX : LINE_PX + 3) };
 }
 
 function cellsOf(box: Box): number[] {

@@ -1,5 +1,6 @@
 // What the view shows at one moment: each vehicle's place, nose, colour and label, worked out from the store. Pure.
 
+import { siteOf } from "../levels.ts";
 import { ageOf, isHeard, serverNowS, silenceOf, type State, type Vehicle } from "../store.ts";
 import type { Separation, Vec3 } from "../types.ts";
 import { fixed, ageText } from "../format.ts";
@@ -22,7 +23,7 @@ export interface Body {
   armed: boolean;
   failsafe: boolean;
   selected: boolean;
-  /** Index into the palette's vehicle colours. */
+  /** Index into the palette's vehicle colours: one for each vehicle, or for each site where there are several. */
   colour: number;
   conflict: Separation | null;
   /** Where it is sent, as far as the page knows. */
@@ -39,6 +40,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
   const now_s = serverNowS(state, nowMs);
   const bodies: Body[] = [];
   let moving = false;
+  const bySite = state.sites.length > 1;
   state.names.forEach((name, index) => {
     const vehicle = state.vehicles.get(name);
     if (vehicle === undefined) return;
@@ -67,7 +69,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       armed: vehicle.armed === true,
       failsafe: vehicle.failsafe,
       selected: state.selection.has(name),
-      colour: index % VEHICLE_COLOURS,
+      colour: (bySite ? state.sites.indexOf(siteOf(name)) : index) % VEHICLE_COLOURS,
       conflict: heard ? vehicle.separation : null,
       goal: goalOf(vehicle) ?? state.goals.get(name) ?? null,
     });

@@ -1,0 +1,146 @@
+"""The connections of browsers, accepted one by one: bounded in number and time, with TLS or without.
+
+    accepted    a place is free, or one without a cookie gave way   -> handshake with TLS, else HTTP
+                all places belong to browsers with a cookie         -> closed
+    handshake   done                                                -> HTTP
+                not within UNKNOWN_S                                -> closed
+    HTTP        no cookie UNKNOWN_S after it was accepted           -> closed
+
+A connection has its place from the moment when it was accepted: one that never begins its handshake holds a descriptor,
+too. A flood of them keeps nobody out who is signed in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+from collections.abc import Callable
+
+import structlog
+from aiohttp.web_protocol import RequestHandler
+
+from skygcs.core.token_bucket import TokenBucket
+
+MAX_CONNECTIONS = 128
+"""A browser opens six and its WebSockets."""
+
+BACKLOG = 128
+
+UNKNOWN_S = 5.0
+"""Time for a new connection to show a cookie or a token."""
+
+HANDSHAKES_PER_S, HANDSHAKE_BURST = 50.0, 150.0
+"""Of TLS, each 1 to 2 ms of the process: a flood of them must not hold up a page's STOP. Others wait in the backlog."""
+
+GOODBYE_S = 1.0
+"""For the other side's end of TLS."""
+
+NO_DESCRIPTORS_S = 0.5
+"""Before the next attempt to accept, when the process has no descriptor left."""
+
+_log = structlog.get_logger(__name__)
+
+
+class _Place:
+    """One connection. ``opening`` is its handshake, or done."""
+
+    def __init__(self, handler: RequestHandler, at: float) -> None:
+        self.handler = handler
+        self.at = at
+        self.known = False
+        """It has sent a valid cookie."""
+        self.opening: asyncio.Task[None] | None = None
+
+    @property
+    def closed(self) -> bool:
+        return self.opening is not None and self.opening.done() and self.handler.transport is None
+
+    def drop(self) -> None:
+        """Close it at once, whatever it is at."""
+        if self.opening is not None:
+            self.opening.cancel()
+        transport = self.handler.transport
+        self.handler.force_close()
+        if isinstance(transport, asyncio.Transport):
+            transport.abort()  # a close waits for the other side's end of TLS
+
+
+class BrowserConnections:
+    """At most ``limit`` of them. `run` accepts until it is cancelled; ``new_handler`` makes what serves HTTP on one."""
+
+    def __init__(self, new_handler: Callable[[], RequestHandler], limit: int = MAX_CONNECTIONS) -> None:
+        self.refused = 0
+        """Those for which another one was closed, and those that were closed themselves."""
+        self._new_handler = new_handler
+        self._limit = limit
+        self._loop = asyncio.get_running_loop()
+        self._places: dict[RequestHandler, _Place] = {}
+
+    async def run(self, listener: socket.socket, tls: ssl.SSLContext | None) -> None:
+        """Accept on a socket that listens."""
+        handshakes = TokenBucket(HANDSHAKES_PER_S, HANDSHAKE_BURST, self._loop.time())
+        try:
+            while True:
+                if tls is not None and not handshakes.take(self._loop.time()):
+                    await asyncio.sleep(1.0 / HANDSHAKES_PER_S)
+                    continue
+                try:
+                    sock, _ = await self._loop.sock_accept(listener)
+                except OSError as error:
+                    _log.warning("no connection can be accepted", reason=error.strerror)
+                    await asyncio.sleep(NO_DESCRIPTORS_S)
+                    continue
+                place = self.admit(self._new_handler(), self._loop.time())
+                if place is None:
+                    sock.close()
+                else:
+                    place.opening = self._loop.create_task(self._open(place, sock, tls), name="connection of a browser")
+                await asyncio.sleep(0)  # between two of a flood others have their turn
+        finally:
+            for place in list(self._places.values()):
+                if place.opening is not None:
+                    place.opening.cancel()
+
+    async def _open(self, place: _Place, sock: socket.socket, tls: ssl.SSLContext | None) -> None:
+        limits = {} if tls is None else {"ssl_handshake_timeout": UNKNOWN_S, "ssl_shutdown_timeout": GOODBYE_S}
+        try:
+            await self._loop.connect_accepted_socket(lambda: place.handler, sock, ssl=tls, **limits)
+        except asyncio.CancelledError:
+            sock.close()
+            raise
+        except (OSError, EOFError) as error:  # ssl.SSLError is an OSError
+            sock.close()
+            _log.debug("connection not opened", reason=str(error))
+
+    def admit(self, handler: RequestHandler, now: float) -> _Place | None:
+        """A place for a new connection; None if all are taken by known ones."""
+        self._forget_closed()
+        if len(self._places) >= self._limit:
+            self.refused += 1
+            oldest = next((place for place in self._places.values() if not place.known), None)
+            if oldest is None:
+                return None
+            self._drop(oldest)
+        place = self._places[handler] = _Place(handler, now)
+        return place
+
+    def know(self, handler: RequestHandler) -> None:
+        """The connection has sent a valid cookie."""
+        place = self._places.get(handler)
+        if place is not None:
+            place.known = True
+
+    def sweep(self, now: float) -> None:
+        """Close those that have shown nothing for too long."""
+        self._forget_closed()
+        for place in [p for p in self._places.values() if not p.known and now - p.at > UNKNOWN_S]:
+            self._drop(place)
+
+    def _drop(self, place: _Place) -> None:
+        self._places.pop(place.handler, None)
+        place.drop()
+
+    def _forget_closed(self) -> None:
+        for place in [p for p in self._places.values() if p.closed]:
+            del self._places[place.handler]
