@@ -36,8 +36,7 @@ async def two(tmp_path: Path, **kinds: Any) -> AsyncIterator[Pair]:
 
 
 async def run(pair: Pair) -> None:
-    plans = pair.ground.fleet.plans
-    plans.work = inline
+    pair.ground.fleet.plans.runner.work = inline
     await pair("plan.load", plan=content(timed(STARTS, GOALS)), name="test")
     answer = await pair("plan.run", margin_m=3.0, force=True)
     refused = [f for f in answer["report"]["findings"] if f["severity"] == "refused"]

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(1200)
 NAMES = ("alpha", "bravo", "carol", "delta", "echo", "fox", "golf", "hotel", "india", "juliet")
 UNREACHABLE, NEW_KEY, FULL, OTHER_VERSION = "bravo", "delta", "fox", "hotel"
 BROKEN = {UNREACHABLE, NEW_KEY, FULL, OTHER_VERSION}
-PATIENCE_S = "600"
+TIMEOUT_S = "600"
 """What it may take on a slow machine; not what is tested."""
 
 COMPANION = """
@@ -94,7 +94,7 @@ class Fleet:
         return subprocess.run([str(cli), *words], env=environment, capture_output=True, text=True)
 
     def ssh(self, *words: str) -> subprocess.CompletedProcess[str]:
-        return self.cli(*words, "--identity", str(self.folder / "id"), "--timeout", PATIENCE_S)
+        return self.cli(*words, "--identity", str(self.folder / "id"), "--timeout", TIMEOUT_S)
 
     def json(self, *words: str) -> Any:
         done = self.ssh(*words, "--json")
@@ -127,7 +127,7 @@ def test_up_brings_all_that_are_well_to_ready_and_names_each_other_one(fleet: Fl
     old = fleet.hosts[NEW_KEY].fingerprint()
     fleet.hosts[NEW_KEY].new_key()
     fleet.hosts[UNREACHABLE].stop_sshd()
-    report = fleet.json("up", "--wait", PATIENCE_S)
+    report = fleet.json("up", "--wait", TIMEOUT_S)
     vehicles = report["vehicles"]
     assert {name for name, outcome in vehicles.items() if not outcome["ok"]} == BROKEN, report
     # each with its cause
@@ -149,7 +149,7 @@ def test_up_brings_all_that_are_well_to_ready_and_names_each_other_one(fleet: Fl
 
 
 def test_down_stops_what_rests_and_nothing_while_a_vehicle_flies(fleet: Fleet) -> None:
-    assert fleet.json("up", "alpha,carol", "--wait", PATIENCE_S)["ok"], "they were ready, or are made ready now"
+    assert fleet.json("up", "alpha,carol", "--wait", TIMEOUT_S)["ok"], "they were ready, or are made ready now"
     assert fleet.json("down", "carol")["outcomes"]["carol"]["message"] == "stopped"
     wait_until(lambda: _takes_off(fleet, "alpha"), "alpha flies")
     refused = fleet.ssh("down")

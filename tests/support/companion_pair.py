@@ -23,6 +23,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.clock_offset import ClockOffset
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RpcError, SkygcsError
 from skygcs.links.base import Channel
@@ -55,6 +56,9 @@ class CallsByMemory:
     @property
     def is_up(self) -> bool:
         return self.up
+
+    def summary(self) -> dict[str, Any]:
+        return {"link": "up" if self.up else "down", "since_s": 0.0, "error": None, "version": None}
 
     def clock(self) -> ClockOffset:
         return ClockOffset(0.0, 0.0, self.delay_s, 2 * self.delay_s, 0.0)
@@ -172,13 +176,15 @@ async def companion_pair(
     ground_links: Mapping[str, Any] | None = None,
     engaged: str | None = None,
     radio: bool = False,
+    streams: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {}),
     **vehicle: Any,
 ) -> AsyncIterator[Pair]:
     """``delay_s``, ``loss``: of MAVLink and RPC between ground and companion, each way. ``engaged``: the control mode
     that the ground has ordered. ``radio``: the ground has another link "radio", straight to the vehicle. ``companion``:
-    keys of [companion]. ``vehicle``: see `flown`."""
+    keys of [companion]. ``streams``: Hz of messages by the ground's file and by the companion's, beside their defaults.
+    ``vehicle``: see `flown`."""
     tables = {
-        "vehicles": {"v1": {"sysid": 1}},
+        "vehicles": {"v1": {"sysid": 1, "streams": {**DEFAULT_RATES_HZ, **streams[1]}}},
         "companion": {"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})},
     }
     air = {"ground-side": {"type": "memory", "role": "gcs"}}
@@ -187,7 +193,7 @@ async def companion_pair(
     async with flown(
         tmp_path / "pi", control=control, tables=tables, links=air, prepared=_without_ground_link, **vehicle
     ) as pi:
-        config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_links)
+        config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_links, streams[0])
         ground = Daemon(config, load_dialect(config.dialect))
         calls = CallsByMemory(pi.daemon, delay_s=delay_s, loss=loss)
         ground.fleet.companions["v1"] = calls
@@ -257,6 +263,7 @@ def _ground_config(
     loss: float,
     control: Mapping[str, Any] | None,
     links: Mapping[str, Any] | None,
+    streams: Mapping[str, float],
 ) -> FleetConfig:
     origin = {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m}
     wifi = {"type": "memory", "role": "vehicle", "delay_s": delay_s, "loss": loss, "seed": 5}
@@ -265,7 +272,9 @@ def _ground_config(
             "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
             "origin": origin,
             "links": {"wifi": wifi, "radio": {"type": "memory", "role": "vehicle"}, **(links or {})},
-            "vehicles": {"v1": {"sysid": 1, "control": {"at": "companion"}}},
+            "vehicles": {
+                "v1": {"sysid": 1, "control": {"at": "companion"}, "streams": {**DEFAULT_RATES_HZ, **streams}}
+            },
             "defaults": {"control": dict(control or {})},
         }
     )

@@ -165,6 +165,8 @@ class Field:
         self.daemon_port, self.gcs_port, self.bound_port = free_port(), free_port(), free_port()
         self.bound_tcp_port, self.program_port = free_port(socket.SOCK_STREAM), free_port()
         self.relay = UdpRelay(self.daemon_port)
+        self.second_port = free_port()
+        """Where the vehicles' second links send to: a scenario of two ways listens there, usually nobody does."""
         self.sitl_log = folder / "sitl.log"
         self.sitl: subprocess.Popen[bytes] | None = None
         self.daemon = DaemonProcess(folder, self.toml())
@@ -241,6 +243,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         """Start the firmware; returns at once."""
         words = [sys.executable, "-m", "skygcs", "sitl", *self.kinds()]
         words += ["--first-sysid", str(self.sysids[0]), "--port", str(self.relay.port)]
+        words += ["--second-port", str(self.second_port)]
         words += ["--home", ",".join(map(str, (*HOME, self.heading_deg))), "--spacing", str(SPACING_M)]
         words += ["--folder", str(self.folder / "vehicles")]
         words += [word for param in self.params() for word in ("--param", param)]

@@ -59,6 +59,8 @@ class NetworkPort:
         self.sim = sim
         self.log = log
         self.cut = False
+        self.deaf = False
+        """What is sent to the vehicle is lost, what it sends is not."""
         self.loss = 0.0
         self.delay_s = 0.005
         self.jitter_s = 0.0
@@ -100,7 +102,7 @@ class NetworkPort:
 
     def _on_bytes(self, data: bytes) -> None:
         for frame in self._parser.feed(data):
-            if self.cut or self._random.random() < self.loss:
+            if self.cut or self.deaf or self._random.random() < self.loss:
                 self.up_lost += 1
             else:
                 self._loop.call_later(self._delay_s(), self._hear, frame)

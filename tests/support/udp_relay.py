@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
+import random
 import selectors
 import socket
 import threading
@@ -98,21 +99,26 @@ def metres(lat_a: float, lon_a: float, lat_b: float, lon_b: float) -> float:
 
 
 class UdpRelay(threading.Thread):
-    """``port`` is where vehicles send to, ``daemon_port`` where it goes on. `cut_down`, `cut_up` (system ids),
-    `delay_down_s` and `delay_up_s` may be set at any time; down is from the vehicle."""
+    """``port`` is where vehicles send to (0: a free one), ``daemon_port`` where it goes on. `cut_down` and `cut_up`
+    (system ids), `delay_down_s`, `delay_up_s` and `loss` (of datagrams, each way) may be set at any time; down is from
+    the vehicle."""
 
-    def __init__(self, daemon_port: int) -> None:
+    def __init__(self, daemon_port: int, port: int = 0) -> None:
         super().__init__(name="relay", daemon=True)
         self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._front.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self._front.bind(("127.0.0.1", 0))
+        self._front.bind(("127.0.0.1", port))
         self.port = int(self._front.getsockname()[1])
         self.daemon_port = daemon_port
         self.cut_down: set[int] = set()
         self.cut_up: set[int] = set()
         self.delay_down_s = 0.0
         self.delay_up_s = 0.0
+        self.loss = 0.0
         self.sent_up: Counter[str] = Counter()
+        self.on_up: Callable[[Any, float], None] | None = None
+        """Called in this thread with each message that goes on to a vehicle, and the time: it is neither cut nor
+        lost."""
         self.truths: dict[int, Truth] = {}
         self.watch: Callable[[int, Any, float], None] | None = None
         """Called in this thread with the system id, each message of a vehicle's autopilot, and the time."""
@@ -123,6 +129,7 @@ class UdpRelay(threading.Thread):
         self._readers: dict[Any, Any] = {}
         self._due: list[tuple[float, int, socket.socket, bytes, tuple[str, int] | None]] = []
         self._order = itertools.count()
+        self._random = random.Random(daemon_port)
         self._ending = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._front, selectors.EVENT_READ)
@@ -130,7 +137,7 @@ class UdpRelay(threading.Thread):
     def clear(self) -> None:
         """Pass everything on at once again."""
         self.cut_down, self.cut_up = set(), set()
-        self.delay_down_s = self.delay_up_s = 0.0
+        self.delay_down_s = self.delay_up_s = self.loss = 0.0
 
     def stop(self) -> None:
         self._ending.set()
@@ -181,15 +188,18 @@ class UdpRelay(threading.Thread):
                 self.air.from_vehicle(self._sysids[address], bytes(message.get_msgbuf()))
         if self.air is not None:
             return
-        if self._sysids.get(address) in self.cut_down:
+        if self._sysids.get(address) in self.cut_down or self._random.random() < self.loss:
             return
         self._later(self.delay_down_s, back, data, None)
 
     def _up(self, data: bytes, address: tuple[str, int]) -> None:
         reader = self._readers.setdefault(("up", address), _reader())
+        lost = self._sysids.get(address) in self.cut_up or self._random.random() < self.loss
         for message in reader.parse_buffer(data) or []:
             self.sent_up[message.get_type()] += 1
-        if self._sysids.get(address) in self.cut_up:
+            if self.on_up is not None and not lost:
+                self.on_up(message, time.monotonic())
+        if lost:
             return
         self._later(self.delay_up_s, self._front, data, address)
 
@@ -200,6 +210,10 @@ class UdpRelay(threading.Thread):
         for sysid, raw in self.air.step():
             if sysid in addresses and sysid not in self.cut_up:
                 self._send(self._front, raw, addresses[sysid])
+                if self.on_up is not None:
+                    for message in self._readers.setdefault(("air", sysid), _reader()).parse_buffer(raw) or []:
+                        if getattr(message, "target_system", 0) in (0, sysid):  # every node hears the ground's radio
+                            self.on_up(message, time.monotonic())
 
     def _later(self, delay_s: float, link: socket.socket, data: bytes, to: tuple[str, int] | None) -> None:
         if delay_s <= 0:

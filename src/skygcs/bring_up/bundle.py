@@ -16,8 +16,10 @@ import sys
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,6 +45,12 @@ OLD_TAGS = {
     "x86_64": ("manylinux2014", "manylinux2010", "manylinux1"),
 }
 
+REMEDY = (
+    "--index-url of an index that has them (for armv7l https://www.piwheels.org/simple, made for Raspberry Pi OS), or "
+    "on such a computer `pip wheel --no-deps -w FOLDER` with these names, then --wheels FOLDER here"
+)
+
+PIPS_AT_ONCE = 4
 PIP_TIMEOUT_S = 1800.0
 MAX_MANIFEST_BYTES = 1 << 20
 READ_BYTES = 1 << 20
@@ -51,6 +59,8 @@ MAX_FILES = 500
 
 _WHEEL = re.compile(r"[A-Za-z0-9._+!-]{1,200}\.whl")
 _WORD = re.compile(r"[A-Za-z0-9._+-]{1,60}")
+_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)\s*(?:\[([A-Za-z0-9._, -]*)\])?")
+_EXTRA = re.compile(r"extra\s*==\s*['\"]([A-Za-z0-9._-]+)['\"]")
 _NO_WHEEL = re.compile(r"No matching distribution found for ([^\s(;]+)")
 
 
@@ -101,7 +111,11 @@ def collect(output: Path, arch: str, python: str, sources: Sources) -> Bundle:
         wheels.mkdir()
         own = sources.own_wheel or _built_wheel(folder)
         which = f"=={skygcs.__version__}" if own is None else f" @ {own.resolve().as_uri()}"
-        _pip(_download(f"skygcs[{EXTRA}]{which}", wheels, arch, python, sources), f"{arch}, Python {python}")
+        purpose = f"{arch}, Python {python}"
+        try:
+            _pip(_download(f"skygcs[{EXTRA}]{which}", wheels, arch, python, sources), purpose)
+        except NoWheel as missing:
+            raise SkygcsError(_all_missing(missing, folder, arch, python, sources)) from None
         _write(output, sorted(wheels.glob("*.whl")), arch, python)
     return read_bundle(output)
 
@@ -120,6 +134,65 @@ def _download(requirement: str, wheels: Path, arch: str, python: str, sources: S
     words += [word for place in sources.wheel_folders for word in ("--find-links", str(place))]
     words += [word for url in sources.index_urls for word in ("--extra-index-url", url)]
     return [*words, *(["--no-index"] if sources.offline else []), requirement, "pip"]
+
+
+class NoWheel(SkygcsError):
+    """There is no wheel of ``requirement``, the first one that pip did not find."""
+
+    def __init__(self, purpose: str, requirement: str) -> None:
+        super().__init__(f"bundle for {purpose}: there is no wheel of {requirement}; {REMEDY}")
+        self.purpose = purpose
+        self.requirement = requirement
+
+
+def _all_missing(first: NoWheel, folder: Path, arch: str, python: str, sources: Sources) -> str:
+    """What to tell: pip stops at the first package without a wheel, so each one is asked for by itself."""
+    wanted = requirements("skygcs", {EXTRA})
+
+    def is_missing(requirement: str) -> bool:
+        words = _download(requirement, folder / "tried", arch, python, sources)
+        try:
+            _pip(["download", "--no-deps", *words[1:]], first.purpose)
+        except NoWheel:
+            return True
+        except SkygcsError:
+            return False  # a fault of another kind: not known
+        return False
+
+    with ThreadPoolExecutor(PIPS_AT_ONCE) as pool:
+        missing = [name for name, gone in zip(wanted, pool.map(is_missing, wanted), strict=True) if gone]
+    listed = " ".join(f"'{name}'" for name in missing or [first.requirement])
+    return (
+        f"bundle for {first.purpose}: there are no wheels of {len(missing) or 1} of {len(wanted)} packages: {listed}. "
+        f"{REMEDY}"
+    )
+
+
+def requirements(name: str, extras: Collection[str] = ()) -> list[str]:
+    """What a package that is installed here needs, and what that needs, as for pip. What is not installed here is for
+    other systems."""
+    found: dict[str, str] = {}
+    waiting = [(name, frozenset(extras))]
+    while waiting:
+        package, wanted = waiting.pop()
+        for text in metadata.requires(package) or []:
+            requirement, _, marker = (part.strip() for part in text.partition(";"))
+            needed = _EXTRA.search(marker)
+            match = _REQUIREMENT.match(requirement)
+            if match is None or (needed is not None and needed[1] not in wanted):
+                continue
+            other, own_extras = match[1], frozenset(filter(None, (match[2] or "").replace(" ", "").split(",")))
+            try:
+                metadata.distribution(other)
+            except metadata.PackageNotFoundError:
+                continue
+            key = re.sub(r"[-_.]+", "-", other).lower()
+            if key == name and not own_extras <= wanted:
+                waiting.append((name, own_extras | wanted))  # an extra that consists of others
+            elif key != name and key not in found:
+                found[key] = requirement
+                waiting.append((other, own_extras))
+    return [found[key] for key in sorted(found)]
 
 
 def _built_wheel(folder: Path) -> Path | None:
@@ -143,10 +216,7 @@ def _pip(words: Sequence[str], purpose: str, **environment: str) -> None:
         return
     missing = _NO_WHEEL.search(done.stderr)
     if missing is not None:
-        raise SkygcsError(
-            f"bundle for {purpose}: there is no wheel of {missing[1]}; --wheels FOLDER with one, or --index-url of an "
-            "index that has it (for armv7l: https://www.piwheels.org/simple)"
-        )
+        raise NoWheel(purpose, missing[1])
     lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or done.stderr.splitlines()
     raise SkygcsError(f"bundle for {purpose}: pip: {lines[0][:300] if lines else f'exit code {done.returncode}'}")
 

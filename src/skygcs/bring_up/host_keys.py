@@ -6,14 +6,12 @@ host, only its keys count. `HostKeys.trust` writes the first; nothing writes the
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skygcs.config.files import write_whole
 from skygcs.errors import CompanionError, ConfigError
 
 if TYPE_CHECKING:
@@ -65,7 +63,7 @@ class HostKeys:
         line = " ".join((pattern, *key.export_public_key("openssh").decode("ascii").split()[:2]))
         before = self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else []
         kept = [other for other in before if other.startswith("@") or pattern not in _patterns(other)]
-        _write_whole(self.path, "\n".join([*kept, line]) + "\n")
+        _write(self.path, "\n".join([*kept, line]) + "\n")
         self._files[0] = (self.path, _read(self.path))
 
 
@@ -126,19 +124,9 @@ def _read(path: Path) -> SSHKnownHosts | None:
         raise ConfigError(str(path), [f"is no known_hosts file: {str(error)[:200]}"]) from None
 
 
-def _write_whole(path: Path, text: str) -> None:
-    """Whole or not at all. Raises ConfigError."""
+def _write(path: Path, text: str) -> None:
+    """Raises ConfigError."""
     try:
-        descriptor, draft = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(draft, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(draft)
-            raise
+        write_whole(path, text.encode(), 0o600)
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be written: {error.strerror or error}"]) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from skygcs.bring_up.content import REMOTE
 from skygcs.bring_up.ssh_session import Session, quoted
 from skygcs.errors import CompanionError
 
@@ -36,6 +37,11 @@ echo "libc=$(getconf GNU_LIBC_VERSION 2>/dev/null)"
 echo "free_kb=$(df -Pk "$HOME" 2>/dev/null | awk 'NR == 2 {{ print $4 }}')"
 echo "program=$program"
 [ -z "$program" ] || echo "version=$("$program" --version 2>/dev/null)"
+python=$(head -n 1 "$program" 2>/dev/null | sed -n 's/^#! *\\([^ ]*python[^ /]*\\)$/\\1/p')
+[ -z "$python" ] || echo "content=$("$python" -I - 2>/dev/null <<'PYTHON'
+{REMOTE}
+PYTHON
+)"
 echo "installed=$(readlink "$root/current" 2>/dev/null)"
 echo "unit=$unit"
 echo "state=$(systemctl $flag is-active skygcs 2>/dev/null)"
@@ -63,6 +69,8 @@ class Facts:
     program: str
     """Path of `skygcs` there; "" if it is not installed."""
     version: str
+    content: str
+    """`content_of` the skygcs that is installed there; "" if its program names no Python."""
     installed: str
     """The folder of the installed bundle, relative to `FOLDER`; "" if it was not installed from one."""
     unit: Unit
@@ -83,6 +91,7 @@ class Facts:
             "python": self.python,
             "free_bytes": self.free_bytes,
             "version": self.version or None,
+            "content": self.content or None,
             "service": self.unit,
             "state": self.state or None,
             "uptime_s": self.uptime_s,
@@ -117,6 +126,7 @@ def parsed(text: str) -> Facts:
         free_bytes=int(free_kb) * 1024 if free_kb.isdecimal() else None,
         program=value("program"),
         version=value("version").removeprefix("skygcs").strip(),
+        content=value("content"),
         installed=value("installed"),
         unit="system" if unit == "system" else "user" if unit == "user" else "none",
         state=value("state"),

@@ -3,7 +3,7 @@
 | stage | it holds when | a vehicle without companion |
 |---|---|---|
 | reach | SSH reaches the companion, by a known host key | skipped |
-| version | skygcs is installed there, the same as here | skipped |
+| version | skygcs is installed there, the same version and code as here | skipped |
 | disk | there is room for logs | skipped |
 | service | its service runs and has reported that it is ready; it is started if it does not run | skipped |
 | links | every link of its daemon is up | skipped |
@@ -53,7 +53,8 @@ Connect = Callable[[Companion], AbstractAsyncContextManager[Session]]
 
 
 class BringUp:
-    """Takes vehicles through the stages. ``version`` is our own, ``wait_s`` how long links, vehicle and preflight may
+    """Takes vehicles through the stages. ``version`` and ``content`` (`content.own_content`; "": not compared) are our
+    own, ``wait_s`` how long links, vehicle and preflight may
     take each; ``on_stage`` is called with the progress and a stage that has begun or ended."""
 
     def __init__(
@@ -62,12 +63,14 @@ class BringUp:
         ground: GroundView,
         *,
         version: str,
+        content: str = "",
         wait_s: float,
         on_stage: Callable[[Progress, str], None] = lambda progress, stage: None,
     ) -> None:
         self._connect = connect
         self._ground = ground
         self._version = version
+        self._content = content
         self._wait_s = wait_s
         self._on_stage = on_stage
 
@@ -94,6 +97,7 @@ class BringUp:
             entry["text"] = companion.place
         async with self._stage(progress, "version") as entry:
             _require_version(facts, self._version, companion.name)
+            _require_content(facts, self._content, companion.name)
             entry["text"] = facts.version
         async with self._stage(progress, "disk"):
             require_room(facts)
@@ -175,8 +179,18 @@ def link_text(link: Mapping[str, Any]) -> str:
     return f"link {link.get('name')} is not up: {why}"
 
 
+def _install(name: str) -> str:
+    return f"skygcs-cli companions install {name} --bundle FILE"
+
+
+def _require_content(facts: Facts, own: str, name: str) -> None:
+    if own and facts.content and facts.content != own:
+        text = f"skygcs {facts.version} there and here, but other code: {facts.content} there, {own} here"
+        raise CompanionError("version", text, f"{_install(name)}, of a bundle made here")
+
+
 def _require_version(facts: Facts, own: str, name: str) -> None:
-    install = f"skygcs-cli companions install {name} --bundle FILE"
+    install = _install(name)
     if not facts.program:
         raise CompanionError("version", "skygcs is not installed there", install)
     if facts.version != own:

@@ -13,6 +13,7 @@ import typer
 
 from skygcs import __version__
 from skygcs.bring_up import service_control
+from skygcs.bring_up.content import own_content
 from skygcs.bring_up.ground_view import GroundView
 from skygcs.bring_up.inventory import Companion, Inventory
 from skygcs.bring_up.readiness import STAGES, BringUp, Candidate, link_text
@@ -80,7 +81,7 @@ def candidates(inventory: Inventory) -> list[Choice]:
 
 @contextlib.asynccontextmanager
 async def _ground() -> AsyncIterator[tuple[GroundView, str]]:
-    """The view of the ground's daemon, and why there is none."""
+    """The view of the ground's daemon, or the reason why it cannot be had."""
     async with contextlib.AsyncExitStack() as stack:
         try:
             gcs = await stack.enter_async_context(client())
@@ -109,7 +110,9 @@ async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s:
         return connected(companion, connect.host_keys, connect.identity)
 
     async with _ground() as (ground, no_daemon):
-        bring_up = BringUp(open_session, ground, version=__version__, wait_s=wait_s, on_stage=on_stage)
+        bring_up = BringUp(
+            open_session, ground, version=__version__, content=own_content(), wait_s=wait_s, on_stage=on_stage
+        )
         with _shown(rows, loop.time, live=not json_output) as changed:
             limit_s = UP_TIMEOUT_S if ssh.timeout_s is None else ssh.timeout_s
             done = await side_by_side(

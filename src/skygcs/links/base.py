@@ -70,6 +70,10 @@ class ChannelSigning(Protocol):
         ...
 
 
+Gate = Callable[[int, Outgoing], bool]
+"""True if this may leave now on the channel with this id (`Hub.may_leave`)."""
+
+
 class LinkHost(Protocol):
     """The hub, as links see it. All calls are synchronous, on the loop's thread, and never raise."""
 
@@ -146,6 +150,8 @@ class Channel(ABC):
         """Set by the host if the link has a signing key."""
         self.translator: SysidTranslator | None = None
         """Set by the host if the link is bound to vehicles: the ids that its program sees."""
+        self.gate: Gate | None = None
+        """Set by the host where vehicles may be commanded by other sites: asked last before a frame is written."""
         self.air: AirBudget | None = None
         """The budget of a channel into a radio."""
         self.opened_at = link.loop.time()
@@ -178,6 +184,10 @@ class Channel(ABC):
     def add_flow(self, frame: Frame, path: ForwardingPath) -> None:
         """Open a flow for further frames of this source and message; only if there is a ``fast_path``."""
         raise NotImplementedError
+
+    def is_kept_back(self, outgoing: Outgoing) -> bool:
+        """Whether the gate keeps this from being written now. Only where there is a ``gate``."""
+        return self.gate is not None and not self.gate(self.id, outgoing)
 
     def encode(self, outgoing: Outgoing) -> bytes:
         """Bytes to write now; a message of our own takes this channel's next sequence number and is recorded."""

@@ -119,7 +119,7 @@ class MemoryChannel(Channel):
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
         link = self._link
-        if link is None:
+        if link is None or self.is_kept_back(outgoing):
             self.tx_dropped += 1
             return False
         raw = self.encode(outgoing)

@@ -11,13 +11,17 @@ class OwnMessage:
     """A message of our own for one or more channels. It gets its sequence number when it is written, so that one that
     was dropped or replaced while it waited does not look like a loss to the vehicle."""
 
-    __slots__ = ("compid", "info", "payload", "recorded", "sysid")
+    __slots__ = ("compid", "exempt", "info", "payload", "recorded", "sysid", "to_system")
 
     def __init__(self, info: MessageInfo, payload: bytes, sysid: int, compid: int) -> None:
         self.info = info
         self.payload = payload
         self.sysid = sysid
         self.compid = compid
+        self.to_system = 0
+        """The system it was sent to, also if the message has no target field; 0: not known, or all."""
+        self.exempt = False
+        """It is of vehicles.stop, which is sent without authority over the vehicle, too."""
         self.recorded = info.msgid == SETUP_SIGNING
         """It must not be recorded (any more): it was, or it holds a key."""
 

@@ -11,7 +11,7 @@ from collections.abc import Hashable
 
 from skygcs.config import models
 from skygcs.config.dialects import load_dialect
-from skygcs.config.files import load_param_set
+from skygcs.config.param_sets import load_param_set
 from skygcs.config.radio import EmulatedRadio, RadioKeys
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
@@ -52,7 +52,7 @@ class SimulatedChannel(Channel):
         self._vehicles: SimulatedVehiclesLink | None = link
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
-        if self._vehicles is None:
+        if self._vehicles is None or self.is_kept_back(outgoing):
             self.tx_dropped += 1
             return False
         raw = self.encode(outgoing)

@@ -1,7 +1,8 @@
 """Channels over a byte stream: a serial port, a TCP connection.
 
 In: bytes to the channel's parser, and the parser's rescue after a silence. Out: a priority queue in front of the
-descriptor, written when it takes something; a frame once begun is finished before anything else.
+descriptor, written when it takes something; a frame once begun is finished before anything else, unless the authority
+over its vehicle has ended (`Channel.gate`).
 """
 
 from __future__ import annotations
@@ -158,6 +159,10 @@ class QueuedChannel(Channel):
     def _pop(self, now: float) -> tuple[Outgoing, Priority] | None:
         """What is to be written now; None if nothing waits or the budget is spent."""
         popped = self._line.pop(now)
+        if self.gate is not None:
+            while popped is not None and not self.gate(self.id, popped[0]):  # the authority ended while it waited
+                self.tx_dropped += 1
+                popped = self._line.pop(now)
         if self.air is not None:
             self.tx_dropped += self.air.take_lost()
         return popped
@@ -210,6 +215,8 @@ class StreamChannel(QueuedChannel):
         self._outstanding = limits.outstanding
         self._stuck_after_s = limits.stuck_after_s
         self._rest = b""
+        self._rest_of: Outgoing = b""
+        """The frame that ``_rest`` is the rest of."""
         self._blocked = False
         self._progress_at = 0.0
         self._look: asyncio.TimerHandle | None = None
@@ -263,6 +270,9 @@ class StreamChannel(QueuedChannel):
         """Write until nothing waits, the descriptor takes no more, or the kernel holds enough."""
         while True:
             rest = self._rest
+            if rest and self.is_kept_back(self._rest_of):
+                self._rest = rest = b""  # a vehicle that has the begin of a frame drops it when another one follows
+                self.tx_dropped += 1
             if not rest:
                 if not self._has_room():
                     break
@@ -271,6 +281,7 @@ class StreamChannel(QueuedChannel):
                     self._wait_for_budget()
                     break
                 rest = self.encode(popped[0])
+                self._rest_of = popped[0]
             try:
                 written = os.write(self._fd, rest)
             except (BlockingIOError, InterruptedError):

@@ -73,7 +73,13 @@ class UdpChannel(Channel):
         self._sendto = sock.sendto
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        if self.gate is not None and not self.gate(self.id, outgoing):
+            self.tx_dropped += 1
+            return False
         raw = outgoing if type(outgoing) is bytes else self.encode(outgoing)
+        if self.gate is not None and not self.gate(self.id, outgoing):  # the process may have been stopped since
+            self.tx_dropped += 1
+            return False
         try:
             self._sendto(raw, self.address)
         except OSError:  # no buffer, no route, closed: the next datagram may well go through

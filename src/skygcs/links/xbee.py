@@ -60,6 +60,7 @@ class XBeeChannel(QueuedChannel):
         self._xbee: XBeeLink | None = link
         self._unsent = b""
         """The frame that was taken from the queue and did not fit any more, or the rest of one that is split."""
+        self._unsent_of: Outgoing = b""
 
     @property
     def urgency(self) -> Priority | None:
@@ -81,10 +82,14 @@ class XBeeChannel(QueuedChannel):
 
     def take_payload(self, limit: int, now: float) -> bytes:
         """Whole frames, at most ``limit`` bytes together; b"" if nothing may go now."""
+        if self._unsent and self.is_kept_back(self._unsent_of):
+            self._unsent = b""
+            self.tx_dropped += 1
         payload = self._unsent[:limit]
         self._unsent = self._unsent[limit:]
         while not self._unsent and (popped := self._pop(now)) is not None:
             raw = self.encode(popped[0])
+            self._unsent_of = popped[0]
             self.tx_frames += 1
             if not payload:
                 payload, self._unsent = raw[:limit], raw[limit:]
@@ -185,6 +190,7 @@ class XBeeLink(Link):
             and len(self._nodes) > 1
             and isinstance(outgoing, OwnMessage)
             and outgoing.info.msgid in FOR_ALL
+            and not any(channel.is_kept_back(outgoing) for channel in self._nodes.values())
         )
 
     def send_to_all(self, channel: XBeeChannel, outgoing: Outgoing) -> bool:
@@ -207,6 +213,9 @@ class XBeeLink(Link):
         modem = self.modem
         now = self.loop.time()
         gave = False
+        last = self._last_to_all
+        if self._to_all and last is not None and any(channel.is_kept_back(last) for channel in self._nodes.values()):
+            self._to_all = b""
         while modem.has_room() and len(self._unwritten) < MAX_UNWRITTEN_BYTES:
             channel = min(
                 ((urgency, c.turn, c) for c in self._nodes.values() if (urgency := c.urgency) is not None),

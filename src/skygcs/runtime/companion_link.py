@@ -143,6 +143,15 @@ class CompanionLink:
         stop it."""
         return _added(self._up_observers, observer)
 
+    def summary(self) -> JsonObject:
+        """What a vehicle's state shows of it (`VehicleState.companion`)."""
+        return {
+            "link": self.state,
+            "since_s": round(self._loop.time() - self.since, 1),
+            "error": None if self.state == "up" else self.last_error,
+            "version": self.version,
+        }
+
     def status(self) -> JsonObject:
         """JSON-able, for companions.status."""
         clock = self.clock()
@@ -195,7 +204,7 @@ class CompanionLink:
             return error.reason
         except SkygcsError as error:
             return str(error)
-        except Exception as error:  # an answer that is none of ours fails this connection only
+        except Exception as error:  # an answer that skygcs does not give fails this connection only
             return f"unexpected {type(error).__name__}: {error}"
         finally:
             self._client = None

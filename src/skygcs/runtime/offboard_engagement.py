@@ -187,7 +187,7 @@ class OffboardEngagement:
                 self._check_gains(control_mode, force=force)
                 return await self._change(control_mode, turn)
             # faster position, then the stream
-            back_to = self._vehicle.custom_mode
+            back_to = offboard_entry.settled_mode(self._vehicle)
             await self._streams.raise_position_rate(control_mode)
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
@@ -434,7 +434,8 @@ class OffboardEngagement:
 
     def _check_entry(self, now: float) -> None:
         """Raises RefusedError if it must not be flown by setpoints now."""
-        refusal = offboard_entry.entry_refusal(self._vehicle, now)
+        refusal = self._services.links.authority_refusal(self._vehicle.sysid)
+        refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
         if refusal is None and not self.controller.active and self._led_by_another():
@@ -548,7 +549,7 @@ class OffboardEngagement:
             self._check_entry(self._loop.time())  # seconds have passed: it may have landed, or be in its failsafe
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if self._vehicle.custom_mode != back_to and not offboard_entry.is_following(self._vehicle):
+        if offboard_entry.settled_mode(self._vehicle) != back_to and not offboard_entry.is_following(self._vehicle):
             return Outcome.refused(f"another program switched it to {self._vehicle.mode} meanwhile")
         outcome = await self._orders.execute(offboard_entry.enter(self._vehicle))
         if self._turn != turn:
@@ -627,6 +628,9 @@ class OffboardEngagement:
     def _tick(self, now: float) -> None:
         """One tick of the clock. Hot; never raises."""
         controller = self.controller
+        if (why := self._services.links.authority_refusal(self._vehicle.sysid)) is not None:
+            self.release(why)  # its own failsafe, or the site that commands it, acts
+            return
         try:
             tick = controller.tick(now)
             if tick.message is not None:

@@ -101,6 +101,12 @@ class Renumbering:
     def _require_possible(self, actor: VehicleActor, sysid: int, *, force: bool) -> None:
         vehicle = actor.vehicle
         now = self._loop.time()
+        gate = self._hub.authority
+        if gate is not None and (gate.gates(actor.sysid) or gate.gates(sysid)):
+            raise RefusedError(
+                "[federation.vehicles] names a vehicle with this system id, by which the other sites know it: change "
+                "the id while one site runs alone, then every site's fleet file"
+            )
         if not 1 <= sysid <= MAX_SYSID:
             raise RefusedError(f"system id {sysid} is not between 1 and {MAX_SYSID}")
         if self._busy is not None:

@@ -124,7 +124,8 @@ def _state_text(note: RouteNote, here: str, there: str) -> str:
         )
     if note.kind == "switched":
         why = f" ({note.why})" if note.why else ""
-        return f"{ids} is followed over {there} now, before over {here}{why}"
+        more = f"; {note.count} changes since the last report of one were not reported" if note.count else ""
+        return f"{ids} is followed over {there} now, before over {here}{why}{more}"
     return (
         f"{ids} is another vehicle now, or has restarted: it is heard over {there}, before over {here}; nothing that "
         "was known of it counts any more"

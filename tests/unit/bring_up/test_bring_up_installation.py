@@ -87,7 +87,7 @@ async def test_everything_is_done_in_order_and_nothing_is_started(field: Field) 
 
 
 async def test_an_upload_that_was_broken_off_goes_on(field: Field) -> None:
-    """From the beginning of its last piece, which may have holes; a file that is too long is none of ours."""
+    """From the beginning of its last piece, which may have holes; a file that is too long is begun anew."""
     field.bundle = replace(field.bundle, bytes=4 << 20)
     for there, offset in (((2 << 20) + 5, 2 << 20), (2 << 20, 1 << 20), (0, 0), (5 << 20, 0)):
         field.session.answer("wc -c", 0, f"{there}\n")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from skygcs.bring_up.content import content_of, own_content
 from skygcs.bring_up.probe import SCRIPT, parsed, require_room
 from skygcs.errors import CompanionError
 
@@ -58,3 +60,32 @@ def test_the_script_runs_in_a_plain_shell(tmp_path: Path) -> None:
     facts = parsed(done.stdout)
     assert (facts.home, facts.unit, facts.installed) == (str(tmp_path), "none", "")
     assert facts.free_bytes is not None and facts.uid is not None and facts.unix_s is not None
+
+
+def test_the_code_that_is_installed_there_is_told_by_its_content(tmp_path: Path) -> None:
+    program = tmp_path / "skygcs" / "current" / "bin" / "skygcs"
+    program.parent.mkdir(parents=True)
+
+    def content(first_line: str) -> str:
+        program.write_text(f"{first_line}\nprint('skygcs 0.1.0')\n")
+        program.chmod(0o755)
+        environment = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
+        done = subprocess.run(["sh", "-c", SCRIPT], env=environment, capture_output=True, text=True)
+        return parsed(done.stdout).content
+
+    assert content(f"#!{sys.executable}") == own_content()
+    assert len(own_content()) == 12
+    for unknown in ("#!/bin/sh", "#!/usr/bin/env python3", "#!/nowhere/python3"):
+        assert content(unknown) == "", "no Python of its own is named"
+
+
+def test_content_is_of_paths_and_bytes_of_python_files_alone(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "x.py").write_text("1")
+    first = content_of(str(tmp_path))
+    (tmp_path / "a" / "x.so").write_text("compiled")
+    assert content_of(str(tmp_path)) == first
+    (tmp_path / "a" / "x.py").rename(tmp_path / "x.py")
+    moved = content_of(str(tmp_path))
+    (tmp_path / "x.py").write_text("2")
+    assert len({first, moved, content_of(str(tmp_path))}) == 3

@@ -40,7 +40,7 @@ async def brought_up(
     ground = GroundView(daemon, "no skygcs daemon at s")
     candidate = Candidate("alpha", "alpha", 1, companion() if on_board else None)
     async with ground.watching():
-        work = BringUp(session.connect, ground, version="0.1.0", wait_s=wait_s).run
+        work = BringUp(session.connect, ground, version="0.1.0", content="0123abcd4567", wait_s=wait_s).run
         return (await side_by_side([candidate], work, timeout_s=1000))["alpha"]
 
 
@@ -51,6 +51,11 @@ async def test_a_companion_that_is_well_goes_through_all_stages_and_its_service_
     assert tuple(progress.data["stages"]) == STAGES
     assert all(entry["ok"] for entry in progress.data["stages"].values())
     assert session.ran("systemctl --user start skygcs")
+
+
+@pytest.mark.parametrize("content", ["0123abcd4567", ""])
+async def test_the_same_code_and_unknown_code_go_on(content: str) -> None:
+    assert (await brought_up(FakeSession(content=content), FakeDaemon("alpha"))).ok
 
 
 async def test_a_service_that_runs_is_left_alone() -> None:
@@ -64,6 +69,11 @@ async def test_a_service_that_runs_is_left_alone() -> None:
     [
         ({"program": ""}, "version", "not installed there; skygcs-cli companions install alpha"),
         ({"version": "skygcs 0.0.9"}, "version", "skygcs 0.0.9 there, 0.1.0 here"),
+        (
+            {"content": "89ef89ef89ef"},
+            "version",
+            "0.1.0 there and here, but other code: 89ef89ef89ef there, 0123abcd4567",
+        ),
         ({"free_kb": "1000"}, "disk", "1 MB free in /home/pi"),
         ({"unit": "none"}, "service", "is not installed there"),
     ],

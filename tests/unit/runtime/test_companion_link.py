@@ -121,6 +121,12 @@ async def test_it_tries_again_with_longer_and_longer_pauses_and_reports_once() -
         assert bench.changes() == ["down", "up"]
         assert bench.link.is_up
         assert bench.link.status()["last_error"] == "no route to it"
+        assert bench.link.summary() == {
+            "link": "up",
+            "since_s": round(bench.loop.time() - bench.link.since, 1),
+            "error": None,
+            "version": "9.9",
+        }
         assert bench.link.status()["version"] == "9.9"
 
 

@@ -233,7 +233,7 @@ class MirroredControl:
 
 
 def _member(kind: type[Any], value: object) -> Any:
-    """The member of an enumeration of texts; None if there is none of this value."""
+    """The member of an enumeration of texts; None if no member has this value."""
     return next((member for member in kind if member.value == value), None)
 
 

@@ -7,10 +7,11 @@ of its own:
     ------   -------------------------------------------------------   ------   ------------------------------------
     GOOD     silent for longer than its limit                          DOWN     its next trial is longer
     GOOD     loss or delay above the upper mark for POOR_FOR_S         POOR     the same
+    GOOD     deaf: the vehicle does not hear us over it                POOR     the same
     POOR     silent for longer than its limit                          DOWN
-    POOR     loss and delay below the lower marks                      TRIAL
+    POOR     loss and delay below the lower marks, and not deaf        TRIAL
     TRIAL    silent for longer than its limit                          DOWN
-    TRIAL    loss or delay above the upper mark                        POOR
+    TRIAL    loss or delay above the upper mark, or deaf               POOR
     TRIAL    the trial is over, loss and delay below the lower marks   GOOD
     DOWN     heard                                                     TRIAL    the trial begins, its losses from 0
 
@@ -18,13 +19,15 @@ of its own:
     -----------------   -------------------------------------------------------   -----------------------------------
     DOWN                is not DOWN: GOOD before TRIAL before POOR, then by cost  is chosen at once
     POOR or TRIAL       is GOOD                                                   is chosen at once
+    POOR, being deaf    is not DOWN and not deaf: as for DOWN                     is chosen at once
     POOR                is POOR or TRIAL and loses BETTER_BY less                 is chosen, if CHANGE_S have passed
     GOOD                is GOOD and costs less                                    is chosen
-    any                 is none of these                                          stays on standby
+    any                 is in no row above                                        stays on standby
 
 So a link that flaps is left once and taken again only after a trial without a fault, which becomes longer each time: a
-link that is cut for 3 s every 6 s is never taken while that lasts. A link costs what its configuration says; without
-it, a link whose bytes are scarce costs more than one whose bytes are not.
+link that is cut for 3 s every 6 s is never taken while that lasts. A link is deaf from when the uplink's probes say so
+(`core.vehicle.uplink_watch`) until an answer to a question comes over it. A link costs what its configuration says;
+without it, a link whose bytes are scarce costs more than one whose bytes are not.
 """
 
 from __future__ import annotations
@@ -34,6 +37,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import NamedTuple
+
+from skygcs.core.token_bucket import TokenBucket
 
 DEFAULT_COST, SCARCE_COST = 10, 20
 """Of a network, and of a radio or a serial port, whose bytes all vehicles share."""
@@ -78,12 +83,24 @@ BETTER_BY, CHANGE_S = 0.15, 30.0
 COMPARED_S, COMPARED_FRAMES = 25.0, 40
 """Between two poor links, over a longer time: 20 frames of a link that loses 20 % show 20 ± 9 %, 500 show 20 ± 2 %."""
 
+DOUBT_SHARE = 0.25
+"""Silence of this share of its limit puts the chosen link in doubt: 0.25 s on one with many frames. PX4 leaves OFFBOARD
+1 s after the last setpoint (COM_OF_LOSS_T), which is as long as it takes until another link is chosen."""
+
 RISK_LOSS = 0.08
 """A link that loses more, or is silent for half of its limit, may be left soon. One that loses 2 % shows 8 % in 3 s of
 20 frames a second once in 6 minutes."""
 
+DEAF_PROBE_S = 2.0
+"""Between two questions over a deaf link, 30 bytes each."""
+
 RISK_S = 15.0
 """A link is at risk for so long after the last sign: what is restored on the other link is not taken back at once."""
+
+
+REPORTS, REPORT_S = 6, 20.0
+"""Changes of the choice that are reported at once, and the time after which one more may be. By the tables a link that
+flaps brings two an outage; more is a radio that jumps between being heard and not, or somebody's play."""
 
 
 class Health(StrEnum):
@@ -111,8 +128,10 @@ class LinkHealth:
         "_good_at",
         "_marks",
         "_met_at",
+        "_probed_at",
         "_risky_at",
         "cost",
+        "deaf",
         "health",
         "heard_at",
         "high_latency_factor",
@@ -130,6 +149,9 @@ class LinkHealth:
         """How much later messages come than over the fastest link; None: not known. Set it before `assess`."""
         self.high_latency_factor = 1
         """Of the limit of silence: above 1 for a satellite link."""
+        self.deaf = False
+        """The vehicle does not hear us over it, though we hear the vehicle. Set it before `assess`."""
+        self._probed_at = -math.inf
         self._met_at = self._gap_from = now
         self._gap_s = self._gap_before_s = 0.0
         self._good_at = now
@@ -191,6 +213,17 @@ class LinkHealth:
         """True if it may be left soon: what another link would need then is restored there now."""
         return self.health is not Health.GOOD or now - self._risky_at < RISK_S or self._is_risky(now)
 
+    def in_doubt(self, now: float) -> bool:
+        """True if it may be down: what must not pause goes over another link as well until that is known."""
+        return now - self.heard_at > DOUBT_SHARE * self.silent_limit_s
+
+    def probe_due(self, now: float) -> bool:
+        """Whether a question is to be sent over it, whose answer ends its being deaf; true once per `DEAF_PROBE_S`."""
+        due = self.deaf and self.health is not Health.DOWN and now - self._probed_at >= DEAF_PROBE_S
+        if due:
+            self._probed_at = now
+        return due
+
     def trial_s(self) -> float:
         """How long its next trial is, or the present one."""
         return float(min(TRIAL_S * 2 ** max(0, self._faults - 1), TRIAL_MOST_S))
@@ -204,7 +237,7 @@ class LinkHealth:
     def _next(self, now: float) -> Health:
         loss, lag_s = self.loss or 0.0, self.lag_s or 0.0
         bad = loss >= POOR_LOSS or lag_s >= POOR_LAG_S
-        fair = loss <= FAIR_LOSS and lag_s <= FAIR_LAG_S
+        fair = loss <= FAIR_LOSS and lag_s <= FAIR_LAG_S and not self.deaf
         self._bad_since = None if not bad else now if self._bad_since is None else self._bad_since
         silent = now - self.heard_at > self.silent_limit_s
         match self.health:
@@ -213,12 +246,12 @@ class LinkHealth:
             case _ if silent:
                 return Health.DOWN
             case Health.GOOD:
-                poor = self._bad_since is not None and now - self._bad_since >= POOR_FOR_S
+                poor = self.deaf or (self._bad_since is not None and now - self._bad_since >= POOR_FOR_S)
                 return Health.POOR if poor else Health.GOOD
             case Health.POOR:
                 return Health.TRIAL if fair else Health.POOR
             case _:
-                if bad:
+                if bad or self.deaf:
                     return Health.POOR
                 return Health.GOOD if fair and now - self.since >= self.trial_s() else Health.TRIAL
 
@@ -242,16 +275,23 @@ class Choice(NamedTuple):
 class LinkChoice:
     """The choice for one vehicle: `decide` some times a second, and when a frame came over a standby link."""
 
-    __slots__ = ("changed_at", "changes")
+    __slots__ = ("_reports", "changed_at", "changes", "unreported")
 
     def __init__(self) -> None:
         self.changes = 0
         self.changed_at = -math.inf
+        self.unreported = 0
+        """Changes since the last one that was to be reported."""
+        self._reports = TokenBucket(1 / REPORT_S, REPORTS)
 
-    def changed(self, now: float) -> None:
-        """Another link is used from now on."""
+    def changed(self, now: float) -> bool:
+        """Another link is used from now on; whether to report it. `unreported` is to be reported with it."""
         self.changes += 1
         self.changed_at = now
+        if self._reports.take(now):
+            return True
+        self.unreported += 1
+        return False
 
     def decide(
         self, chosen: LinkHealth, standby: Mapping[int, LinkHealth], is_same: Callable[[int], bool], now: float
@@ -262,6 +302,9 @@ class LinkChoice:
             case Health.DOWN:
                 able = {i: link for i, link in standby.items() if link.health is not Health.DOWN}
                 why = f"silent for {now - chosen.heard_at:.1f} s"
+            case Health.POOR if chosen.deaf:
+                able = {i: link for i, link in standby.items() if link.health is not Health.DOWN and not link.deaf}
+                why = _fault_of(chosen)
             case Health.POOR | Health.TRIAL:
                 able = {i: link for i, link in standby.items() if link.health is Health.GOOD}
                 why = _fault_of(chosen)
@@ -278,17 +321,26 @@ class LinkChoice:
         return None
 
 
-def _order(link: LinkHealth) -> tuple[int, int, float]:
-    return _RANK[link.health], link.cost, link.loss or 0.0
+def best_standby(standby: Mapping[int, LinkHealth], is_same: Callable[[int], bool]) -> int | None:
+    """The link that would be chosen if the chosen one were down; None if there is none over which it hears us."""
+    able = [i for i, link in standby.items() if link.health is not Health.DOWN and not link.deaf and is_same(i)]
+    return min(able, key=lambda i: _order(standby[i]), default=None)
+
+
+def _order(link: LinkHealth) -> tuple[int, bool, int, float]:
+    return _RANK[link.health], link.deaf, link.cost, link.loss or 0.0
 
 
 def _loses_less(link: LinkHealth, chosen: LinkHealth) -> bool:
     loss, theirs = (each.loss_over(COMPARED_S, COMPARED_FRAMES) for each in (link, chosen))
-    return link.health is not Health.DOWN and loss is not None and theirs is not None and loss + BETTER_BY <= theirs
+    heard = link.health is not Health.DOWN and not link.deaf
+    return heard and loss is not None and theirs is not None and loss + BETTER_BY <= theirs
 
 
 def _fault_of(link: LinkHealth) -> str:
     """What is wrong with a link that is not silent."""
+    if link.deaf:
+        return "the vehicle does not hear us over it"
     if link.loss is not None and link.loss > FAIR_LOSS:
         return f"{link.loss:.0%} of its frames are lost"
     if link.lag_s is not None and link.lag_s > FAIR_LAG_S:

@@ -36,8 +36,8 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED
-from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME
-from skygcs.core.routing.link_choice import DEFAULT_COST, LinkChoice, LinkHealth
+from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME, TIMESYNC
+from skygcs.core.routing.link_choice import DEFAULT_COST, LinkChoice, LinkHealth, best_standby
 
 SILENT_S = 2.5
 """Two heartbeats may be lost; what a channel that is silent for longer showed contradicts nothing."""
@@ -81,7 +81,7 @@ LAG_WINDOW_S = 5.0
 """The least delay of a channel is that of this time, or of up to twice as much: a queue empties now and then."""
 
 LAG_MOST_S = 60.0
-"""A larger difference of two clocks is none of delays."""
+"""A larger difference is one of clocks, not of delays."""
 
 MAX_COUNTED = 256
 """Messages counted per channel; a vehicle streams some fifty."""
@@ -134,13 +134,15 @@ is heard again. (`KNOWN_BY` lists the messages.)"""
 class SourceReport:
     """``channel_id`` is the other channel (of switched and replaced: the new one), ``present_id`` the present one (of
     switched and replaced: the one before); None: closed. ``why``: what contradicted, in words; of switched and
-    replaced: what was wrong with the channel before."""
+    replaced: what was wrong with the channel before. ``count``: frames that were ignored; of switched: earlier changes
+    that were not reported. ``quiet``: it took place, and too many were reported lately."""
 
     kind: ReportKind
     channel_id: int | None
     present_id: int | None
     why: str = ""
     count: int = 0
+    quiet: bool = False
 
 
 class _Heard:
@@ -214,6 +216,10 @@ class _Heard:
         if msgid == HIGH_LATENCY2:
             self.heartbeat_at, self.high_latency = now, True
             self.health.high_latency_factor = HIGH_LATENCY_FACTOR
+            return
+        if msgid == TIMESYNC:
+            if any(frame.payload[:8]):  # tc1: it answers somebody's question, which came over this channel
+                self.health.deaf = False
             return
         at = BOOT_MS_AT.get(msgid)
         if at is None:
@@ -363,6 +369,20 @@ class StateSource:
         if better is not None:
             self._take_over(better.channel_id, self._heard[better.channel_id], now, better.why)
 
+    def uplink_lost(self) -> None:
+        """The vehicle does not hear us over the present channel."""
+        self._present.health.deaf = True
+
+    def stand_in(self, now: float) -> int | None:
+        """The channel over which setpoints go as well, because the present one is in doubt; None: over no other."""
+        if self.present_id is None or not self._present.health.in_doubt(now):
+            return None
+        return best_standby(self._standby(), lambda i: self._is_able(i, now))
+
+    def to_probe(self, now: float) -> list[int]:
+        """Channels over which a TIMESYNC question is to be sent now: over these it did not hear us."""
+        return [i for i, heard in self._heard.items() if i is not None and heard.health.probe_due(now)]
+
     def _standby(self) -> dict[int, LinkHealth]:
         return {i: h.health for i, h in self._heard.items() if i is not None and h is not self._present}
 
@@ -390,6 +410,7 @@ class StateSource:
             "since_s": round(now - since, 1),
             "recent_loss": None if link.loss is None else round(link.loss, 4),
             "behind_s": None if link.lag_s is None else round(link.lag_s, 3),
+            "deaf": link.deaf,
             "changes": self.choice.changes,
         }
 
@@ -477,13 +498,22 @@ class StateSource:
         for other in self._heard.values():
             other.contradicted.clear()
         self._states.clear()
-        self.choice.changed(now)
+        loud = self.choice.changed(now)
         if heard.shown is not None:
             self._note_state(heard.shown, now)
-        self.reports.append(SourceReport("switched" if same else "replaced", channel_id, before_id, why))
+        if same:
+            self.reports.append(self._switched(channel_id, before_id, why, loud=loud))
+        else:
+            self.reports.append(SourceReport("replaced", channel_id, before_id, why))
         if self.duplicate:
             self.duplicate = False
             self.reports.append(SourceReport("duplicate_over", None, channel_id))
+
+    def _switched(self, channel_id: int, before_id: int | None, why: str, *, loud: bool) -> SourceReport:
+        if not loud:
+            return SourceReport("switched", channel_id, before_id, why, quiet=True)
+        count, self.choice.unreported = self.choice.unreported, 0
+        return SourceReport("switched", channel_id, before_id, why, count)
 
     def _prove(self, heard: _Heard) -> None:
         """The present channel took over unseen, and now shows a clock."""

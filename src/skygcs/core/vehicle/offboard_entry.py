@@ -91,6 +91,13 @@ def is_following(vehicle: Vehicle) -> bool:
         return False
 
 
+def settled_mode(vehicle: Vehicle) -> int:
+    """Its custom_mode; of a PX4 that takes off the one that it enters by itself when it is up."""
+    if vehicle.family == "px4" and vehicle.mode == "AUTO.TAKEOFF":
+        return modes.px4_custom_mode("AUTO.LOITER")
+    return vehicle.custom_mode
+
+
 def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
     """Why control by setpoints cannot begin now; None if it can.
 

@@ -118,8 +118,6 @@ class Heard:
     """What bytes from the module brought."""
 
     packets: list[ReceivePacket] = field(default_factory=list)
-    failed: list[tuple[int, str]] = field(default_factory=list)
-    """Addresses to which a payload was not delivered, and why."""
     writes: list[bytes] = field(default_factory=list)
     """To be written to the port now."""
     opened: bool = False
@@ -182,7 +180,7 @@ class XBeeModem:
                 case ReceivePacket():
                     self._on_packet(frame, heard)
                 case TransmitStatus():
-                    self._on_status(frame, heard)
+                    self._on_status(frame)
                 case AtResponse(address=None):
                     self._on_answer(frame, heard)
                 case ModemStatus() if frame.status in RESTARTED:
@@ -272,7 +270,7 @@ class XBeeModem:
         node.rx_packets += 1
         heard.packets.append(packet)
 
-    def _on_status(self, status: TransmitStatus, heard: Heard) -> None:
+    def _on_status(self, status: TransmitStatus) -> None:
         out = self._outstanding.pop(status.frame_id, None)
         if out is None:
             self.counters.unasked += 1
@@ -286,7 +284,6 @@ class XBeeModem:
             return
         node.failed += 1
         node.last_failure = _DELIVERY.get(status.delivery, f"delivery status 0x{status.delivery:02X}")
-        heard.failed.append((out.address, node.last_failure))
 
     def _on_answer(self, answer: AtResponse, heard: Heard) -> None:
         if answer.command not in QUESTIONS:

@@ -8,6 +8,8 @@ import pytest
 
 from skygcs.core.routing.link_choice import (
     DEFAULT_COST,
+    REPORT_S,
+    REPORTS,
     SCARCE_COST,
     TRIAL_MOST_S,
     TRIAL_S,
@@ -226,3 +228,48 @@ def test_a_restarted_counter_is_no_loss_and_memory_is_bounded() -> None:
         link.sample(n % 1000, 0, now)
         assert link.assess(now) is Health.GOOD
     assert link.loss == 0.0
+
+
+def test_a_deaf_link_is_left_at_once_though_its_telemetry_comes_and_is_taken_again_after_an_answer() -> None:
+    both = Both()
+    both.run(60)
+    both.wifi.health.deaf = True
+    both.run(0.2)
+    assert both.changes == [(60.2, RADIO, "the vehicle does not hear us over it")]
+    both.run(120)
+    assert len(both.changes) == 1 and both.wifi.health.health is Health.POOR
+    both.wifi.health.deaf = False
+    both.run(TRIAL_S - 1)
+    assert both.chosen == RADIO
+    both.run(2)
+    assert both.chosen == WIFI and len(both.changes) == 2
+
+
+def test_a_deaf_link_is_left_for_one_on_trial_and_not_for_one_that_is_deaf_or_down() -> None:
+    both = Both()
+    both.run(5)
+    assert both.radio.health.health is Health.TRIAL
+    both.radio.health.deaf = True
+    both.wifi.health.deaf = True
+    both.run(5)
+    assert both.chosen == WIFI, "both are deaf"
+    both.radio.health.deaf = False
+    both.run(0.4)
+    assert both.chosen == RADIO and both.radio.health.health is not Health.GOOD
+
+
+def test_a_deaf_link_is_asked_every_two_seconds_while_it_is_heard() -> None:
+    link = LinkHealth(0.0)
+    assert not link.probe_due(0.0)
+    link.deaf = True
+    assert [t for t in range(6) if link.probe_due(float(t))] == [0, 2, 4]
+    link.assess(10.0)
+    assert link.health is Health.DOWN and not link.probe_due(10.0)
+
+
+def test_changes_are_reported_up_to_a_rate_and_all_are_counted() -> None:
+    choice = LinkChoice()
+    loud = [choice.changed(float(second)) for second in range(600)]
+    assert loud[:REPORTS] == [True] * REPORTS
+    assert sum(loud) == pytest.approx(REPORTS + 600 / REPORT_S, abs=1)
+    assert choice.changes == 600 and choice.unreported == 600 - sum(loud)

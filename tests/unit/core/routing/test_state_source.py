@@ -308,6 +308,22 @@ def test_answers_to_us_count_from_a_channel_that_agrees_only() -> None:
     assert net.hear(AIR, ack, of=PEER), "what came first did not count"
 
 
+def test_a_deaf_channel_is_left_until_an_answer_comes_over_it() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, WIFI, seconds=15)
+    net.state.uplink_lost()
+    net.second(vehicle, AIR, WIFI)
+    assert net.state.present_id == WIFI and net.state.link_status(AIR, net.now)["deaf"]
+    assert net.state.to_probe(net.now) == [AIR] and net.state.to_probe(net.now + 1.0) == []
+    net.hear(AIR, parsed(message("TIMESYNC", 1, 1, 9, tc1=0, ts1=5)))
+    assert net.state.link_status(AIR, net.now)["deaf"], "a question of its own is no answer"
+    answer = parsed(message("TIMESYNC", 1, 1, 10, tc1=77, ts1=5))
+    net.hear(AIR, answer, of=WIFI)
+    assert net.state.link_status(AIR, net.now)["deaf"], "a copy of what came elsewhere is none"
+    net.hear(AIR, answer)
+    assert not net.state.link_status(AIR, net.now)["deaf"] and net.state.to_probe(net.now + 5.0) == []
+
+
 def test_a_frame_that_came_first_elsewhere_counts_when_the_present_channel_has_it() -> None:
     net, vehicle = Net(), Machine()
     for _ in range(20):
@@ -410,3 +426,17 @@ def test_whatever_comes_one_channel_supplies_and_a_contradicting_one_not_while_i
             assert not counts or silent_s > 5.0
         if what == 3:
             net.tick()
+
+
+def test_changes_that_are_too_many_to_report_take_place_and_are_told_with_the_next_report() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, WIFI, seconds=15)
+    for number in range(20):
+        net.state.take_over((WIFI, AIR)[number % 2], net.now)
+    net._take()
+    changes = [r for r in net.reports if r.kind == "switched"]
+    assert len(changes) == 20 and [r.quiet for r in changes] == [False] * 6 + [True] * 14
+    net.now += 60.0
+    net.state.take_over(WIFI, net.now)
+    net._take()
+    assert not net.reports[-1].quiet and net.reports[-1].count == 14

@@ -69,8 +69,8 @@ def test_the_window_holds_and_a_status_makes_room() -> None:
     assert modem.has_room()
     node = modem.nodes[NODE]
     assert (node.sent, node.delivered, node.retries) == (WINDOW, 1, 2)
-    heard = modem.feed(delivery(ids[0], status=0x21), 0.2)
-    assert heard.failed == [(NODE, "no acknowledgement from the network")]
+    modem.feed(delivery(ids[0], status=0x21), 0.2)
+    assert (node.failed, node.last_failure) == (1, "no acknowledgement from the network")
     modem.feed(delivery(ids[0]), 0.3)
     assert modem.counters.unasked == 1
 
