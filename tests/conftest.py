@@ -17,8 +17,8 @@ import typer.main
 import uvloop
 from hypothesis import HealthCheck, settings
 
-import skygcs.rpc.methods
-import skygcs.rpc.sessions  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
+import skygcs.rpc.sessions  # noqa: F401 - as below
+from skygcs.rpc.methods import METHODS
 from support.virtual_uvloop import VirtualUvloop
 
 settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -32,6 +32,9 @@ NOOP_CYCLES = 2
 suite costs. Whatever is ready to run, is read from a socket or waits for a thread runs first all the same: these turns
 only serve what needs an idle loop to get going."""
 
+
+tuple(METHODS.values())
+"""Imports them all: a daemon imports its methods in a thread, which virtual time would not wait for."""
 
 typer.main.get_command = functools.cache(typer.main.get_command)
 """Typer's test runner makes all commands anew for every line that is typed: a quarter of a second each time. They hold

@@ -8,6 +8,11 @@ SkygcsError                  base; str() is one line for a person, never a trace
 ├── TraceError               a control trace that cannot be read (line, reason)
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── CompanionError           a vehicle's computer: not reached, or a step there failed (step, what, what to do)
+├── BusError                 a message for the hub of a federation, or its answer (subject, what)
+│   ├── HubAway              not sent: there is no connection to the hub
+│   ├── NobodyThere          not carried out: nobody takes messages of this subject
+│   ├── NotPermitted         not carried out: the hub does not let this station send it
+│   └── ReplyLost            sent, and no answer came: nobody knows whether it was carried out
 ├── TargetError              a target that names no vehicle ("7", "alpha")
 ├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
 │   ├── KeyFileError         a signing key's file that is not one, or that others can read (file, what to do)
@@ -89,6 +94,31 @@ class CompanionError(SkygcsError):
         self.reason = reason
         self.todo = todo
         super().__init__(f"{step}: {reason}" + (f"; {todo}" if todo else ""))
+
+
+class BusError(SkygcsError):
+    """A message over a federation's hub that was not sent, or not answered. ``subject`` of the message."""
+
+    def __init__(self, subject: str, reason: str) -> None:
+        self.subject = subject
+        self.reason = reason
+        super().__init__(f"{subject}: {reason}" if subject else reason)
+
+
+class HubAway(BusError):
+    """Not sent: there is no connection to the hub, or it takes nothing at the moment."""
+
+
+class NobodyThere(BusError):
+    """The hub answered that nobody takes messages of this subject: certainly not carried out."""
+
+
+class NotPermitted(BusError):
+    """The hub refused the message of this station: certainly not carried out."""
+
+
+class ReplyLost(BusError):
+    """Sent, and no answer came in time: whether it was carried out is unknown. Never sent again by itself."""
 
 
 class TargetError(SkygcsError):

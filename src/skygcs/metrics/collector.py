@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
-from prometheus_client.exposition import generate_latest
-from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.process_collector import ProcessCollector
-from prometheus_client.registry import Collector
 
 from skygcs import __version__
 from skygcs.core.vehicle.offboard_controller import OffboardState
-from skygcs.metrics.table import METRICS, MetricInfo
+from skygcs.metrics.exposition import Labels, Samples, as_text, written
+from skygcs.metrics.table import METRICS
 from skygcs.rpc.context import Services
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.hub import CHANNEL_TOTALS
@@ -28,13 +26,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 SLICE_VEHICLES = 10
 """Vehicles that are read in one turn: 0.3 ms."""
-
-SLICE_LINES = 50
-"""Lines that are written in one turn: 0.5 ms."""
-
-MAX_SERIES = 10_000
-"""Twice what 250 vehicles under control on one radio have; Prometheus takes 1 MB from a target without effort. What is
-beyond is left out and counted (`skygcs_series_dropped`)."""
 
 MAX_COUNTED = 2048
 """Sources on channels that are remembered, closed ones included: as many as the hub keeps of closed channels."""
@@ -79,35 +70,12 @@ QUEUE_FIELDS = {
     "wait_p95_s": "skygcs_queue_wait_p95_seconds",
 }
 
-Labels = tuple[str, ...]
-
 
 class Measured(Services, Protocol):
     """The parts of a running daemon that are measured; `skygcs.daemon.Daemon` has all of them."""
 
     link_watch: LinkWatch
     rpc: RpcServer
-
-
-class _Samples:
-    """The samples of one collection by metric, bounded in number."""
-
-    def __init__(self) -> None:
-        self.by_metric: dict[str, dict[Labels, float]] = {}
-        self.count = 0
-        self.dropped = 0
-
-    def put(self, name: str, value: float | None, *labels: str) -> None:
-        """A value; None: it is not known now, and there is no sample."""
-        if value is None:
-            return
-        samples = self.by_metric.setdefault(name, {})
-        if labels not in samples:
-            if self.count >= MAX_SERIES:
-                self.dropped += 1
-                return
-            self.count += 1
-        samples[labels] = value
 
 
 class _GrowingSums:
@@ -136,16 +104,6 @@ class _GrowingSums:
             del last[next(iter(last))]
         self._sums = sums
         return sums
-
-
-class _One(Collector):
-    """What `generate_latest` writes: one metric."""
-
-    def __init__(self, metric: Metric) -> None:
-        self._metric = metric
-
-    def collect(self) -> Iterable[Metric]:
-        return (self._metric,)
 
 
 class MetricsCollector:
@@ -182,7 +140,7 @@ class MetricsCollector:
 
     def _turns(self) -> Iterator[bytes]:
         """The text in pieces; b"" where there is only a pause."""
-        samples = _Samples()
+        samples = Samples()
         self._scrapes += 1
         self._read_daemon(samples)
         yield b""
@@ -197,11 +155,11 @@ class MetricsCollector:
         samples.put("skygcs_series", samples.count + 1)
         for name, metric in METRICS.items():
             if name in samples.by_metric:
-                yield from _written(metric, list(samples.by_metric[name].items()))
+                yield from written(metric, list(samples.by_metric[name].items()))
         for family in self._process.collect():
-            yield generate_latest(_One(family))
+            yield as_text(family)
 
-    def _read_daemon(self, samples: _Samples) -> None:
+    def _read_daemon(self, samples: Samples) -> None:
         services, put = self._services, samples.put
         put("skygcs_build_info", 1, __version__, services.dialect.name)
         put("skygcs_internal_faults_total", services.hub.faults)
@@ -233,7 +191,7 @@ class MetricsCollector:
         put("skygcs_scrape_cpu_seconds", self._cpu_s)
         put("skygcs_scrape_longest_turn_seconds", self._longest_turn_s)
 
-    def _read_router(self, samples: _Samples) -> None:
+    def _read_router(self, samples: Samples) -> None:
         hub = self._services.hub
         hub.after_fast_path()
         for verdict, count in hub.router.counters.items():
@@ -242,7 +200,7 @@ class MetricsCollector:
         samples.put("skygcs_router_routes_refused_total", hub.router.refused_routes)
         samples.put("skygcs_router_routes_evicted_total", hub.router.evicted_routes)
 
-    def _read_links(self, samples: _Samples) -> Iterator[bytes]:
+    def _read_links(self, samples: Samples) -> Iterator[bytes]:
         services, put = self._services, samples.put
         supervisors = services.links.supervisors()
         for name, config in services.links.configs.items():
@@ -261,7 +219,7 @@ class MetricsCollector:
                 put(LINK_TOTALS[counter], totals[counter], name)
             yield b""
 
-    def _read_radio(self, samples: _Samples, radio: dict[str, Any]) -> None:
+    def _read_radio(self, samples: Samples, radio: dict[str, Any]) -> None:
         """Further channels of one link (an emulated radio has one for each end) are left out: a link is one radio."""
         put, name, down, up = samples.put, radio["link"], radio["down"], radio["up"]
         if (name,) in samples.by_metric.get("skygcs_radio_vehicles", {}):
@@ -284,7 +242,7 @@ class MetricsCollector:
 
     # -- vehicles
 
-    def _read_vehicles(self, samples: _Samples) -> Iterator[bytes]:
+    def _read_vehicles(self, samples: Samples) -> Iterator[bytes]:
         fleet = self._services.fleet
         actors = sorted(fleet.vehicles.items())
         samples.put("skygcs_vehicles", len(actors))
@@ -302,7 +260,7 @@ class MetricsCollector:
             samples.put("skygcs_vehicle_lost_frames_total", lost, *labels)
         yield b""
 
-    def _read_vehicle(self, samples: _Samples, key: int, actor: VehicleActor) -> None:
+    def _read_vehicle(self, samples: Samples, key: int, actor: VehicleActor) -> None:
         put, name, vehicle, now = samples.put, actor.name, actor.vehicle, self._services.now()
         put("skygcs_vehicle_info", 1, name, str(actor.sysid), vehicle.family)
         put("skygcs_vehicle_connected", vehicle.connected, name)
@@ -319,7 +277,7 @@ class MetricsCollector:
         for link, facts in self._services.link_watch.of(key, now).items():
             put("skygcs_vehicle_loss_ratio", facts.loss, name, link)
 
-    def _read_control(self, samples: _Samples, actor: VehicleActor) -> None:
+    def _read_control(self, samples: Samples, actor: VehicleActor) -> None:
         """Only of vehicles that are, or are to be, flown by setpoints."""
         clock, controller = actor.offboard.clock, actor.offboard.controller
         if not (clock.ticks or actor.config.control_planned):
@@ -340,17 +298,3 @@ class MetricsCollector:
             stats = channel.sources.get(key)
             if stats is not None:
                 yield (name, channel.link.name), stats, (stats.frames, stats.lost)
-
-
-def _written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iterator[bytes]:
-    """The lines of one metric, SLICE_LINES at a time, under one header."""
-    for begin in range(0, len(samples), SLICE_LINES):
-        family: CounterMetricFamily | GaugeMetricFamily
-        if metric.kind == "counter":
-            family = CounterMetricFamily(metric.name, metric.help, labels=metric.labels)
-        else:
-            family = GaugeMetricFamily(metric.name, metric.help, labels=metric.labels)
-        for labels, value in samples[begin : begin + SLICE_LINES]:
-            family.add_metric(labels, value)
-        text = generate_latest(_One(family))
-        yield text if begin == 0 else text.split(b"\n", 2)[2]  # without its HELP and TYPE

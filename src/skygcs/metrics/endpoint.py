@@ -1,28 +1,21 @@
 """The HTTP address that Prometheus scrapes: GET /metrics and nothing else, with bounds on all that a client can cause.
 
-This module is light; the collector and prometheus-client are imported by `MetricsEndpoint.start`, beside the loop.
+This module is light; who starts it imports the collector and prometheus-client, beside the loop.
 """
 
 from __future__ import annotations
 
 import asyncio
 import hmac
-import importlib
 import importlib.util
 import socket
-from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import structlog
 
 from skygcs.config.metrics import MetricsConfig
 from skygcs.errors import LinkError
-from skygcs.events import Event
-from skygcs.runtime.event_log import EventLog
-
-if TYPE_CHECKING:  # imports prometheus-client, which is an extra
-    from skygcs.metrics.collector import Measured, MetricsCollector
 
 MAX_CONNECTIONS = 8
 """Scrapers at one time; a further connection is closed at once."""
@@ -39,38 +32,44 @@ ANSWER_S = 10.0
 FRESH_S = 1.0
 """An answer serves all requests of this time: more scrapers, or faster ones, cost nothing."""
 
-MAX_ORDER_RESULTS = 512
-"""Pairs of order and result that are counted apart: 40 orders have a dozen results. Further ones are "other"."""
-
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _log = structlog.get_logger(__name__)
 
 
-class MetricsEndpoint:
-    """One daemon's. `claim`, then `start`, then `close`. Make it before links open: it counts orders from then on."""
+class Renders(Protocol):
+    """What collects the numbers."""
 
-    def __init__(self, config: MetricsConfig, token: str | None, event_log: EventLog, now: Callable[[], float]) -> None:
+    async def render(self) -> bytes:
+        """All of them as text, in short turns of the loop."""
+        ...
+
+
+class MetricsEndpoint:
+    """One process'. `claim`, then `start`, then `close`. ``table`` of the fleet file has its settings."""
+
+    def __init__(
+        self, config: MetricsConfig, token: str | None, now: Callable[[], float], table: str = "metrics"
+    ) -> None:
         self.address: tuple[str, int] | None = None
         """Where it listens; known after `claim`."""
-        self.orders: Counter[tuple[str, str]] = Counter()
+        self._table = f"[{table}]"
         self._config = config
         self._token = None if token is None else token.encode()
         self._now = now
         self._listener: socket.socket | None = None
         self._server: asyncio.Server | None = None
-        self._collector: MetricsCollector | None = None
+        self._collector: Renders | None = None
         self._clients: set[asyncio.Task[None]] = set()
         self._rendering = asyncio.Lock()
         self._answer = b""
         self._answered_at = float("-inf")
-        event_log.on("command", self._on_order)
 
     def claim(self) -> None:
         """Bind the address before anything else begins. Raises LinkError if it is taken, or prometheus-client is not
         installed."""
         if importlib.util.find_spec("prometheus_client") is None:
-            raise LinkError("[metrics] needs prometheus-client: pip install 'skygcs[metrics]'")
+            raise LinkError(f"{self._table} needs prometheus-client: pip install 'skygcs[metrics]'")
         host, port = self._config.host, self._config.port
         listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
         try:
@@ -79,21 +78,18 @@ class MetricsEndpoint:
             listener.setblocking(False)
         except OSError as error:
             listener.close()
-            raise LinkError(f"[metrics]: cannot listen on {host}:{port}: {error.strerror or error}") from None
+            raise LinkError(f"{self._table}: cannot listen on {host}:{port}: {error.strerror or error}") from None
         self._listener = listener
         self.address = listener.getsockname()[:2]
 
-    async def start(self, services: Measured) -> None:
+    async def start(self, collector: Renders) -> None:
         """Listen. Raises LinkError if another process has begun to listen there."""
         assert self._listener is not None
-        await asyncio.to_thread(importlib.import_module, "skygcs.metrics.collector")
-        from skygcs.metrics.collector import MetricsCollector
-
-        self._collector = MetricsCollector(services, self.orders)
+        self._collector = collector
         try:
             self._server = await asyncio.start_server(self._accept, sock=self._listener, limit=MAX_REQUEST_BYTES)
         except OSError as error:
-            raise LinkError(f"[metrics]: cannot listen on {self.address}: {error.strerror or error}") from None
+            raise LinkError(f"{self._table}: cannot listen on {self.address}: {error.strerror or error}") from None
         self._listener = None  # the server's now
         _log.info("metrics listening", address=self.address)
 
@@ -109,15 +105,6 @@ class MetricsEndpoint:
         for client in clients:
             client.cancel()
         await asyncio.gather(*clients, return_exceptions=True)
-
-    def _on_order(self, event: Event) -> None:
-        result = event.data.get("result")
-        if result is None or result == "in_progress":
-            return
-        pair = (str(event.data.get("order", "command")), str(result))
-        if pair not in self.orders and len(self.orders) >= MAX_ORDER_RESULTS:
-            pair = ("other", "other")
-        self.orders[pair] += 1
 
     # -- one connection
 

@@ -20,7 +20,7 @@ class MetricInfo(NamedTuple):
     help: str
 
 
-def _of(labels: str, *rows: tuple[str, str]) -> list[MetricInfo]:
+def metrics_with(labels: str, *rows: tuple[str, str]) -> list[MetricInfo]:
     """Metrics with the same labels; a counter is recognised by its name."""
     return [
         MetricInfo(f"skygcs_{name}", "counter" if name.endswith("_total") else "gauge", tuple(labels.split()), text)
@@ -31,7 +31,7 @@ def _of(labels: str, *rows: tuple[str, str]) -> list[MetricInfo]:
 METRICS: dict[str, MetricInfo] = {
     metric.name: metric
     for metric in (
-        *_of(
+        *metrics_with(
             "",
             ("internal_faults_total", "Exceptions that were contained in a frame or a tick; each kind is an event."),
             ("router_routes", "Routes: sources on the channels they are heard on."),
@@ -59,15 +59,15 @@ METRICS: dict[str, MetricInfo] = {
             ("series", "Time series of this answer."),
             ("series_dropped", "Time series left out of this answer because there were too many."),
         ),
-        *_of("version dialect", ("build_info", "1; the version of skygcs and its dialect.")),
-        *_of("kind", ("events_total", "Events by kind, those that were not logged included.")),
-        *_of(
+        *metrics_with("version dialect", ("build_info", "1; the version of skygcs and its dialect.")),
+        *metrics_with("kind", ("events_total", "Events by kind, those that were not logged included.")),
+        *metrics_with(
             "order result", ("orders_total", "Orders of vehicles that ended, by their result (accepted, refused, …).")
         ),
-        *_of("verdict", ("router_frames_total", "Frames by the router's verdict.")),
-        *_of("reason", ("rpc_errors_total", "Requests of clients that were not carried out, by reason.")),
-        *_of("link type role", ("link_info", "1; the type and the role of a link.")),
-        *_of(
+        *metrics_with("verdict", ("router_frames_total", "Frames by the router's verdict.")),
+        *metrics_with("reason", ("rpc_errors_total", "Requests of clients that were not carried out, by reason.")),
+        *metrics_with("link type role", ("link_info", "1; the type and the role of a link.")),
+        *metrics_with(
             "link",
             ("link_up", "1 while the link is open."),
             ("link_failures_total", "Times that the link failed or could not be opened."),
@@ -83,11 +83,11 @@ METRICS: dict[str, MetricInfo] = {
             ("link_unknown_messages_total", "Frames whose message the dialect does not have."),
             ("link_skipped_bytes_total", "Bytes that belong to no frame."),
         ),
-        *_of(
+        *metrics_with(
             "link direction",
             ("radio_budget_bytes_per_second", "What the radio is taken to carry: up from the ground, down to it."),
         ),
-        *_of(
+        *metrics_with(
             "link",
             ("radio_planned_bytes_per_second", "What the vehicles were asked to send."),
             ("radio_measured_bytes_per_second", "What comes from all sources behind the radio."),
@@ -101,7 +101,7 @@ METRICS: dict[str, MetricInfo] = {
             ("radio_remote_noise", "Noise at the other end, in the radio's own scale."),
             ("radio_receive_errors_total", "Receive errors that the radio reports; a counter of 16 bits."),
         ),
-        *_of(
+        *metrics_with(
             "link class",
             ("queue_waiting", "Messages of a class that wait for a radio."),
             ("queue_sent_total", "Messages of a class that a radio was given."),
@@ -111,8 +111,8 @@ METRICS: dict[str, MetricInfo] = {
             ("queue_refused_total", "Messages refused because the queue was full; their senders try again."),
             ("queue_wait_p95_seconds", "95th percentile of the time that the last messages waited."),
         ),
-        *_of("vehicle sysid autopilot", ("vehicle_info", "1; the system id and the autopilot of a vehicle.")),
-        *_of(
+        *metrics_with("vehicle sysid autopilot", ("vehicle_info", "1; the system id and the autopilot of a vehicle.")),
+        *metrics_with(
             "vehicle",
             ("vehicle_connected", "1 while the vehicle's heartbeat is heard."),
             ("vehicle_armed", "1 while the vehicle is armed."),
@@ -122,13 +122,13 @@ METRICS: dict[str, MetricInfo] = {
             ("vehicle_uplink_up", "0 while the vehicle answers none of our probes."),
             ("vehicle_uplink_round_trip_seconds", "Smoothed round trip of our probes."),
         ),
-        *_of(
+        *metrics_with(
             "vehicle link",
             ("vehicle_received_frames_total", "Frames of the vehicle's autopilot that came."),
             ("vehicle_lost_frames_total", "Frames that are missing in the autopilot's sequence numbers."),
             ("vehicle_loss_ratio", "Lost part of the frames of the last half minute."),
         ),
-        *_of(
+        *metrics_with(
             "vehicle",
             ("control_active", "1 while the vehicle is flown by setpoints of skygcs."),
             ("control_ticks_total", "Ticks of the vehicle's control loop."),
@@ -136,7 +136,7 @@ METRICS: dict[str, MetricInfo] = {
             ("control_skipped_ticks_total", "Ticks that did not take place because they were too late."),
             ("control_lateness_p99_seconds", "99th percentile of the lateness of the last ticks."),
         ),
-        *_of(
+        *metrics_with(
             "vehicle to",
             ("guard_falls_total", "Falls of the guard: to velocity or position setpoints, hold, or release."),
         ),

@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address, tcp_address
+from skygcs.rpc.error_codes import INVALID_PARAMS
 
 if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
     from skygcs.rpc.tls import Identity, PinnedTls
@@ -57,6 +58,10 @@ CLOSE_S = 1.0
 
 MAX_REPLY_BYTES = 32 << 20
 """Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
+
+MAX_REQUEST_BYTES = 1 << 20
+"""Longest line that the daemon takes (`sessions.MAX_LINE_BYTES`). Its refusal of a longer one names no request, which
+would wait for its answer for ever."""
 
 MAX_NUMBER_CHARS = 20
 """Of a subscription's number."""
@@ -105,9 +110,11 @@ EVENT_KINDS = (
     "third_party",
     "undo",
     "separation",
+    "authority",
     "mocap",
     "companion",
     "ground_lost",
+    "federation",
     "uplink_lost",
     "uplink_back",
     "warning",
@@ -174,6 +181,11 @@ class Client:
             raise DaemonUnreachable(self.address, os.strerror(error.errno) if error.errno else str(error)) from None
         if self._token is not None and self.address.startswith("tcp://"):
             await self.call("auth", token=self._token)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the connection is open, as far as is known here: a call then is really sent."""
+        return self._wire is not None and self._wire.is_open
 
     async def close(self) -> None:
         """Close; calls and iterations still waiting end with DaemonUnreachable. Idempotent."""
@@ -717,6 +729,10 @@ class _Wire(asyncio.Protocol):
         self.lose(reason)
         self.closed.set()
 
+    @property
+    def is_open(self) -> bool:
+        return self._lost is None
+
     def lose(self, reason: str) -> None:
         """End every waiting call and subscription with the reason. Idempotent."""
         if self._lost is None:
@@ -737,13 +753,18 @@ class _Wire(asyncio.Protocol):
         on_answer: _OnAnswer,
         members: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        """Send a request with further ``members``; ``on_answer(result, error)`` is called once."""
+        """Send a request with further ``members``; ``on_answer(result, error)`` is called once.
+
+        Raises RpcError for a request that is too long for the daemon, DaemonUnreachable."""
         if self._lost is not None:
             raise self._lost
         request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
-        line = json.dumps(request, allow_nan=False)
+        line = json.dumps(request, allow_nan=False).encode()
+        if len(line) > MAX_REQUEST_BYTES:
+            text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_REQUEST_BYTES} in one request"
+            raise RpcError(INVALID_PARAMS, text)
         self._calls[number] = on_answer
-        self.transport.write(line.encode() + b"\n")
+        self.transport.write(line + b"\n")
 
     def notify(self, method: str, params: dict[str, Any]) -> None:
         if self._lost is None:

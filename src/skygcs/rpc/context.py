@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
+from skygcs.rpc.slices import Slices
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import KEPT, Fleet, Order
-from skygcs.runtime.ground_orders import GroundOrders
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
@@ -26,6 +25,9 @@ from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
+
+if TYPE_CHECKING:  # only companions have it
+    from skygcs.runtime.ground_orders import GroundOrders
 
 JsonObject = dict[str, Any]
 
@@ -53,6 +55,7 @@ class Services(Protocol):
     def stopping(self) -> bool: ...
     def now(self) -> float: ...
     def info(self) -> JsonObject: ...
+    def check_authority(self) -> None: ...
     def mocap_status(self) -> JsonObject: ...
     def companions_status(self) -> JsonObject: ...
 
@@ -63,9 +66,7 @@ class Context(Protocol):
     @property
     def services(self) -> Services: ...
     @property
-    def long_reads(self) -> asyncio.Lock:
-        """Held by a request that reads much, a slice at a time: however many wait, the loop has one slice in a turn."""
-        ...
+    def slices(self) -> Slices: ...
 
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
@@ -101,7 +102,7 @@ def order_method(
     description: str,
     *,
     result: type[Result] = Outcomes,
-    errors: tuple[int, ...] = (dispatch.TARGET_ERROR,),
+    errors: tuple[int, ...] = (error_codes.TARGET_ERROR,),
 ) -> Method[Context]:
     """The method of an order whose arguments are its parameters.
 
@@ -138,6 +139,11 @@ def state_of(services: Services, vehicle: VehicleActor, names: frozenset[str] | 
     state = vehicle.state(services.now(), names)
     if "links" in state:
         state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
+    gate = services.hub.authority
+    if gate is not None and "authority" in state:
+        state["authority"] = gate.status_of(vehicle.sysid, services.hub.authority_clock())
     if "separation" in state:
         state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
+    if "companion" in state:
+        state["companion"] = services.fleet.companion_of(vehicle)
     return state

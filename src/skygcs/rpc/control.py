@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, resolve
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import ListParams, MethodParams, Outcomes, Result, TargetsParams
@@ -221,7 +221,7 @@ async def control_record(context: Context, params: ControlRecordParams) -> JsonO
     return {"files": files}
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
+_TARGET = (error_codes.TARGET_ERROR,)
 
 
 METHODS: tuple[Method[Context], ...] = (

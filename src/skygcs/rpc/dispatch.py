@@ -5,32 +5,42 @@ Why not a library: docs/decisions/0002-json-rpc-dispatch.md.
 
 from __future__ import annotations
 
-import difflib
+import importlib
 import inspect
 import json
 import re
+import sys
 from collections import Counter
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import structlog
 from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError, from_json, to_json
 
-from skygcs.errors import ConfigError, DialectError, LinkError, RefusedError, SkygcsError, TargetError
+from skygcs.errors import (
+    BusError,
+    ConfigError,
+    DialectError,
+    LinkError,
+    RefusedError,
+    RpcError,
+    SkygcsError,
+    TargetError,
+)
+from skygcs.rpc.error_codes import (
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    INVALID_REQUEST,
+    LIMIT_EXCEEDED,
+    LINK_ERROR,
+    METHOD_NOT_FOUND,
+    REFUSED,
+    TARGET_ERROR,
+)
 from skygcs.rpc.models import MethodParams
-
-PARSE_ERROR = -32700
-INVALID_REQUEST = -32600
-METHOD_NOT_FOUND = -32601
-INVALID_PARAMS = -32602
-INTERNAL_ERROR = -32603
-TARGET_ERROR = -32001
-REFUSED = -32002
-LINK_ERROR = -32003
-NOT_AUTHENTICATED = -32004
-LIMIT_EXCEEDED = -32005
+from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80
 """Of what a client sent, no more than this comes back in an error text."""
@@ -76,6 +86,78 @@ class Method(Generic[C]):
     unique_keys: bool = False
 
 
+class Later(NamedTuple):
+    """Methods of a module that is imported when one of them is first called: ``part`` of it, a tuple of methods.
+
+    The call that has it imported does not outlive its client. Which methods are `Method.always` or
+    `Method.while_stopping` is said here, too: whether a client is let in must not wait for an import.
+    """
+
+    module: str
+    part: str
+    names: tuple[str, ...]
+    always: tuple[str, ...] = ()
+    while_stopping: tuple[str, ...] = ()
+
+
+class MethodTable(Mapping[str, Method[C]]):
+    """Methods by name, in the order in which they are documented. To read one of a `Later` part imports its module."""
+
+    def __init__(self, *parts: Iterable[Method[C]] | Later) -> None:
+        self.later = tuple(part for part in parts if isinstance(part, Later))
+        self._methods: dict[str, Method[C] | Later] = {}
+        self.always: set[str] = set()
+        self.while_stopping: set[str] = set()
+        """With those that are always answered."""
+        self.coroutines: set[str] = set()
+        """Of the methods that are imported."""
+        for part in parts:
+            if isinstance(part, Later):
+                self._methods |= dict.fromkeys(part.names, part)
+                self.always.update(part.always)
+                self.while_stopping.update(part.always, part.while_stopping)
+            else:
+                self._take(part)
+
+    def __getitem__(self, name: str) -> Method[C]:
+        found = self._methods[name]
+        if isinstance(found, Later):
+            self.load(found)
+            found = self._methods[name]
+            assert isinstance(found, Method), f"{name} is no method of its module"
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._methods)
+
+    def __len__(self) -> int:
+        return len(self._methods)
+
+    def missing(self, name: str) -> Later | None:
+        """What has to be imported before this method can be called."""
+        found = self._methods.get(name)
+        if not isinstance(found, Later):
+            return None
+        if hasattr(sys.modules.get(found.module), found.part):  # somebody else has imported it, to its end
+            self.load(found)
+            return None
+        return found
+
+    def load(self, part: Later) -> None:
+        """Take the methods of a part; its module is imported if it was not."""
+        self._take(getattr(importlib.import_module(part.module), part.part))
+
+    def _take(self, methods: Iterable[Method[C]]) -> None:
+        for method in methods:
+            self._methods[method.name] = method
+            if method.always:
+                self.always.add(method.name)
+            if method.always or method.while_stopping:
+                self.while_stopping.add(method.name)
+            if inspect.iscoroutinefunction(method.handler):
+                self.coroutines.add(method.name)
+
+
 @dataclass(frozen=True, slots=True)
 class Encoded:
     """A result that is JSON already: another process made it, and nothing of it is decoded here."""
@@ -90,11 +172,14 @@ Reply = bytes | Coroutine[Any, Any, bytes] | None
 class Dispatcher(Generic[C]):
     """Finds the method, checks its parameters, runs it, encodes the reply. Never raises for what a client sent."""
 
-    def __init__(self, methods: Mapping[str, Method[C]]) -> None:
-        self._methods = methods
-        self.always = frozenset(m.name for m in methods.values() if m.always)
-        self.while_stopping = self.always | {m.name for m in methods.values() if m.while_stopping}
-        self._coroutines = frozenset(m.name for m in methods.values() if inspect.iscoroutinefunction(m.handler))
+    def __init__(
+        self, methods: Mapping[str, Method[C]], import_beside: Callable[[str], Awaitable[None]] | None = None
+    ) -> None:
+        """``import_beside`` imports a module while the loop goes on; None: `MethodTable.load` does it at once."""
+        self._methods = methods if isinstance(methods, MethodTable) else MethodTable(methods.values())
+        self._import_beside = import_beside
+        self.always = self._methods.always
+        self.while_stopping = self._methods.while_stopping
 
     def start(self, context: C, request: object, key_twice: Callable[[], str | None] = lambda: None) -> Reply:
         """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent.
@@ -110,6 +195,8 @@ class Dispatcher(Generic[C]):
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
             return error_reply(request_id, INVALID_REQUEST, 'a request has "jsonrpc": "2.0" and a method name')
         notification = "id" not in request
+        if self._import_beside is not None and (part := self._methods.missing(name)) is not None:
+            return self._start_later(self._import_beside, part, context, request, key_twice)
         try:
             method = self._methods.get(name)
             if method is None:
@@ -117,7 +204,7 @@ class Dispatcher(Generic[C]):
             if method.unique_keys and (twice := key_twice()) is not None:
                 raise InvalidParams(("", f"the key {_clip(twice)!r} is there twice in one object"))
             params = _check(method.params, request.get("params"))
-            if name in self._coroutines:
+            if name in self._methods.coroutines:
                 return self._finish(method, context, params, request_id, notification)
             result = method.handler(context, params)
         except Exception as error:
@@ -126,7 +213,26 @@ class Dispatcher(Generic[C]):
 
     def outlives_client(self, request: object) -> bool:
         """Whether a request that `start` answered with a coroutine is to be finished without its client, too."""
-        return isinstance(request, dict) and self._methods[request["method"]].outlives_client
+        if not isinstance(request, dict) or self._methods.missing(request["method"]) is not None:
+            return False
+        return self._methods[request["method"]].outlives_client
+
+    async def _start_later(
+        self,
+        import_beside: Callable[[str], Awaitable[None]],
+        part: Later,
+        context: C,
+        request: dict[str, Any],
+        key_twice: Callable[[], str | None],
+    ) -> bytes:
+        """The first calls of a part, in their order: its module is imported beside the loop."""
+        try:
+            await import_beside(part.module)
+            self._methods.load(part)
+        except Exception as error:
+            return failure_reply(request["id"], request["method"], error) if "id" in request else b""
+        reply = self.start(context, request, key_twice)
+        return await reply if isinstance(reply, Coroutine) else reply or b""
 
     async def _finish(
         self, method: Method[C], context: C, params: MethodParams, request_id: object, notification: bool
@@ -140,7 +246,7 @@ class Dispatcher(Generic[C]):
 
 class _MethodNotFound(SkygcsError):
     def __init__(self, name: str, known: Mapping[str, object]) -> None:
-        close = difflib.get_close_matches(name[:MAX_ECHO_CHARS], known, n=3)
+        close = near_names(name[:MAX_ECHO_CHARS], known, n=3)
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         super().__init__(f"no method {_clip(name)}{hint}")
 
@@ -221,10 +327,12 @@ def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
             return error_reply(request_id, TARGET_ERROR, str(error))
         case RefusedError():
             return error_reply(request_id, REFUSED, str(error))
-        case LinkError():
+        case LinkError() | BusError():
             return error_reply(request_id, LINK_ERROR, str(error))
         case LimitExceeded():
             return error_reply(request_id, LIMIT_EXCEEDED, str(error))
+        case RpcError():  # of another server, which was asked for this one's client
+            return error_reply(request_id, error.code, str(error), error.data)
     _log.error("rpc method failed", method=name, exc_info=error)
     return error_reply(request_id, INTERNAL_ERROR, f"{_clip(name)} failed inside the daemon; its log says why")
 
@@ -263,7 +371,7 @@ def _unknown_params(model: type[MethodParams], error: ValidationError) -> Invali
         if text != _UNKNOWN:
             problems.append((loc, text))
             continue
-        close = difflib.get_close_matches(loc, known, n=1)
+        close = near_names(loc, known, n=1)
         names = ", ".join(known) or "none"
         hint = f"did you mean {close[0]}?" if close else f"the parameters are: {names}"
         problems.append((_clip(loc), f"no such parameter; {hint}"))

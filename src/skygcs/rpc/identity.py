@@ -5,12 +5,10 @@ Needs the extra `companions` (cryptography); a daemon that only uses them does n
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
 
+from skygcs.config.files import write_whole
 from skygcs.errors import LinkError, SkygcsError
 from skygcs.rpc.tls import fingerprint, read_certificate
 
@@ -33,8 +31,8 @@ def make_identity(folder: Path, role: str) -> tuple[str, bool]:
     key_pem, certificate_pem = _new_pair(f"skygcs {role}")
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _write(key, key_pem, 0o600)
-        _write(certificate, certificate_pem, 0o644)
+        write_whole(key, key_pem, 0o600)
+        write_whole(certificate, certificate_pem, 0o644)
     except OSError as error:
         raise LinkError(f"{folder}: {error.strerror}") from None
     return fingerprint(certificate), True
@@ -51,7 +49,7 @@ def pin(source: Path, target: Path, *, force: bool = False) -> str:
         )
     try:
         target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _write(target, source.read_bytes(), 0o644)
+        write_whole(target, source.read_bytes(), 0o644)
     except OSError as error:
         raise LinkError(f"{target}: {error.strerror}") from None
     return fingerprint(target)
@@ -83,19 +81,3 @@ def _new_pair(common_name: str) -> tuple[bytes, bytes]:
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     return encoded, certificate.public_bytes(serialization.Encoding.PEM)
-
-
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Whole or not at all: a file of this mode beside it, renamed."""
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(file.fileno(), mode)
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise

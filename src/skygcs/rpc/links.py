@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, Targets
@@ -172,7 +172,7 @@ def corrections_status(context: Context, _: NoParams) -> JsonObject:
     return context.services.corrections.status()
 
 
-_LINK = (dispatch.LINK_ERROR, dispatch.REFUSED)
+_LINK = (error_codes.LINK_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("links.list", NoParams, links_list, list[dict[str, Any]], always=True),
@@ -185,11 +185,11 @@ METHODS: tuple[Method[Context], ...] = (
 
 AIR: tuple[Method[Context], ...] = (
     Method("link.status", NoParams, link_status, list[RadioAir]),
-    Method("link.select", SelectParams, link_select, dict[str, Any], (dispatch.TARGET_ERROR,)),
+    Method("link.select", SelectParams, link_select, dict[str, Any], (error_codes.TARGET_ERROR,)),
 )
 
 
 CORRECTIONS: tuple[Method[Context], ...] = (
-    Method("corrections.send", CorrectionsParams, corrections_send, CorrectionsTaken, (dispatch.REFUSED,)),
+    Method("corrections.send", CorrectionsParams, corrections_send, CorrectionsTaken, (error_codes.REFUSED,)),
     Method("corrections.status", NoParams, corrections_status, CorrectionsStatus),
 )

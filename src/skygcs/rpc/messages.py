@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from typing import Annotated, Any, Self
 
@@ -10,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
 from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
-from skygcs.rpc import dispatch
+from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject, command_with
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import (
@@ -27,6 +26,7 @@ from skygcs.rpc.models import (
     TargetsParams,
 )
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.spelling import near_names
 
 
 def _rate_or_off(rate_hz: float) -> float:
@@ -212,7 +212,7 @@ def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
     try:
         return dialect.find(name)
     except KeyError as error:
-        close = difflib.get_close_matches(str(name)[:80].upper(), dialect.by_name, n=3)
+        close = near_names(str(name)[:80].upper(), dialect.by_name, n=3)
         hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
         raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None
 
@@ -226,7 +226,7 @@ def _check_command(dialect: Dialect, command: str | int) -> None:
     if wanted in known:
         return
     words = [word for word in wanted.split("_") if len(word) > 2]
-    near = difflib.get_close_matches(wanted[: dispatch.MAX_ECHO_CHARS], known, n=5)
+    near = near_names(wanted[: dispatch.MAX_ECHO_CHARS], known, n=5)
     near += sorted((n for n in known if any(w in n for w in words)), key=lambda n: -sum(w in n for w in words))
     hint = f"; did you mean {', '.join(list(dict.fromkeys(near))[:5])}?" if near else ""
     text = f"dialect {dialect.name} has no command {command[: dispatch.MAX_ECHO_CHARS]!r}{hint}"
@@ -295,7 +295,7 @@ def _entry(dialect: Dialect, enum: str, name: str) -> int:
     except KeyError as error:
         known = list(dialect.enums.get(enum, {}).values())
         close = [entry for entry in known if entry.endswith(f"_{name.upper()}")]
-        close = close or difflib.get_close_matches(name.upper()[: dispatch.MAX_ECHO_CHARS], known, n=3)
+        close = close or near_names(name.upper()[: dispatch.MAX_ECHO_CHARS], known, n=3)
         raise ValueError(error.args[0] + (f"; did you mean {', '.join(close)}?" if close else "")) from None
 
 
@@ -311,8 +311,8 @@ def _describe(info: MessageInfo) -> JsonObject:
     return {"id": info.msgid, "name": info.name, "fields": fields}
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
-_SEND = (*_TARGET, dispatch.REFUSED, dispatch.LINK_ERROR)
+_TARGET = (error_codes.TARGET_ERROR,)
+_SEND = (*_TARGET, error_codes.REFUSED, error_codes.LINK_ERROR)
 
 ORDERS: tuple[Method[Context], ...] = (
     Method("vehicles.interval", IntervalParams, vehicles_interval, Outcomes, _TARGET),

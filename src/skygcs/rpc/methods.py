@@ -6,37 +6,24 @@ A handler's docstring is the method's description in `rpc.discover` and docs/ref
 from __future__ import annotations
 
 import functools
-import inspect
-from collections.abc import Iterable
 from itertools import islice
 from typing import Any
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
-from skygcs import __version__
 from skygcs.rpc import (
-    companions,
     control,
-    dispatch,
+    error_codes,
     links,
     messages,
-    missions,
-    mocap,
-    monitor,
-    onboard_logs,
     operator,
     origin,
-    params,
-    planning,
-    plans,
-    relayed_control,
-    signing,
-    trajectory,
     vehicles,
 )
 from skygcs.rpc.context import Context, JsonObject
-from skygcs.rpc.dispatch import Method
+from skygcs.rpc.dispatch import Later, Method, MethodTable
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
+from skygcs.rpc.openrpc import document
 
 
 class EventRecord(Result):
@@ -103,69 +90,14 @@ def _document() -> JsonObject:
     return document(METHODS.values())
 
 
-ERRORS: dict[int, str] = {
-    dispatch.TARGET_ERROR: "The targets name no vehicle; the text names the part that matches none, and the vehicles.",
-    dispatch.REFUSED: "skygcs refuses the order itself; the text says why.",
-    dispatch.LINK_ERROR: "A link could not be opened, changed or sent on.",
-    dispatch.NOT_AUTHENTICATED: "TCP only: the first request must be auth with the token.",
-    dispatch.LIMIT_EXCEEDED: "A limit per client is reached; the text names it.",
-}
-
-
-_REF = "#/components/schemas/{model}"
-
-
-def document(methods: Iterable[Method[Any]]) -> dict[str, Any]:
-    """All of it, JSON-able; takes some milliseconds."""
-    methods = list(methods)
-    results = [(i, "serialization", TypeAdapter(method.result)) for i, method in enumerate(methods)]
-    result_schemas, definitions = TypeAdapter.json_schemas(
-        [(key, "serialization", adapter) for key, _, adapter in results], ref_template=_REF
-    )
-    components = dict(definitions.get("$defs", {}))
-    described = []
-    for i, method in enumerate(methods):
-        params = method.params.model_json_schema(ref_template=_REF)
-        components.update(params.get("$defs", {}))
-        described.append(_method(method, params, result_schemas[i, "serialization"]))
-    return {
-        "openrpc": "1.3.2",
-        "info": {
-            "title": "skygcs",
-            "version": __version__,
-            "description": "JSON-RPC 2.0, one object a line, on a Unix socket (or TCP on loopback, after auth).",
-        },
-        "methods": described,
-        "components": {"schemas": components},
-    }
-
-
-def _method(method: Method[Any], params: dict[str, Any], result: Any) -> dict[str, Any]:
-    text = inspect.cleandoc(method.handler.__doc__ or "")
-    required = set(params.get("required", ()))
-    return {
-        "name": method.name,
-        "summary": text.split("\n", 1)[0],
-        "description": text,
-        "paramStructure": "either",
-        "params": [
-            {"name": name, "description": schema.get("description", ""), "required": name in required, "schema": schema}
-            for name, schema in params.get("properties", {}).items()
-        ],
-        "result": {"name": "result", "schema": result},
-        "errors": [{"code": code, "message": ERRORS[code]} for code in method.errors],
-    }
-
-
-METHODS: dict[str, Method[Context]] = {
-    method.name: method
-    for method in (
-        Method("daemon.info", NoParams, daemon_info, always=True),
-        *vehicles.METHODS,
-        *messages.ORDERS,
-        vehicles.COMPONENTS,
-        *messages.METHODS,
-        *links.METHODS,
+METHODS: MethodTable[Context] = MethodTable(
+    (Method("daemon.info", NoParams, daemon_info, always=True),),
+    vehicles.METHODS,
+    messages.ORDERS,
+    (vehicles.COMPONENTS,),
+    messages.METHODS,
+    links.METHODS,
+    (
         Method("events.recent", RecentParams, events_recent, list[EventRecord], while_stopping=True),
         Method("recorder.status", NoParams, recorder_status, while_stopping=True),
         Method(
@@ -173,30 +105,78 @@ METHODS: dict[str, Method[Context]] = {
             SubscribeParams,
             subscribe,
             SubscriptionNumber,
-            (dispatch.TARGET_ERROR, dispatch.LIMIT_EXCEEDED),
+            (error_codes.TARGET_ERROR, error_codes.LIMIT_EXCEEDED),
             while_stopping=True,
         ),
         Method("unsubscribe", UnsubscribeParams, unsubscribe, SubscriptionNumber, while_stopping=True),
-        *operator.METHODS,
-        *origin.METHODS,
-        *params.METHODS,
-        *control.METHODS,
-        *trajectory.METHODS,
-        *relayed_control.METHODS,
-        *plans.METHODS,
-        *planning.METHODS,
-        *mocap.METHODS,
-        *companions.METHODS,
-        *monitor.METHODS,
-        *missions.METHODS,
-        *links.AIR,
-        *links.CORRECTIONS,
-        *missions.FENCE,
-        *onboard_logs.METHODS,
-        *signing.METHODS,
-        *params.PREFLIGHT,
-        *params.UNDO,
-        Method("rpc.discover", NoParams, rpc_discover),
-    )
-}
-"""By name, in the order in which they are documented."""
+    ),
+    operator.METHODS,
+    origin.METHODS,
+    Later(
+        "skygcs.rpc.params",
+        "METHODS",
+        ("params.get", "params.set", "params.list", "params.status", "params.cancel"),
+    ),
+    control.METHODS,
+    Later(
+        "skygcs.rpc.trajectory",
+        "METHODS",
+        (
+            *("trajectory.load", "trajectory.start", "trajectory.pause", "trajectory.resume", "trajectory.speed"),
+            *("trajectory.abort", "trajectory.unload", "trajectory.paths", "trajectory.status"),
+        ),
+    ),
+    Later(
+        "skygcs.rpc.relayed_control",  # a companion imports it when it starts
+        "METHODS",
+        ("companion.contact", "companion.order", "companion.setpoint"),
+        always=("companion.contact", "companion.order"),
+    ),
+    Later(
+        "skygcs.rpc.plans",
+        "METHODS",
+        (
+            *("plan.upload", "plan.load", "plan.check", "plan.run", "plan.pause", "plan.resume", "plan.speed"),
+            *("plan.abort", "plan.land", "plan.status", "plan.unload"),
+        ),
+        always=("plan.pause", "plan.abort", "plan.land"),  # a plan that flies has imported them
+        while_stopping=("plan.status",),
+    ),
+    Later("skygcs.rpc.planning", "METHODS", ("plan.make", "plan.certify", "plan.cancel", "plan.jobs")),
+    Later("skygcs.rpc.mocap", "METHODS", ("mocap.status",), while_stopping=("mocap.status",)),
+    Later(
+        "skygcs.rpc.companions",
+        "METHODS",
+        ("companions.status", "clock.read"),
+        while_stopping=("companions.status", "clock.read"),
+    ),
+    Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),
+    Later(
+        "skygcs.rpc.authority",  # imported at the start where the fleet file has [federation]
+        "METHODS",
+        ("authority.grant", "authority.revoke", "authority.status"),
+        while_stopping=("authority.grant", "authority.revoke", "authority.status"),
+    ),
+    Later(
+        "skygcs.rpc.missions",
+        "METHODS",
+        (
+            *("missions.upload", "missions.download", "missions.clear", "missions.start", "missions.pause"),
+            *("missions.resume", "missions.set_current", "missions.status"),
+        ),
+    ),
+    links.AIR,
+    links.CORRECTIONS,
+    Later("skygcs.rpc.missions", "FENCE", ("fence.set", "fence.status", "fence.test")),
+    Later("skygcs.rpc.onboard_logs", "METHODS", ("logs.list", "logs.get")),
+    Later(
+        "skygcs.rpc.signing",
+        "METHODS",
+        ("signing.status", "signing.setup", "signing.reset_clock", "signing.off"),
+    ),
+    Later("skygcs.rpc.params", "PREFLIGHT", ("preflight.run", "preflight.status")),
+    Later("skygcs.rpc.params", "UNDO", ("undo.list", "undo.run", "undo.drop")),
+    (Method("rpc.discover", NoParams, rpc_discover),),
+)
+"""In the order in which they are documented. `Later`: what is not for an emergency, and 1.5 MB that most daemons never
+need. What a setpoint, the origin or an operator's sign of life need is there from the start."""

@@ -15,7 +15,7 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.errors import PlanFileError
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, command, command_with, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import ListParams, OutcomeResult, Outcomes, Result, TargetParams, TargetsParams
@@ -218,7 +218,7 @@ async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
     return await command_with(context, VehicleActor.test_fence, params)
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
+_TARGET = (error_codes.TARGET_ERROR,)
 
 
 METHODS: tuple[Method[Context], ...] = (

@@ -6,10 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, order_method
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Result, TargetsParams
+from skygcs.runtime import onboard_logs  # noqa: F401 - a vehicle uses it, and must not wait for its import
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 LogId = Annotated[int, Field(ge=0, le=65535)]
@@ -36,7 +37,7 @@ METHODS: tuple[Method[Context], ...] = (
         VehicleActor.list_logs,
         "The logs that vehicles have on board. Refused while armed.",
         result=LogsOutcomes,
-        errors=(dispatch.TARGET_ERROR,),
+        errors=(error_codes.TARGET_ERROR,),
     ),
     order_method(
         "logs.get",
@@ -49,6 +50,6 @@ METHODS: tuple[Method[Context], ...] = (
         the client goes away.
         """,
         result=LogsOutcomes,
-        errors=(dispatch.TARGET_ERROR,),
+        errors=(error_codes.TARGET_ERROR,),
     ),
 )

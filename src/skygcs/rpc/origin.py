@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from skygcs.core.geo import EAST_DEG, Origin
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Lat, Lon, MethodParams, NoParams, Outcomes, Result, TargetParams, TargetsParams
@@ -86,10 +86,10 @@ async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     return as_json(await context.services.fleet.push_origin(params.targets, home=params.home, force=params.force))
 
 
-_REFUSED = (dispatch.REFUSED,)
+_REFUSED = (error_codes.REFUSED,)
 
 
-_VEHICLE = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_VEHICLE = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 
 METHODS: tuple[Method[Context], ...] = (

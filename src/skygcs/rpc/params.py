@@ -14,11 +14,10 @@ from pydantic_core import to_json
 
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, is_name
 from skygcs.core.protocols.parameter_list import BYTES_PER_S
-from skygcs.rpc import dispatch
+from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
-from skygcs.rpc.slices import encoded_list
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000
@@ -185,8 +184,7 @@ async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams
     loaded = await vehicle.params.load(refresh=params.refresh, burst=params.burst, bytes_per_s=params.bytes_per_s)
     entries = b"null"
     if params.values:
-        async with context.long_reads:
-            entries = await encoded_list(map(_entry, loaded.params), PARAMS_AT_ONCE)
+        entries = await context.slices.encoded_list(map(_entry, loaded.params), PARAMS_AT_ONCE)
     head = {
         "ok": loaded.ok,
         "result": loaded.result,
@@ -355,7 +353,7 @@ def undo_drop(context: Context, params: UndoParams) -> JsonObject:
     return {"dropped": params.id}
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
+_TARGET = (error_codes.TARGET_ERROR,)
 
 
 METHODS: tuple[Method[Context], ...] = (
@@ -375,6 +373,6 @@ PREFLIGHT: tuple[Method[Context], ...] = (
 
 UNDO: tuple[Method[Context], ...] = (
     Method("undo.list", NoParams, undo_list, UndoLeft),
-    Method("undo.run", UndoRunParams, undo_run, Outcomes, (dispatch.REFUSED,)),
-    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (dispatch.REFUSED,)),
+    Method("undo.run", UndoRunParams, undo_run, Outcomes, (error_codes.REFUSED,)),
+    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (error_codes.REFUSED,)),
 )

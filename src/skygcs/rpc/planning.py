@@ -18,7 +18,7 @@ from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import MAX_DURATION_S, MAX_PIECES, MAX_POSITION_M, Vector
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.planning.request import WrittenPath, check_request, make_request, paths_request
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, Services, one_vehicle
 from skygcs.rpc.dispatch import Encoded, InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result
@@ -242,7 +242,9 @@ async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
     """Certify a plan or refuse it, with the fleet's margins and its other vehicles as obstacles. Nothing moves."""
     facts = _Facts(context.services, params)
     space = facts.space(())  # those that take part are taken out by the process, which reads the plan
-    text = b"" if params.upload is None else context.services.fleet.plans.uploads.take(params.upload, facts.now())
+    text = (
+        b"" if params.upload is None else context.services.fleet.plans.runner.uploads.take(params.upload, facts.now())
+    )
     request = check_request(
         params.plan, facts.rule(), _limits(params.limits), space, within_limits=params.within_limits, keep=params.keep
     )
@@ -394,7 +396,7 @@ def _vector(point: list[float]) -> Vector:
     return x, y, z
 
 
-_ERRORS = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_ERRORS = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("plan.make", PlanMakeParams, plan_make, PlanAnswer, _ERRORS, unique_keys=True),

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, Target
@@ -148,7 +148,7 @@ def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
     Four at a time, of all clients; one without a further part for a minute is dropped.
     """
     services = context.services
-    number, size = services.fleet.plans.uploads.add(params.upload, params.part, services.now())
+    number, size = services.fleet.plans.runner.uploads.add(params.upload, params.part, services.now())
     return {"upload": number, "bytes": size}
 
 
@@ -157,14 +157,14 @@ async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
     content = params.upload if params.plan is None else params.plan
     assert content is not None
     try:
-        return await context.services.fleet.plans.load(content, params.name)
+        return await context.services.fleet.plans.runner.load(content, params.name)
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
 
 
 def plan_unload(context: Context, _: NoParams) -> JsonObject:
     """Forget the plan. Refused while it is flown."""
-    return _done(context.services.fleet.plans.unload())
+    return _done(context.services.fleet.plans.runner.unload())
 
 
 async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
@@ -173,7 +173,7 @@ async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
     Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
     the plan, with what is measured now. Vehicles that take no part are obstacles where they were measured.
     """
-    return await context.services.fleet.plans.check(_request(params))
+    return await context.services.fleet.plans.runner.check(_request(params))
 
 
 async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
@@ -182,7 +182,7 @@ async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
     Answered when vehicles begin to arm; it is the daemon's from then on: the client may leave. See plan.status, the
     topic "plan" and events of kind plan.
     """
-    started, report = await context.services.fleet.plans.run(
+    started, report = await context.services.fleet.plans.runner.run(
         _request(params), set_return_heights=params.set_return_heights
     )
     return {"started": started, "report": report}
@@ -190,7 +190,7 @@ async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
 
 def plan_pause(context: Context, _: NoParams) -> JsonObject:
     """Stop all on their ways, smoothly, by their common clock."""
-    return _done(context.services.fleet.plans.pause())
+    return _done(context.services.fleet.plans.runner.pause())
 
 
 async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
@@ -200,18 +200,18 @@ async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
     certified anew: not ok names the pair. Vehicles that landed are out of it; force also passes silent ones and those
     flown by their pilots, where they were measured.
     """
-    ok, message, reasons = await context.services.fleet.plans.resume(force=params.force)
+    ok, message, reasons = await context.services.fleet.plans.runner.resume(force=params.force)
     return {"ok": ok, "message": message, "reasons": reasons}
 
 
 def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
     """Fly faster or slower, at most as fast as was certified."""
-    return _done(context.services.fleet.plans.set_speed(params.speed))
+    return _done(context.services.fleet.plans.runner.set_speed(params.speed))
 
 
 def plan_abort(context: Context, _: NoParams) -> JsonObject:
     """Stop all on their ways for good, then order each to hold; who only armed is disarmed."""
-    return _done(context.services.fleet.plans.abort())
+    return _done(context.services.fleet.plans.runner.abort())
 
 
 def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
@@ -219,7 +219,7 @@ def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
 
     Where none does, they stay; vehicles.land lands one all the same.
     """
-    return _done(context.services.fleet.plans.land(force=params.force))
+    return _done(context.services.fleet.plans.runner.land(force=params.force))
 
 
 def plan_status(context: Context, _: NoParams) -> JsonObject:
@@ -235,8 +235,8 @@ def _done(message: str) -> JsonObject:
     return {"ok": True, "message": message, "reasons": []}
 
 
-_REFUSED = (dispatch.REFUSED,)
-_BOTH = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_REFUSED = (error_codes.REFUSED,)
+_BOTH = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("plan.upload", PlanUploadParams, plan_upload, PlanUploaded, _REFUSED),

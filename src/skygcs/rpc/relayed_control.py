@@ -8,7 +8,7 @@ from pydantic import Field
 
 from skygcs.core.companion.order_book import MAX_NUMBER
 from skygcs.errors import RefusedError
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, Result
@@ -88,15 +88,15 @@ def _orders(context: Context) -> GroundOrders:
 
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("companion.contact", ContactParams, companion_contact, ControlReport, (dispatch.REFUSED,), always=True),
+    Method("companion.contact", ContactParams, companion_contact, ControlReport, (error_codes.REFUSED,), always=True),
     Method(
         "companion.order",
         RelayedOrderParams,
         companion_order,
         RelayedAnswer,
-        (dispatch.REFUSED,),
+        (error_codes.REFUSED,),
         outlives_client=True,
         always=True,
     ),
-    Method("companion.setpoint", RelayedSetpointParams, companion_setpoint, RelayedAnswer, (dispatch.REFUSED,)),
+    Method("companion.setpoint", RelayedSetpointParams, companion_setpoint, RelayedAnswer, (error_codes.REFUSED,)),
 )

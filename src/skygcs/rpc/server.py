@@ -11,35 +11,37 @@ a daemon that is restarted in flight forwards frames meanwhile.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import fcntl
 import importlib
 import os
 import socket
-import stat
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import structlog
 
 from skygcs.errors import LinkError
+from skygcs.rpc.unix_socket import UnixSocket
 
 if TYPE_CHECKING:  # pydantic and its models are heavy: see above
     from skygcs.rpc.context import JsonObject, Services
     from skygcs.rpc.sessions import Sessions
     from skygcs.rpc.tls_listener import TlsListener
 
-MAX_SUN_PATH_BYTES = 107
-"""Linux's sockaddr_un holds 108 bytes with the closing NUL."""
-
 BACKLOG = 100
 """Connections that the system keeps until they are taken; not more than `sessions.MAX_RESERVE`."""
+
+SWITCH_S = 0.0005
+"""After so long an import lets the loop have its turn; Python's 5 ms make a control tick of 20 ms late by 10 to 30 ms,
+with these it is 3 to 5 (medians on a busy machine)."""
 
 ACCEPT_TURNS = 2
 """Turns of the event loop from accepting a connection to its session: one for the transport, one for
 `connection_made`."""
+
+IN_USE = "another skygcs daemon listens on {path}; stop it, or give this one another socket (daemon.socket)"
 
 _log = structlog.get_logger(__name__)
 
@@ -67,8 +69,7 @@ class RpcServer:
         self._tls_task: asyncio.Task[None] | None = None
         self._hub: Sessions | None = None
         self._servers: list[asyncio.Server] = []
-        self._socket_inode: tuple[int, int] | None = None
-        self._lock_fd = -1
+        self._unix = UnixSocket(self.socket_path, IN_USE)
         self._tcp_listener: socket.socket | None = None
 
     def claim(self) -> None:
@@ -76,20 +77,12 @@ class RpcServer:
 
         Raises LinkError if another daemon has one of them, or it is not available. `close` releases them.
         """
-        if self._lock_fd >= 0:
+        if self._unix.claimed:
             return
-        path = os.fspath(self.socket_path)
-        if len(os.fsencode(path)) > MAX_SUN_PATH_BYTES:
-            raise LinkError(f"{path}: a socket's path has at most {MAX_SUN_PATH_BYTES} bytes")
+        self._unix.claim()
         try:
-            self._make_directory()
-            self._take_lock(path)
-            self._remove_stale(path)
             if self._tcp_port is not None:
                 self._tcp_listener = _bound_tcp(self._tcp_port)
-        except OSError as error:
-            self._release()
-            raise LinkError(f"cannot make the socket {path}: {error.strerror or error}") from None
         except LinkError:
             self._release()
             raise
@@ -99,14 +92,15 @@ class RpcServer:
         self.claim()
         loop = asyncio.get_running_loop()
         try:
-            await _import_beside("skygcs.rpc.methods")
-            await _import_beside("skygcs.rpc.sessions")
+            imports = _Imports(loop)
+            await imports.beside("skygcs.rpc.methods")
+            await imports.beside("skygcs.rpc.sessions")
             from skygcs.rpc.dispatch import Dispatcher
             from skygcs.rpc.methods import METHODS
             from skygcs.rpc.sessions import Session, Sessions
 
-            self._hub = hub = Sessions(self._services, Dispatcher(METHODS), loop)
-            listener = self._bind()
+            self._hub = hub = Sessions(self._services, Dispatcher(METHODS, imports.beside), loop)
+            listener = self._unix.bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)
             self._servers.append(server)
             if self._tcp_listener is not None:
@@ -129,7 +123,7 @@ class RpcServer:
         if self._hub is not None:
             await self._hub.close()
             self._hub = None
-        self._remove_socket()
+        self._unix.remove()
         self._release()
 
     async def _stop_accepting(self) -> None:
@@ -159,85 +153,37 @@ class RpcServer:
         self._servers.append(server)
         self.tcp_address = address
 
-    def _bind(self) -> socket.socket:
-        """A bound Unix socket of mode 0600. No client can connect before it listens, which it does only after this."""
-        path = os.fspath(self.socket_path)
-        try:
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            try:
-                listener.bind(path)
-                os.chmod(path, 0o600)
-                status = os.lstat(path)
-                self._socket_inode = (status.st_dev, status.st_ino)
-                listener.setblocking(False)
-            except OSError:
-                listener.close()
-                raise
-        except OSError as error:
-            raise LinkError(f"cannot make the socket {path}: {error.strerror or error}") from None
-        return listener
-
-    def _make_directory(self) -> None:
-        """The directory, private if it is made here; in /tmp it must not belong to another user."""
-        folder = self.socket_path.parent
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(mode=0o700, parents=True)
-        if folder.name == f"skygcs-{os.getuid()}":
-            status = folder.lstat()
-            if status.st_uid != os.getuid() or not stat.S_ISDIR(status.st_mode) or status.st_mode & 0o022:
-                raise LinkError(f"{folder} belongs to another user, or others can write to it; choose another socket")
-
-    def _take_lock(self, path: str) -> None:
-        """The system holds the lock as long as this process lives: two daemons never share a socket."""
-        self._lock_fd = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        try:
-            fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise LinkError(_in_use(path)) from None
-
     def _release(self) -> None:
         if self._tcp_listener is not None:
             self._tcp_listener.close()
             self._tcp_listener = None
-        if self._lock_fd >= 0:
-            os.close(self._lock_fd)
-            self._lock_fd = -1
+        self._unix.release()
 
-    def _remove_stale(self, path: str) -> None:
-        """Remove the socket of a daemon that has ended. Raises LinkError for one that answers and for another file."""
-        try:
-            mode = os.lstat(path).st_mode
-        except FileNotFoundError:
-            return
-        if not stat.S_ISSOCK(mode):
-            raise LinkError(f"{path} exists and is not a socket; remove it or choose another socket")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            probe.setblocking(False)
-            try:
-                probe.connect(path)
-            except (ConnectionRefusedError, FileNotFoundError):
-                with contextlib.suppress(FileNotFoundError):
-                    os.unlink(path)
+
+class _Imports:
+    """Imports modules in a thread: the loop goes on with what flies."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._tasks: dict[str, asyncio.Task[ModuleType]] = {}
+        self._switch_s = sys.getswitchinterval()
+
+    async def beside(self, module: str) -> None:
+        """Return when it is imported. All that wait for one module go on in the order in which they came."""
+        task = self._tasks.get(module)
+        if task is None:
+            if module in sys.modules:
                 return
-            except BlockingIOError:  # alive, with a full backlog
-                pass
-        raise LinkError(_in_use(path))
+            task = self._tasks[module] = self._loop.create_task(self._import(module), name=f"import of {module}")
+            task.add_done_callback(lambda done: self._tasks.pop(module))
+        await asyncio.shield(task)
 
-    def _remove_socket(self) -> None:
-        """Only our own: a path that was replaced meanwhile is left alone."""
-        if self._socket_inode is None:
-            return
-        with contextlib.suppress(OSError):
-            status = os.lstat(self.socket_path)
-            if (status.st_dev, status.st_ino) == self._socket_inode:
-                os.unlink(self.socket_path)
-        self._socket_inode = None
-
-
-async def _import_beside(module: str) -> None:
-    """Import it in a thread: the loop goes on with what flies."""
-    if module not in sys.modules:
-        await asyncio.to_thread(importlib.import_module, module)
+    async def _import(self, module: str) -> ModuleType:
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            return await asyncio.to_thread(importlib.import_module, module)
+        finally:
+            sys.setswitchinterval(self._switch_s)
 
 
 def _bound_tcp(port: int) -> socket.socket:
@@ -251,7 +197,3 @@ def _bound_tcp(port: int) -> socket.socket:
         listener.close()
         raise LinkError(f"cannot listen on 127.0.0.1:{port}: {error.strerror or error}") from None
     return listener
-
-
-def _in_use(path: str) -> str:
-    return f"another skygcs daemon listens on {path}; stop it, or give this one another socket (daemon.socket)"

@@ -16,7 +16,6 @@ import functools
 import hmac
 import json
 import os
-import select
 import socket
 import struct
 from collections import Counter, deque
@@ -26,12 +25,14 @@ from typing import Any, cast
 import structlog
 
 from skygcs.events import Event
-from skygcs.rpc import dispatch
+from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject, Services
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
+from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
+from skygcs.rpc.unix_socket import still_reads
 
 MAX_SESSIONS = 64
 """A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
@@ -119,7 +120,7 @@ class Session(asyncio.Protocol):
         self, hub: Sessions, token: str | None, admits: Callable[[asyncio.Transport], bool] | None = None
     ) -> None:
         self.services = hub.services
-        self.long_reads = hub.long_reads
+        self.slices = hub.slices
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
         self.restricted = False
@@ -170,7 +171,7 @@ class Session(asyncio.Protocol):
     def eof_received(self) -> bool:
         """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
         what one that is gone waits for is cancelled, unless it outlives it."""
-        if self._transport is None or not self._peer_still_reads():
+        if self._transport is None or not still_reads(self._transport):
             return False
         self._eof = True
         if self._buffer and not self._buffer.endswith(b"\n"):
@@ -265,7 +266,7 @@ class Session(asyncio.Protocol):
     def dismiss(self, reason: str) -> None:
         """Close it with an error that gives the reason."""
         if self.writable:
-            self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, reason))
+            self._reply(error_reply(None, error_codes.LIMIT_EXCEEDED, reason))
         self.close()
 
     def peer_pid(self) -> int | None:
@@ -320,7 +321,7 @@ class Session(asyncio.Protocol):
             if length > limit and not self._skipping:
                 self._skipping = True
                 self._hub.counters["lines_too_long"] += 1
-                self._reply(error_reply(None, dispatch.INVALID_REQUEST, f"a line has at most {limit} bytes"))
+                self._reply(error_reply(None, error_codes.INVALID_REQUEST, f"a line has at most {limit} bytes"))
                 if not self.authenticated:
                     self._hang_up()
                     return None
@@ -344,7 +345,7 @@ class Session(asyncio.Protocol):
             request = parse(line)
         except ValueError as error:
             self._hub.counters["parse_errors"] += 1
-            self._reply(error_reply(None, dispatch.PARSE_ERROR, f"not JSON: {error}"))
+            self._reply(error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
             if not self.authenticated:
                 self._hang_up()
             return
@@ -376,7 +377,7 @@ class Session(asyncio.Protocol):
             request_id = None
         answered = ", ".join(sorted(self._hub.dispatcher.always))
         text = f"too many clients: {self._hub.why_restricted()}; one request for {answered}"
-        self._reply(error_reply(request_id, dispatch.LIMIT_EXCEEDED, f"{text} is answered all the same"))
+        self._reply(error_reply(request_id, error_codes.LIMIT_EXCEEDED, f"{text} is answered all the same"))
         return True
 
     def _start(self, request: object, key_twice: Callable[[], str | None]) -> dispatch.Reply:
@@ -384,7 +385,7 @@ class Session(asyncio.Protocol):
         if self._in_flight >= MAX_IN_FLIGHT:
             request_id = request.get("id") if isinstance(request, dict) else None
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
-            return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+            return error_reply(request_id, error_codes.LIMIT_EXCEEDED, text)
         if not self._relays_operator and not _is_relay(request):
             self._hub.services.operator_watchdog.on_client()
         if self._hub.services.stopping and isinstance(request, dict):
@@ -392,7 +393,7 @@ class Session(asyncio.Protocol):
             answered = self._hub.dispatcher.while_stopping
             if isinstance(method, str) and method not in answered and isinstance(request_id, str | int | None):
                 text = "skygcs is shutting down: it takes no further orders but those that end a flight"
-                return error_reply(request_id, dispatch.REFUSED, text) if "id" in request else None
+                return error_reply(request_id, error_codes.REFUSED, text) if "id" in request else None
         if isinstance(request, dict) and "deadline_s" in request:
             refusal = dispatch.deadline_refusal(request, self._hub.services.now())
             if refusal is not None:
@@ -401,16 +402,17 @@ class Session(asyncio.Protocol):
         reply = self._hub.dispatcher.start(self, request, key_twice)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
+            self.slices.order_came()
             if self._hub.dispatcher.outlives_client(request):
                 return self._hub.outlive(reply)
         return reply
 
     def _on_batch(self, requests: list[Any], key_twice: Callable[[], str | None]) -> None:
         if not requests:
-            return self._reply(error_reply(None, dispatch.INVALID_REQUEST, "a batch is not empty"))
+            return self._reply(error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty"))
         if len(requests) > MAX_BATCH:
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
-            return self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, text))
+            return self._reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
         replies: list[dispatch.Reply] = []
         size = 0
         for request in requests:
@@ -420,7 +422,7 @@ class Session(asyncio.Protocol):
                 if size > MAX_OUTPUT_BYTES // 2:
                     request_id = request.get("id") if isinstance(request, dict) else None
                     text = f"the replies of this batch exceed {MAX_OUTPUT_BYTES // 2} bytes"
-                    reply = error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+                    reply = error_reply(request_id, error_codes.LIMIT_EXCEEDED, text)
             replies.append(reply)
         if any(isinstance(reply, Coroutine) for reply in replies):
             self._run(replies, batch=True)
@@ -471,7 +473,7 @@ class Session(asyncio.Protocol):
         if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
             self._hub.counters["auth_failures"] += 1
             text = "the token is wrong" if given else 'a token is required; the first request is: auth {"token": "…"}'
-            self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, text))
+            self._reply(error_reply(None, error_codes.NOT_AUTHENTICATED, text))
             self._hang_up()
             return
         self.authenticated = True
@@ -486,18 +488,6 @@ class Session(asyncio.Protocol):
         self._end()
 
     # -- the end
-
-    def _peer_still_reads(self) -> bool:
-        """After an end of file: whether the client has only shut down its sending side.
-
-        On a Unix socket poll shows it (POLLHUP: both directions are shut); on TCP nothing does, so it counts as gone.
-        """
-        peer = self._transport.get_extra_info("socket") if self._transport is not None else None
-        if peer is None or peer.family != socket.AF_UNIX:
-            return False
-        poll = select.poll()
-        poll.register(peer.fileno(), 0)
-        return not poll.poll(0)
 
     def _close_if_idle(self) -> None:
         """After the client's end of file, or its one request: close once nothing is left to send."""
@@ -585,9 +575,9 @@ class Sessions:
         self.services = services
         self.dispatcher = dispatcher
         self.loop = loop
-        self.feeds = Feeds(services, loop)
+        self.slices = Slices(loop)
+        self.feeds = Feeds(services, loop, self.slices)
         self.turns = Turns(loop)
-        self.long_reads = asyncio.Lock()
         self.counters: Counter[str] = Counter()
         self.lasting: set[asyncio.Task[bytes]] = set()
         """Orders that end a flight: they belong to no session, so that no session's end ends them."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
@@ -103,12 +103,12 @@ def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObj
     return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 
 
-_REPORTED = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_REPORTED = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 
 METHODS: tuple[Method[Context], ...] = (
     Method("signing.status", NoParams, signing_status, SigningStatus),
     Method("signing.setup", SigningSetupParams, signing_setup, Outcomes, _REPORTED),
-    Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (dispatch.REFUSED,)),
+    Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (error_codes.REFUSED,)),
     Method("signing.off", TargetsParams, signing_off, Outcomes, _REPORTED),
 )

@@ -18,11 +18,11 @@ from pydantic_core import to_json
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
-from skygcs.rpc import slices
 from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.messages import find_message
 from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.slices import Slices
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 DEFAULT_TELEMETRY_HZ = 2.0
@@ -92,9 +92,10 @@ class TelemetrySubscription:
 class TelemetryFeed:
     """Encodes each vehicle's state once per tick and writes it to the subscriptions that are due and can take it."""
 
-    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop, slices: Slices) -> None:
         self._services = services
         self._loop = loop
+        self._slices = slices
         self._subscriptions: dict[TelemetrySubscription, None] = {}
         self._encoded: dict[tuple[int, frozenset[str]], bytes] = {}
         self._encoded_at = -math.inf
@@ -174,7 +175,7 @@ class TelemetryFeed:
 
     def _drain(self) -> None:
         self._draining = False
-        deadline = self._loop.time() + slices.SLICE_S
+        deadline = self._slices.ends_at()
         for subscription in list(self._subscriptions):
             while subscription.pending and subscription.sink.writable:
                 self._write_some(subscription, deadline)
@@ -182,7 +183,7 @@ class TelemetryFeed:
                     if self._subscriptions.pop(subscription, subscription) is None:
                         self._subscriptions[subscription] = None  # to the end: it is the others' turn
                     self._draining = True
-                    self._loop.call_later(slices.PAUSE_S, self._drain)
+                    self._loop.call_later(self._slices.pause_s(), self._drain)
                     return
 
     def _write_some(self, subscription: TelemetrySubscription, deadline: float) -> None:
@@ -460,10 +461,10 @@ Subscription = TelemetrySubscription | EventSubscription | MessageSubscription |
 class Feeds:
     """The sources of all subscriptions of all clients."""
 
-    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop, slices: Slices) -> None:
         self._services = services
         self._loop = loop
-        self._telemetry = TelemetryFeed(services, loop)
+        self._telemetry = TelemetryFeed(services, loop, slices)
         self._events = EventFeed(services, loop)
         self._messages = MessageFeed(services, loop)
 

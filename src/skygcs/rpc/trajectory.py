@@ -10,7 +10,7 @@ from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import RefusedError, TrajectoryError
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, one_vehicle, resolve
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import ListParams, MethodParams, Outcomes, Result, TargetParams, TargetsParams
@@ -163,8 +163,8 @@ async def trajectory_paths(context: Context, params: TrajectoryPathsParams) -> J
     return {"key": key, "paths": paths}
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
-_REFUSED = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_TARGET = (error_codes.TARGET_ERROR,)
+_REFUSED = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("trajectory.load", TrajectoryLoadParams, trajectory_load, Outcomes, _REFUSED),

@@ -11,11 +11,10 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from skygcs.core.vehicle.state import ComponentEntry, MessageRate, StatusTextEntry, VehicleState
-from skygcs.rpc import dispatch
+from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, Targets, TargetsParams
-from skygcs.rpc.slices import encoded_list
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")
@@ -149,8 +148,7 @@ class SetHomeParams(TargetsParams):
 async def vehicles_list(context: Context, params: ListParams) -> Encoded:
     """The state of some or all vehicles, by system id."""
     vehicles = resolve(context.services, params.targets)
-    async with context.long_reads:
-        return Encoded(await encoded_list(state_of(context.services, vehicle) for vehicle in vehicles))
+    return Encoded(await context.slices.encoded_list(state_of(context.services, vehicle) for vehicle in vehicles))
 
 
 def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
@@ -184,7 +182,7 @@ def components_list(context: Context, _: NoParams) -> list[JsonObject]:
     return context.services.fleet.components_status()
 
 
-_TARGET = (dispatch.TARGET_ERROR,)
+_TARGET = (error_codes.TARGET_ERROR,)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("vehicles.list", ListParams, vehicles_list, list[VehicleState], _TARGET, always=True),
@@ -204,7 +202,7 @@ METHODS: tuple[Method[Context], ...] = (
         VehicleActor.stop,
         "Emergency stop: sent over every link and repeated for up to 30 s until the vehicle shows it or refuses it,\n"
         "also to vehicles that are lost.",
-        errors=(*_TARGET, dispatch.REFUSED),
+        errors=(*_TARGET, error_codes.REFUSED),
     ),
     order_method(
         "vehicles.goto",

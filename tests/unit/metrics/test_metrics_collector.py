@@ -6,22 +6,23 @@ from types import SimpleNamespace
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from skygcs.metrics import collector
-from skygcs.metrics.collector import MAX_COUNTED, SLICE_LINES, _GrowingSums, _Samples, _written
+from skygcs.metrics import exposition
+from skygcs.metrics.collector import MAX_COUNTED, _GrowingSums
+from skygcs.metrics.exposition import SLICE_LINES, Samples, written
 from skygcs.metrics.table import METRICS
 
 
 def test_series_beyond_the_limit_are_left_out_and_counted() -> None:
-    samples = _Samples()
-    for number in range(collector.MAX_SERIES + 5):
+    samples = Samples()
+    for number in range(exposition.MAX_SERIES + 5):
         samples.put("skygcs_link_up", 1, f"link{number}")
     samples.put("skygcs_link_up", 0, "link3")  # one that is there can change
-    assert (samples.count, samples.dropped) == (collector.MAX_SERIES, 5)
+    assert (samples.count, samples.dropped) == (exposition.MAX_SERIES, 5)
     assert samples.by_metric["skygcs_link_up"]["link3",] == 0
 
 
 def test_a_value_that_is_not_known_is_no_sample() -> None:
-    samples = _Samples()
+    samples = Samples()
     samples.put("skygcs_corrections_age_seconds", None)
     assert samples.by_metric == {}
 
@@ -29,7 +30,7 @@ def test_a_value_that_is_not_known_is_no_sample() -> None:
 def test_a_metric_in_slices_has_one_header_and_all_its_lines() -> None:
     metric = METRICS["skygcs_vehicle_lost_frames_total"]
     samples = [((f'v"{n}\n\\', "radio"), float(n)) for n in range(2 * SLICE_LINES + 3)]
-    pieces = list(_written(metric, samples))
+    pieces = list(written(metric, samples))
     assert len(pieces) == 3
     (family,) = text_string_to_metric_families(b"".join(pieces).decode())
     assert (family.type, family.documentation) == ("counter", metric.help)

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import AsyncIterator
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,8 @@ from skygcs.config.metrics import MetricsConfig
 from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.metrics import endpoint as module
-from skygcs.metrics.endpoint import MAX_CONNECTIONS, MAX_ORDER_RESULTS, MetricsEndpoint
+from skygcs.metrics.endpoint import MAX_CONNECTIONS, MetricsEndpoint
+from skygcs.metrics.order_results import MAX_ORDER_RESULTS, OrderResults
 from skygcs.runtime.event_log import EventLog
 
 
@@ -33,8 +33,7 @@ class Collector:
 class Bench:
     def __init__(self, token: str | None) -> None:
         self.now = 100.0
-        self.events = EventLog(lambda: self.now)
-        self.endpoint = MetricsEndpoint(MetricsConfig(port=0), token, self.events, lambda: self.now)
+        self.endpoint = MetricsEndpoint(MetricsConfig(port=0), token, lambda: self.now)
         self.collector = Collector()
 
     async def connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -57,10 +56,7 @@ class Bench:
 async def running(token: str | None = None) -> AsyncIterator[Bench]:
     bench = Bench(token)
     bench.endpoint.claim()
-    services: Any = None
-    await bench.endpoint.start(services)
-    collector: Any = bench.collector
-    bench.endpoint._collector = collector
+    await bench.endpoint.start(bench.collector)
     try:
         yield bench
     finally:
@@ -134,7 +130,7 @@ async def test_a_client_that_breaks_off_costs_nothing() -> None:
 async def test_an_address_that_is_taken_and_a_missing_library_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         config = MetricsConfig(port=taken.getsockname()[1])
-        endpoint = MetricsEndpoint(config, None, EventLog(lambda: 0.0), lambda: 0.0)
+        endpoint = MetricsEndpoint(config, None, lambda: 0.0)
         with pytest.raises(LinkError, match=r"\[metrics\]: cannot listen on 127.0.0.1:\d+: Address already in use"):
             endpoint.claim()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -143,19 +139,20 @@ async def test_an_address_that_is_taken_and_a_missing_library_are_one_line(monke
 
 
 def test_orders_are_counted_by_result_and_never_without_bound() -> None:
-    bench = Bench(None)
+    events = EventLog(lambda: 100.0)
+    results = OrderResults(events)
 
     def ended(order: str, result: str | None) -> None:
         data = {"order": order} if result is None else {"order": order, "result": result}
-        bench.events.publish(Event("command", "a", 1, "…", data))
+        events.publish(Event("command", "a", 1, "…", data))
 
     ended("arm", "accepted")
     ended("arm", "accepted")
     ended("arm", "refused")
     ended("arm", "in_progress")
     ended("arm", None)
-    assert bench.endpoint.orders == {("arm", "accepted"): 2, ("arm", "refused"): 1}
+    assert results.counts == {("arm", "accepted"): 2, ("arm", "refused"): 1}
     for number in range(2 * MAX_ORDER_RESULTS):
         ended(f"order{number}", "ok")
-    assert len(bench.endpoint.orders) <= MAX_ORDER_RESULTS + 1
-    assert bench.endpoint.orders["other", "other"] == MAX_ORDER_RESULTS + 2
+    assert len(results.counts) <= MAX_ORDER_RESULTS + 1
+    assert results.counts["other", "other"] == MAX_ORDER_RESULTS + 2

@@ -6,8 +6,11 @@ import json
 import re
 from importlib.resources import files
 
-from skygcs.metrics.table import METRICS
+from skygcs.federation.metrics import METRICS as FEDERATION_METRICS
+from skygcs.metrics.table import METRICS as DAEMON_METRICS
 from support.public_data import ROOT
+
+METRICS = DAEMON_METRICS | FEDERATION_METRICS
 
 UNITS = ("seconds", "bytes", "ratio", "frames", "total", "info", "records", "vehicles", "up")
 PAGE = ROOT / "docs" / "reference" / "metrics.md"
@@ -33,7 +36,7 @@ def test_names_follow_the_conventions() -> None:
 def test_no_label_holds_what_others_make_up() -> None:
     """Addresses of peers and sources of frames would be series without end."""
     known = {"version", "dialect", "kind", "order", "result", "verdict", "reason", "link", "type", "role", "direction"}
-    known |= {"class", "vehicle", "sysid", "autopilot", "to"}
+    known |= {"class", "vehicle", "sysid", "autopilot", "to", "site", "station", "series", "status"}
     assert {label for metric in METRICS.values() for label in metric.labels} <= known
 
 

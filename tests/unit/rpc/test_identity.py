@@ -10,7 +10,6 @@ import pytest
 from cryptography import x509
 
 from skygcs.errors import LinkError
-from skygcs.rpc import identity
 from skygcs.rpc.identity import make_identity, pin
 from skygcs.rpc.tls import fingerprint
 
@@ -87,7 +86,7 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(identity.os, "fsync", full)
+    monkeypatch.setattr("skygcs.config.files.os.fsync", full)
     with pytest.raises(LinkError, match="No space left"):
         make_identity(tmp_path, "ground")
     assert list(tmp_path.iterdir()) == []

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc import client, slices
+from skygcs.rpc import client, sessions, slices
 from skygcs.rpc.address import client_address, default_socket_path
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
@@ -120,6 +120,17 @@ async def test_a_result_is_relayed_as_the_daemon_encoded_it(served: Served, gcs:
         await gcs.relay("vehicles.arm", {"targets": "alpha"}, deadline_s=0.0)
     assert served.daemon.vehicle("alpha").orders == []
     assert not gcs._connected().encoded
+
+
+async def test_a_request_that_the_daemon_would_not_read_is_refused_here_and_waits_for_nothing(gcs: Client) -> None:
+    """The daemon skips a line that is too long, and its refusal names no request."""
+    assert client.MAX_REQUEST_BYTES == sessions.MAX_LINE_BYTES
+    empty = len(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "vehicles.get", "params": {"target": ""}}))
+    with pytest.raises(RpcError, match=f"{client.MAX_REQUEST_BYTES + 1} bytes; the daemon takes"):
+        await gcs.relay("vehicles.get", {"target": "x" * (client.MAX_REQUEST_BYTES + 1 - empty)})
+    with pytest.raises(RpcError, match="no vehicle"):  # one byte less is read
+        await gcs.relay("vehicles.get", {"target": "x" * (client.MAX_REQUEST_BYTES - empty)})
+    assert not gcs._connected()._calls
 
 
 @pytest.mark.parametrize(

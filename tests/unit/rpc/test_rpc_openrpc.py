@@ -11,13 +11,13 @@ from pydantic import TypeAdapter
 
 from skygcs.core.vehicle.orders import Where
 from skygcs.core.vehicle.state import VehicleState
-from skygcs.rpc import methods
+from skygcs.rpc import openrpc
 from skygcs.rpc.client import Client
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.fake_daemon import FakeDaemon
 
-DOCUMENT: dict[str, Any] = json.loads(json.dumps(methods.document(METHODS.values())))
+DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(METHODS.values())))
 
 CONTRACT = {
     "daemon": "info",

@@ -12,6 +12,7 @@ from skygcs.errors import TargetError
 from skygcs.rpc import slices
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import QUEUED, Feeds, Subscription
 from support.fake_daemon import FakeDaemon
 
@@ -39,7 +40,8 @@ class Told:
 
     def __init__(self, vehicle_count: int = 3) -> None:
         self.daemon = FakeDaemon(vehicle_count)
-        self.feeds = Feeds(self.daemon, asyncio.get_running_loop())
+        self.slices = Slices(asyncio.get_running_loop())
+        self.feeds = Feeds(self.daemon, asyncio.get_running_loop(), self.slices)
 
     def add(self, number: int = 1, **params: Any) -> tuple[Reader, Subscription]:
         reader = Reader()
@@ -76,9 +78,12 @@ async def test_any_rate_is_kept_on_average(rate_hz: float) -> None:
 
 
 @pytest.mark.looptime
-async def test_states_that_take_long_are_written_in_slices_with_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_states_that_take_long_are_written_in_slices_with_pauses_for_an_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(slices, "SLICE_S", -1.0)  # each look at the clock ends a slice
     reported = Told()
+    reported.slices.order_came()
     reader, _ = reported.add(topic="telemetry", rate_hz=5)
     turns: list[list[str]] = []
     for _ in range(3):
