@@ -7,7 +7,7 @@ DEMO   := $(VENV)/.installed-demo
 TEST   := $(VENV)/.installed-test
 DOCS   := $(VENV)/.installed-docs
 
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-web test-federation soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -52,6 +52,10 @@ pictures: $(STAMP)
 test-lab: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m lab
 
+# Many stations over a real nats-server, whose package it names if it is missing
+test-federation: $(TEST)
+	PYTHONPATH=tests $(BIN)/python -m federation
+
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m firmware $(if $(FULL),--full)
@@ -88,6 +92,9 @@ bench-monitor: $(STAMP)
 bench-web: $(STAMP)
 	$(BIN)/python build_page.py
 	PYTHONPATH=tests $(BIN)/python -m bench.web
+
+bench-federation: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.federation
 
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak

@@ -97,6 +97,9 @@ async def test_what_a_companion_says_is_found_under_its_vehicle(tmp_path: Path, 
         assert listed(state) == {1: ("QUADROTOR", True), 191: ("ONBOARD_CONTROLLER", False)}
         (companion,) = [c for c in state["components"] if c["compid"] == 191]
         assert companion["name"] == "ONBOARD_COMPUTER" and companion["messages"] == 3 and companion["age_s"] < 1.0
+        shown = state["companion"]
+        assert shown["name"] is None and shown["link"] is None and shown["age_s"] == pytest.approx(0.5, abs=0.1)
+        assert (await told(gcs, "vehicles.get", target="v1"))["companion"] is None
         assert [(t["compid"], t["text"]) for t in state["status_texts"]] == [(191, "camera ready")]
         assert state["autopilot"] == "ardupilot" and state["type"] == "QUADROTOR", "the state is the autopilot's"
 

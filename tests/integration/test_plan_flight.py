@@ -254,7 +254,7 @@ async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_
             raise RefusedError("the planning process is busy")
 
         plans = gcs.daemon.fleet.plans
-        plans.work = broken
+        plans.runner.work = broken
         await gcs("plan.land")
         await gcs.until(lambda: state(gcs) == "stopped", 15.0)
         assert "the planning process is busy" in plans.status()["reason"]

@@ -10,12 +10,13 @@ from typing import Any
 from skygcs.daemon import Daemon
 from skygcs.rpc.dispatch import Encoded
 from skygcs.rpc.methods import METHODS
+from skygcs.rpc.slices import Slices
 
 
 async def call(daemon: Daemon, name: str, /, **params: Any) -> Any:
     """The method's result. Raises what the method raises, and pydantic's error for parameters."""
     method = METHODS[name]
-    context: Any = SimpleNamespace(services=daemon, long_reads=asyncio.Lock())
+    context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()))
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
     return json.loads(result.body) if isinstance(result, Encoded) else result

@@ -45,7 +45,7 @@ async def inline(work: Callable[..., Any], *arguments: Any) -> Any:
 
 
 async def load(gcs: Flown, plan: Plan, space: FlightSpace | None = None) -> None:
-    gcs.daemon.fleet.plans.work = inline
+    gcs.daemon.fleet.plans.runner.work = inline
     await gcs("plan.load", plan=content(plan, space), name="test")
 
 

@@ -39,6 +39,21 @@ def wait_until(condition: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"never happened: {what}")
 
 
+def call_socket(path: Path, method: str, **params: Any) -> Any:
+    """One JSON-RPC call over a plain socket, independent of the client library."""
+    with socket.socket(socket.AF_UNIX) as link:
+        # Not settimeout: connect would then fail with EAGAIN at once while the listen queue is full
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(TIMEOUT_S), 0))
+        link.connect(str(path))
+        link.settimeout(TIMEOUT_S)
+        link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
+        with link.makefile("rb") as lines:
+            answer = json.loads(lines.readline())
+    if "error" in answer:
+        raise AssertionError(answer["error"])
+    return answer["result"]
+
+
 class PtyRadio:
     """The far side of a radio's serial port; ``path`` is a symlink, so that it can be unplugged and plugged again."""
 
@@ -120,18 +135,8 @@ class DaemonProcess:
         return self.stderr_path.read_text()
 
     def call(self, method: str, **params: Any) -> Any:
-        """One JSON-RPC call over a plain socket, independent of the client library."""
-        with socket.socket(socket.AF_UNIX) as link:
-            # Not settimeout: connect would then fail with EAGAIN at once while the listen queue is full
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(TIMEOUT_S), 0))
-            link.connect(str(self.socket))
-            link.settimeout(TIMEOUT_S)
-            link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
-            with link.makefile("rb") as lines:
-                answer = json.loads(lines.readline())
-        if "error" in answer:
-            raise AssertionError(answer["error"])
-        return answer["result"]
+        """See `call_socket`."""
+        return call_socket(self.socket, method, **params)
 
     def vehicles(self) -> dict[str, dict[str, Any]]:
         return {v["name"]: v for v in self.call("vehicles.list", targets="all")} if self.known() else {}

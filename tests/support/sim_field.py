@@ -69,6 +69,7 @@ class SimField:
         priority: Priority,
         *,
         everywhere: bool = False,
+        exempt: bool = False,
     ) -> bool:
         self._seq += 1
         self.on_send(info.name, values)

@@ -106,6 +106,7 @@ class Sent:
         compid: int,
         priority: Priority,
         everywhere: bool = False,
+        exempt: bool = False,
     ):
         raw = encode(info, values, sysid=255, compid=25, seq=0)
         (self.message,) = PymavPeer(1, 1).mav.parse_buffer(raw)
@@ -281,6 +282,7 @@ class Ground:
         priority: Priority,
         *,
         everywhere: bool = False,
+        exempt: bool = False,
     ) -> bool:
         sent = Sent(info, values, sysid, compid, priority, everywhere)
         self.sent.append(sent)

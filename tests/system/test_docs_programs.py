@@ -27,6 +27,7 @@ PROGRAMS = {
 NOT_RUN = {
     "docs/explanation/control-law.md": "a fragment, without the numbers that it takes",
     "docs/howto/logs.md": "needs pandas",
+    "docs/howto/federation.md": "run in tests/federation/test_how_to.py, where there is a hub",
     "docs/howto/clients.md": "flown in test_the_pymavlink_program_arms_its_vehicle",
 }
 """Further pages with Python."""

@@ -1,11 +1,12 @@
 """The shell examples of the pages, run in order against a daemon with simulated vehicles; `NOT_RUN` has the others.
 
 A command that ends by itself has to exit 0. An order may also be refused by a vehicle, with a line for each: whether
-one takes off depends on what came before it, and flights are flown elsewhere.
+one takes off depends on what came before it, and flights are flown elsewhere. The reader's own files are `FILES`.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,54 +27,70 @@ COMMAND_S = 300.0
 """Longest time of one command on a busy machine."""
 
 PAGES_RUN = (
+    "README.md",
     "docs/explanation/world-frame.md",
     "docs/howto/ground-station.md",
+    "docs/howto/logs.md",
     "docs/howto/metrics.md",
+    "docs/howto/missions.md",
+    "docs/howto/parameters.md",
+    "docs/howto/preflight.md",
     "docs/howto/radio.md",
+    "docs/reference/cli.md",
+    "docs/reference/gains.md",
 )
 
 PAGES_NOT_RUN = {
-    "README.md": "flights and the reader's files; its program is flown in test_docs_programs.py",
     "docs/explanation/plans.md": "the reader's goals; tests/unit/cli/test_cli_plan.py",
     "docs/howto/calibration.md": "a person who turns the vehicle",
     "docs/howto/clients.md": "test_docs_programs.py flies its pymavlink program on this link",
     "docs/howto/companion.md": "a vehicle's computer; tests/system/test_companion_process.py",
     "docs/howto/companions-bring-up.md": "companions with SSH; tests/lab/test_companions_up.py",
     "docs/howto/corrections.md": "a source of RTCM corrections; tests/integration/test_corrections.py",
+    "docs/howto/federation.md": "a hub; tests/federation/test_processes.py",
     "docs/howto/fly-plans.md": "a plan of the reader's; tests/integration/test_plan_flight.py",
     "docs/howto/fly-real-firmware.md": "autopilot firmware; make test-firmware",
     "docs/howto/fly-setpoints.md": "a flight; test_docs_programs.py flies by its program",
     "docs/howto/joystick.md": "a joystick; tests/system/test_joystick_process.py",
-    "docs/howto/logs.md": "the reader's logs; tests/unit/tlog",
     "docs/howto/mavlink-router.md": "a configuration of mavlink-router",
-    "docs/howto/missions.md": "a flight; tests/integration/test_mission_flights.py",
     "docs/howto/motion-capture.md": "cameras; tests/integration/test_mocap.py",
     "docs/howto/own-controller.md": "the reader's own controller",
     "docs/howto/own-message.md": "a vehicle that sends a message of its own",
-    "docs/howto/parameters.md": "the reader's parameter files; tests/unit/cli/test_cli_params.py",
-    "docs/howto/preflight.md": "vehicles that are ready, which takes time",
     "docs/howto/radio-setup.md": "SiK radios; tests/system/test_radio_setup.py",
     "docs/howto/service.md": "systemd; tests/lab/test_systemd.py",
     "docs/howto/tables.md": "a table of the reader's",
     "docs/howto/trajectories.md": "a trajectory of the reader's; tests/integration/test_trajectory_flight.py",
     "docs/howto/web.md": "a browser; tests/web",
     "docs/howto/xbee.md": "an XBee module; tests/system/test_xbee.py",
-    "docs/reference/cli.md": "flights",
     "docs/reference/control-trace.md": "a trace of a flight",
-    "docs/reference/gains.md": "no daemon; tests/unit/cli/test_cli_gains.py",
     "docs/tutorial/box-of-parts.md": "the parts",
 }
 """Pages of whose commands none is run here, and what they need or where the like is run."""
 
 NOT_RUN = {
+    "skygcs demo --stay": "stays until Ctrl-C; make demo flies the same",
+    "skygcs run": "runs until it is ended: the daemon of this test is one",
     "skygcs sim --pty": "runs until it is ended; tests/system/test_sim_process.py",
     "skygcs-cli events -f": "runs until Ctrl-C",
+    "skygcs-cli fence test": "a person who says that the propellers are off; tests/unit/cli/test_cli_mission_flight.py",
     "skygcs-cli link select": "a link with a radio",
+    "skygcs-cli mission watch": "runs until Ctrl-C; tests/unit/cli/test_cli_mission_flight.py",
+    "skygcs-cli plot": "the trace of a flight; tests/unit/cli/test_cli_plot.py",
+    "skygcs-cli table": "a flight of minutes; tests/unit/cli/test_cli_table.py",
+    "skygcs-cli tlog play": "takes as long as the flight did; tests/unit/cli/test_tlog_play.py",
+    "skygcs-cli track": "runs until Ctrl-C",
+    "skygcs-cli watch": "runs until Ctrl-C",
 }
 """First words of a command on the pages that are run -> what it needs."""
 
-ORDERS = ("goto",)
-"""What may also exit 1: an order that a vehicle refuses, here because it stands."""
+ORDERS = (
+    *("arm", "disarm", "goto", "land", "mode", "stop", "takeoff"),
+    *("control set", "setpoint", "param apply", "mission current", "mission pause", "mission resume", "mission start"),
+)
+"""What may also exit 1: an order that a vehicle refuses, here because it stands, or has no such mode or parameter."""
+
+ANSWERS = ("fence status", "param diff", "preflight")
+"""What exits 1 for its answer: outside the fence, different, not ready."""
 
 FLEET = """
 [origin]
@@ -97,6 +115,53 @@ sysid = 3
 """
 
 
+SITE = [[43.7800, -79.4665], [43.7812, -79.4665], [43.7812, -79.4640], [43.7800, -79.4640]]
+
+
+def _item(command: int, lat_deg: float, lon_deg: float, height_m: float) -> dict[str, Any]:
+    params = [0, 0, 0, None, lat_deg, lon_deg, height_m]
+    return {"type": "SimpleItem", "command": command, "frame": 3, "autoContinue": True, "params": params}
+
+
+PLAN = {
+    "fileType": "Plan",
+    "version": 1,
+    "groundStation": "QGroundControl",
+    "mission": {
+        "version": 2,
+        "firmwareType": 12,
+        "vehicleType": 2,
+        "cruiseSpeed": 15,
+        "hoverSpeed": 3,
+        "plannedHomePosition": [43.7806, -79.4653, 180.0],
+        "items": [_item(22, 43.7806, -79.4653, 8.0), *(_item(16, 43.7806 + n * 5e-5, -79.4653, 8.0) for n in range(5))],
+    },
+    "geoFence": {
+        "version": 2,
+        "circles": [],
+        "polygons": [{"inclusion": True, "polygon": SITE, "version": 1}],
+    },
+    "rallyPoints": {"version": 2, "points": [[43.7805, -79.4653, 15.0]]},
+}
+
+TLOG = ROOT / "tests" / "data" / "sitl-3ardupilot-2px4.tlog"
+
+FILES: dict[str, bytes] = {
+    "field.plan": json.dumps(PLAN).encode(),
+    "survey.plan": json.dumps(PLAN).encode(),
+    "site.plan": json.dumps(PLAN).encode(),
+    "bravo.params": b"2\t1\tMPC_XY_CRUISE\t4.0\t9\n",
+    "lab.param": b"RTL_RETURN_ALT,20\nRTL_ALT,2000\n",
+    **dict.fromkeys(("flight.tlog", "left.tlog", "right.tlog"), TLOG.read_bytes()),
+}
+"""What the reader of the pages has in the folder; a name with "…" is the newest that matches it."""
+
+
+def as_typed(words: list[str], folder: Path) -> list[str]:
+    """The words with the names of files that a page cannot know: `logs/….tlog`."""
+    return [str(max(folder.glob(word.replace("…", "*")))) if "…" in word else word for word in words]
+
+
 def reason(command: str) -> str | None:
     """Why it is not run here."""
     return next((why for words, why in NOT_RUN.items() if f"{command} ".startswith(f"{words} ")), None)
@@ -108,6 +173,8 @@ def lines(page: str) -> list[str]:
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[DaemonProcess]:
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes(content)
     with DaemonProcess(tmp_path, FLEET, name="lab") as daemon:
         wait_until(lambda: daemon.known() == 3, "three vehicles are known")
         wait_until(
@@ -129,11 +196,13 @@ def test_nothing_is_left_out_that_is_not_there() -> None:
 @pytest.mark.parametrize("page", PAGES_RUN)
 def test_the_commands_of_the_page_do_what_they_do_there(page: str, daemon: DaemonProcess) -> None:
     environment = {**os.environ, "SKYGCS_SOCKET": str(daemon.socket)}
+    if "--fleet fleet.toml" in " ".join(lines(page)):
+        (daemon.folder / "fleet.toml").write_text(FLEET)
     for words in commands(ROOT / page):
         if reason(" ".join(words)) is not None:
             continue
         done = subprocess.run(
-            [str(Path(sys.executable).with_name(words[0])), *words[1:]],
+            [str(Path(sys.executable).with_name(words[0])), *as_typed(words[1:], daemon.folder)],
             cwd=daemon.folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -142,7 +211,7 @@ def test_the_commands_of_the_page_do_what_they_do_there(page: str, daemon: Daemo
             timeout=COMMAND_S,
         )
         said = f"{shlex.join(words)}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
-        order = any(" ".join(words[1:]).startswith(first) for first in ORDERS)
+        order = any(f"{' '.join(words[1:])} ".startswith(f"{first} ") for first in (*ORDERS, *ANSWERS))
         assert done.returncode in ((0, 1) if order else (0,)), said
         assert "Traceback" not in done.stderr, said
         assert not re.search(r"no such method|no method|internal error|failed inside the daemon", said), said

@@ -14,22 +14,36 @@ HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "
 """From 30 ms (rich) to 600 ms (pymavlink's generated dialects), and together three times a daemon's memory."""
 
 SPARED = (
+    "_bz2",
     "_hashlib",
+    "_lzma",
     "_ssl",
     "colorama",
     "email",
     "greenlet",
     "importlib.metadata",
+    "platform",
+    "skygcs.core.plan.execution",
     "skygcs.links.simulated",
+    "skygcs.rpc.missions",
+    "skygcs.rpc.params",
+    "skygcs.runtime.companion_control",
+    "skygcs.runtime.ground_orders",
+    "skygcs.runtime.plan_runner",
+    "skygcs.sim",
+    "sysconfig",
     "zipfile",
 )
-"""Of libraries that the daemon loads, what it never uses of them: OpenSSL alone is 5 MB (`skygcs.cli.lean_imports`)."""
+"""Of libraries that the daemon loads, what it never uses of them: OpenSSL alone is 5 MB (`skygcs.cli.lean_imports`). Of
+skygcs what a daemon imports when it is first asked for, or where the fleet file asks for it."""
 
 NEEDED = (
     "skygcs.core.control.deadman",
     "skygcs.core.control.guard",
     "skygcs.core.vehicle.offboard_controller",
     "skygcs.core.vehicle.orders",
+    "skygcs.rpc.control",
+    "skygcs.rpc.operator",
     "skygcs.rpc.vehicles",
     "skygcs.runtime.command_client",
     "skygcs.runtime.operator_watchdog",

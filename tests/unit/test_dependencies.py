@@ -17,7 +17,7 @@ TOOLS = {"test", "docs", "dev"}
 WITH = {"pydantic": {"pydantic_core"}}
 """Modules of a package's other half, which it requires in the one version that fits."""
 
-MODULES = {"pyserial": "serial", "foxglove-sdk": "foxglove"}
+MODULES = {"pyserial": "serial", "foxglove-sdk": "foxglove", "nats-py": "nats"}
 """Packages whose module has another name, apart from - and _."""
 
 

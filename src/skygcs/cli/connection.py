@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import itertools
 import os
+import re
 import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
@@ -21,11 +22,19 @@ from skygcs.cli.render import outcome_lines, print_json, print_lines, screen_wid
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, client_token, tcp_address
 from skygcs.rpc.client import Client, connect
+from skygcs.rpc.error_codes import INVALID_PARAMS, METHOD_NOT_FOUND, NOT_AUTHENTICATED
 
-USAGE_ERRORS = (-32601, -32602)
+STATION_SUFFIX = ".federation"
+"""Behind the path of the daemon's socket: the station socket."""
+
+ALL_SITES = "all sites"
+EVERY_SITE = "*/all"
+_OTHER_SITE = re.compile(r"(?:\*|[a-z][a-z0-9-]{0,15})/.+")
+_COMPONENT = re.compile(r".*/\d{1,3}")
+
+USAGE_ERRORS = (METHOD_NOT_FOUND, INVALID_PARAMS)
 """JSON-RPC codes of usage errors: unknown method, wrong parameters."""
 
-NOT_AUTHENTICATED = -32004
 COMMANDS = {
     "messages.list": "skygcs-cli message list",
     "commands.list": "skygcs-cli call commands.list",
@@ -52,12 +61,37 @@ class Exit(IntEnum):
     INTERRUPTED = 130
 
 
-def run(command: Callable[[Client], Awaitable[int | None]]) -> NoReturn:
-    """Connect, run ``command``, exit with the code it returns (None: 0). Errors become one line and an exit code."""
+def run(command: Callable[[Client], Awaitable[int | None]], *, station: bool = False) -> NoReturn:
+    """Connect, run ``command``, exit with the code it returns (None: 0). Errors become one line and an exit code.
+    ``station``: connect to the station socket."""
 
     async def connected() -> int:
-        async with client() as gcs:
+        async with client(station=station) as gcs:
             return await command(gcs) or Exit.DONE
+
+    run_offline(lambda: asyncio.run(connected()))
+
+
+def run_on_sites(targets: str, command: Callable[[Client, str], Awaitable[int | None]]) -> NoReturn:
+    """`run` for what shows vehicles: ``command`` gets the targets to show. "all" means every site where a bridge runs;
+    one that does not answer is named, and own vehicles are shown."""
+
+    address = client_address()
+    named = names_other_sites(targets)
+    there = address.endswith(STATION_SUFFIX) or os.path.exists(station_socket(address))
+
+    async def connected() -> int:
+        async with contextlib.AsyncExitStack() as stack:
+            if named:
+                return await command(await stack.enter_async_context(client(station=True)), targets) or Exit.DONE
+            if targets == "all" and there:
+                try:
+                    station = await stack.enter_async_context(client(station=True))
+                except DaemonUnreachable as error:
+                    fail(f"other sites are not shown: {error.address}: {error.reason}")
+                else:
+                    return await command(station, EVERY_SITE) or Exit.DONE
+            return await command(await stack.enter_async_context(client()), targets) or Exit.DONE
 
     run_offline(lambda: asyncio.run(connected()))
 
@@ -75,7 +109,7 @@ def run_order(method: str, json_output: bool, **params: Any) -> NoReturn:
             answer = await gcs.call(method, **params)
         return print_outcomes(answer["outcomes"], json_output)
 
-    run(command)
+    run(command, station=names_other_sites(params.get("targets")))
 
 
 def run_show(method: str, json_output: bool, lines: Callable[[Any], Iterable[str]], **params: Any) -> NoReturn:
@@ -110,16 +144,37 @@ def fail(text: str) -> None:
     typer.echo(wrapped(f"skygcs-cli: {text}", screen_width(sys.stderr), indent=2), err=True)
 
 
-def client(socket: str | None = None) -> Client:
-    """The daemon at ``socket``, else $SKYGCS_SOCKET (set by --socket), else at the default socket.
+def client(socket: str | None = None, *, station: bool = False) -> Client:
+    """The daemon at ``socket``, else $SKYGCS_SOCKET (set by --socket), else at the default socket. ``station``: the
+    station socket beside it.
 
-    Raises SkygcsError if the token file cannot be read, BadParameter if the address is not valid.
+    Raises SkygcsError if the token file cannot be read, or there is no station socket; BadParameter if the address is
+    not valid.
     """
     try:
-        tcp_address(client_address(socket))
+        tcp = tcp_address(client_address(socket))
     except ValueError as error:
         raise typer.BadParameter(f"--socket: {error}") from None
+    if station and tcp is None:
+        socket = station_socket(client_address(socket))
+        if not os.path.exists(socket):
+            raise DaemonUnreachable(socket, "other sites are reached through a fleet file with [federation]")
     return connect(socket, token=client_token())
+
+
+def station_socket(address: str) -> str:
+    """The path of the station socket, for that of the daemon's socket or its own."""
+    return address if address.endswith(STATION_SUFFIX) else address + STATION_SUFFIX
+
+
+def names_other_sites(targets: object) -> bool:
+    """True if a target is a vehicle of another site: south/alpha, south/all, */all. alpha/191 is one at a station that
+    has a socket, which knows whether alpha is a site, and else a component."""
+    parts = [part.strip() for part in str(targets).split(",")]
+    named = [part for part in parts if part == ALL_SITES or _OTHER_SITE.fullmatch(part) is not None]
+    if all(_COMPONENT.fullmatch(part) is not None for part in named):
+        return bool(named) and os.path.exists(station_socket(client_address()))
+    return True
 
 
 def _in_commands(text: str) -> str:

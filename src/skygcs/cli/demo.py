@@ -255,8 +255,9 @@ async def _show_web_page(socket: Path, port: int | None, console: Console) -> No
         console.print(f"web page: {error}")
         return
     console.print(f"web page: {address}", soft_wrap=True, highlight=False)
-    if can_open_browser():
-        await asyncio.to_thread(webbrowser.open, address)
+    if can_open_browser():  # with an address of its own: the one that is printed is for another browser
+        opened = await asyncio.to_thread(wait_for_link, str(socket), port, own_user=True)
+        await asyncio.to_thread(webbrowser.open, opened)
 
 
 async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:

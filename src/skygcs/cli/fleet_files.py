@@ -12,6 +12,7 @@ from pathlib import Path
 from skygcs.cli.render import table
 from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
+from skygcs.config.federation import FederationConfig, is_loopback, server_address
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
@@ -27,7 +28,7 @@ from skygcs.config.models import (
 from skygcs.config.router_import import import_router
 from skygcs.config.signing import read_key
 from skygcs.core.geo import EAST_DEG
-from skygcs.errors import ConfigError, KeyFileError
+from skygcs.errors import ConfigError, KeyFileError, SkygcsError
 
 PIPE_COLUMNS = 160
 """Width where there is no terminal: a table has room for a path."""
@@ -60,6 +61,9 @@ def _show(file: Path, config: FleetConfig) -> None:
         origin = config.origin
         axes = "" if origin.x_heading_deg == EAST_DEG else f", x to {origin.x_heading_deg:g}°"
         screen.print(f"origin   {origin.lat_deg}, {origin.lon_deg}, {origin.alt_amsl_m} m above sea level{axes}")
+    if config.federation is not None:
+        joined = config.federation
+        screen.print(f"hub      {', '.join(joined.servers)} as {joined.role} {joined.site or ''}".rstrip())
     # links
     rows = []
     for name, link in config.links.items():
@@ -123,6 +127,25 @@ def _notes(config: FleetConfig) -> list[str]:
     for owner, token in tokens.items():
         if token is not None and not token.is_file():
             notes.append(f"{owner}.token_file: the file {token} does not exist now")
+    return notes + ([] if config.federation is None else _hub_notes(config.federation))
+
+
+def _hub_notes(federation: FederationConfig) -> list[str]:
+    """A key that is not there yet, and what is wrong with the nats-server of this computer if it is the hub's."""
+    notes = []
+    for key in ("nkey", "ca", "cert", "key"):
+        path = getattr(federation, key)
+        if path is not None and not path.is_file():
+            notes.append(f"federation.{key}: the file {path} does not exist now")
+    if any(is_loopback(server_address(server).host) for server in federation.servers):
+        from skygcs.federation.server_program import find_server, server_version, version_warning
+
+        try:
+            warning = version_warning(server_version(find_server()))
+        except SkygcsError as error:
+            warning = str(error)
+        if warning is not None:
+            notes.append(f"federation.servers: {warning}")
     return notes
 
 
@@ -176,7 +199,7 @@ def _check(text: str, file: Path) -> None:
 def write_example(scenario: str | None, folder: Path, *, force: bool) -> int:
     """Write an example as fleet.toml into ``folder`` and print what to do next; None: list the scenarios. Raises
     ConfigError."""
-    from skygcs.config.examples import example_text, scenarios
+    from skygcs.config.examples import HUB, example_text, scenarios, station_texts
 
     if scenario is None:
         width = max(map(len, scenarios()))
@@ -184,16 +207,28 @@ def write_example(scenario: str | None, folder: Path, *, force: bool) -> int:
         for name, purpose in scenarios().items():
             print(f"  {name:{width}}  {purpose}")
         return 0
+    if (texts := station_texts(scenario)) is not None:
+        for name, text in texts.items():
+            _write_new(folder / name, text, force=force)
+        print(f"{', '.join(texts)} are written to {folder}. Then, there, each in a terminal of its own:\n")
+        print("  skygcs federation up          # the hub, and a key for each station")
+        print("\n".join(f"  skygcs run {name}" for name in texts if name != HUB))
+        return 0
     path = folder / "fleet.toml"
     text = example_text(scenario, path.name)
+    _write_new(path, text, force=force)
+    print(f"{path} is written. Change it to what you have, then:\n")
+    print(f"  skygcs check {path}\n  skygcs run {path}\n  skygcs-cli status        # in another terminal")
+    return 0
+
+
+def _write_new(path: Path, text: str, *, force: bool) -> None:
+    """Raises ConfigError, also for a file that is there unless ``force``."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w" if force else "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
         raise ConfigError(str(path), ["exists already; --force overwrites it"]) from None
     except OSError as error:
         raise ConfigError(str(path), [error.strerror or str(error)]) from None
-    print(f"{path} is written. Change it to what you have, then:\n")
-    print(f"  skygcs check {path}\n  skygcs run {path}\n  skygcs-cli status        # in another terminal")
-    return 0

@@ -4,7 +4,10 @@
   with the names that they look up while they are imported. Any other name of it imports ssl itself.
 - hashlib imports OpenSSL's hashes, too. Those built into the interpreter are the same, and 0.5 µs slower for a signed
   frame; where a distribution has built it without them, OpenSSL's are used.
-- pydantic imports importlib.metadata, and with it email and zipfile, to look for plugins, which are switched off.
+- pydantic imports importlib.metadata, and with it email and zipfile, to look for plugins, which are switched off;
+  zoneinfo, and with it sysconfig's thousand settings of the build, for fields that are time zones, of which skygcs has
+  none; and uuid, which imports platform to learn that this is Linux.
+- tempfile and argparse import shutil, which looks for the libraries of three kinds of archives.
 
 Whatever imports one of these later gets the real module. `skygcs web`, which serves TLS, is a process of its own that
 does not come here.
@@ -14,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -76,11 +80,31 @@ def prepare_daemon(*, tls: bool = False) -> None:
             importlib.import_module("asyncio")
             if util.find_spec("uvloop") is not None:
                 importlib.import_module("uvloop")
-    if "importlib.metadata" not in sys.modules and "pydantic" not in sys.modules:
-        with _instead_of("importlib.metadata", StandIn("importlib.metadata", {"entry_points": _entry_points})):
-            importlib.import_module("pydantic.plugin")
-            with contextlib.suppress(ImportError):  # no public module: where it is absent it is imported by nothing
-                importlib.import_module("pydantic.plugin._loader")
+    if "shutil" not in sys.modules:
+        with contextlib.ExitStack() as stack:
+            for name in ("bz2", "lzma", "zlib"):
+                if name not in sys.modules:
+                    stack.enter_context(_instead_of(name, None))
+            importlib.import_module("shutil")
+    if "pydantic" not in sys.modules:
+        _import_pydantic()
+
+
+def _import_pydantic() -> None:
+    stand_ins = (
+        StandIn("importlib.metadata", {"entry_points": _entry_points}),
+        StandIn("platform", {"system": lambda: os.uname().sysname}),
+        StandIn("zoneinfo", {"ZoneInfo": type("ZoneInfo", (), {}), "ZoneInfoNotFoundError": KeyError}),
+    )
+    with contextlib.ExitStack() as stack:
+        for stand_in in stand_ins:
+            if stand_in.__name__ not in sys.modules:
+                stack.enter_context(_instead_of(stand_in.__name__, stand_in))
+        importlib.import_module("pydantic.plugin")
+        for name in ("pydantic.fields", "pydantic.type_adapter"):  # and all that makes a schema
+            importlib.import_module(name)
+        with contextlib.suppress(ImportError):  # no public module: where it is absent it is imported by nothing
+            importlib.import_module("pydantic.plugin._loader")
 
 
 @contextlib.contextmanager

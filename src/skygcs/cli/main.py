@@ -45,6 +45,7 @@ COMMANDS = (
     ("messages", ("message",)),
     ("links", ("links", "link")),
     ("companions", ("companions",)),
+    ("federation", ("federation",)),
     ("bring_up", ("up", "down")),
     ("origin", ("origin",)),
     ("missions", ("mission",)),

@@ -93,7 +93,12 @@ _TARGETS = "Vehicles: 1, 1,3, 2-5, a name, a group, all"
 
 Targets = Annotated[
     str,
-    typer.Argument(metavar="TARGETS", help=f"{_TARGETS}.", autocompletion=complete_targets, show_default=False),
+    typer.Argument(
+        metavar="TARGETS",
+        help=f"{_TARGETS}; of other sites: south/alpha, south/all, */all.",
+        autocompletion=complete_targets,
+        show_default=False,
+    ),
 ]
 ComponentTargets = Annotated[
     str,

@@ -10,7 +10,16 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from skygcs.cli.connection import Exit, client, fail, print_outcomes, run, run_order, waiting
+from skygcs.cli.connection import (
+    Exit,
+    client,
+    fail,
+    names_other_sites,
+    print_outcomes,
+    run,
+    run_order,
+    waiting,
+)
 from skygcs.cli.options import (
     ComponentTargets,
     Json,
@@ -23,9 +32,7 @@ from skygcs.cli.options import (
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
-
-REFUSED = -32002
-"""JSON-RPC code of what skygcs itself refuses (docs/reference/rpc.md)."""
+from skygcs.rpc.error_codes import REFUSED
 
 Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Try again for S seconds.", parser=finite)]
 Place = Annotated[
@@ -61,6 +68,8 @@ def _order(name: str, targets: str, json_output: bool, **params: Any) -> NoRetur
 def _order_confirmed(name: str, targets: str, json_output: bool, confirm: str | None, **params: Any) -> NoReturn:
     """As `_order`; if the daemon requires a word to confirm it, the person at the terminal is asked for the word."""
 
+    station = names_other_sites(targets)
+
     async def command(gcs: Client) -> int:
         async def ordered(word: str | None, daemon: Client = gcs) -> int:
             async with waiting(f"{name} {targets}"):
@@ -79,10 +88,12 @@ def _order_confirmed(name: str, targets: str, json_output: bool, confirm: str | 
         if not word:
             fail("not confirmed; nothing was sent")
             return Exit.FAILED
-        async with client() as again:  # a daemon with too many clients answers one request per connection
+        async with client(
+            station=station
+        ) as again:  # a daemon with too many clients answers one request per connection
             return await ordered(word, again)
 
-    run(command)
+    run(command, station=station)
 
 
 def _has_terminal() -> bool:

@@ -7,7 +7,6 @@ import contextlib
 import fnmatch
 import os
 import sys
-import tempfile
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from skygcs.cli.connection import Exit, run, run_offline, show
 from skygcs.cli.options import Json, OneVehicle, Targets
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.cli.render import plural, print_json, print_lines
+from skygcs.config.files import write_whole
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float
 from skygcs.core.params.compare import ApplyPlan, Change, Difference, diff, plan
 from skygcs.core.params.names import SORTS, Sort
@@ -428,15 +428,7 @@ def write_file(path: Path, held: HeldParams, kind: Kind, state: Mapping[str, Any
     if state.get("firmware"):
         about["Version"] = str(state["firmware"])
     file = of_vehicle(held.params, kind, sysid=held.sysid, compid=held.compid, about=about)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as out:
-            out.write(write(file))
-        Path(name).chmod(0o644)
-        os.replace(name, path)
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
+    write_whole(path, write(file).encode(), 0o644)
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------

@@ -59,7 +59,7 @@ def read_files(files: Sequence[Path], limits: MotionLimits, origin: Origin | Non
 
 
 async def origin_of_fleet(gcs: Client, files: Iterable[Path]) -> Origin | None:
-    """The fleet's origin. Raises SkygcsError where there is none and a file has no place without it."""
+    """The fleet's origin. Raises SkygcsError if it is not set and a file needs it to be placed."""
     known = (await gcs.call("origin.get"))["origin"]
     if known is not None:
         return Origin(**known)
@@ -129,12 +129,14 @@ class FormationOptions:
             return
         if self.formation not in SHAPES:
             known = ", ".join((*SHAPES, CURRENT))
-            raise typer.BadParameter(f"--formation: {self.formation!r} is none of {known}, nor a .csv file of points")
+            raise typer.BadParameter(
+                f"--formation: {self.formation!r} is neither one of {known} nor a .csv file of points"
+            )
         if self.at is None:
             raise typer.BadParameter(f"--formation {self.formation} needs --at X,Y,Z")
 
     def wanted(self) -> WantedFormation | None:
-        """None: the goals are none. Raises SkygcsError for a file of points."""
+        """None: the goals are not a formation. Raises SkygcsError for a file of points."""
         if self.formation is None:
             return None
         shape: str = self.formation

@@ -57,7 +57,7 @@ async def serve_until_signal(
             links=", ".join(daemon.links.open_names()) or "none",
             sysid=daemon.config.daemon.sysid,
             compid=daemon.config.daemon.compid,
-            **({} if daemon.web is None else {"web": f"{daemon.web.page} (skygcs web link prints an address)"}),
+            **({} if daemon.web is None else {"web": f"{daemon.web.more['page']} (skygcs web link prints an address)"}),
         )
         if on_ready is not None:
             on_ready()

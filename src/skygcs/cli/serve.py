@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from skygcs import __version__
 from skygcs.cli.companion_keys import add_companion
+from skygcs.cli.federation_process import add_federation
 from skygcs.cli.process import (
     EXIT_FAILED,
     EXIT_OK,
@@ -58,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_sitl(commands)
     add_web(commands)
     add_companion(commands)
+    add_federation(commands)
     return parser
 
 
@@ -178,6 +180,9 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     sitl.add_argument(
         "--port", type=int, default=0, metavar="PORT", help="UDP port of the daemon (default: a free one)"
+    )
+    sitl.add_argument(
+        "--second-port", type=int, default=0, metavar="PORT", help="a second link of each vehicle, to this UDP port"
     )
     sitl.add_argument(
         "--param",
@@ -315,6 +320,7 @@ def _sitl(args: argparse.Namespace) -> int:
             home=parse_home(args.home),
             spacing_m=args.spacing,
             port=args.port,
+            second_port=args.second_port,
             params=args.param,
             param_files=args.params,
             folder=args.folder,

@@ -35,6 +35,7 @@ from skygcs.cli.parsing import finite, parse_json, parse_unset_number, within
 from skygcs.cli.render import plural, print_json
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.client import Client
+from skygcs.rpc.error_codes import INVALID_PARAMS, TARGET_ERROR
 
 DEFAULT_HZ = 10.0
 LEAST_HZ = 0.2
@@ -487,7 +488,7 @@ read at once (65,536 bytes) comes on top."""
 MOST_REFUSED = 50
 """In a row: 5 s at the default rate. In this time `control set` can be called while the program runs already."""
 
-LINE_ERRORS = (-32602, -32001)
+LINE_ERRORS = (INVALID_PARAMS, TARGET_ERROR)
 """RPC error codes that a wrong line causes: wrong parameters, no such vehicle."""
 
 ERRORS_SHOWN = 10

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from skygcs.cli.process import run_loop
 from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort, XBeePort
 from skygcs.config.dialects import load_dialect
-from skygcs.config.files import load_param_set
+from skygcs.config.param_sets import load_param_set
 from skygcs.config.radio import EmulatedRadio, EmulatedXBees
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError

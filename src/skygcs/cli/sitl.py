@@ -35,6 +35,7 @@ from skygcs.sim.sitl import (
     Home,
     Instance,
     Launch,
+    Ports,
     Readiness,
     copter_launch,
     fleet_text,
@@ -78,6 +79,7 @@ class SitlOptions:
     home: Home
     spacing_m: float
     port: int = 0
+    second_port: int = 0
     params: Sequence[str] = ()
     param_files: Sequence[Path] = ()
     folder: Path | None = None
@@ -236,7 +238,7 @@ class _Sitl:
         try:
             self._folder = self._make_folder()
             gcs_port = self._options.port or _free_port()
-            self._prepare(gcs_port, listen_port)
+            self._prepare(Ports(gcs_port, listen_port, self._options.second_port))
             fleet = self._write_fleet(gcs_port)
             for process in self._processes.values():
                 await self._start(process)
@@ -262,17 +264,16 @@ class _Sitl:
         except OSError as error:
             raise LinkError(f"--folder {self._options.folder}: {error.strerror or error}") from None
 
-    def _prepare(self, gcs_port: int, listen_port: int) -> None:
+    def _prepare(self, ports: Ports) -> None:
         options = self._options
         for index, home in enumerate(self._places):
             kind: Autopilot = "px4" if index < options.px4 else "ardupilot"
             locks: list[IO[bytes]] = []
             number = _px4_number(locks) if kind == "px4" else index - options.px4
-            instance = Instance(
-                kind, options.first_sysid + index, number, home, _free_port(), _free_port(), self._params[kind]
-            )
+            sysid, own = options.first_sysid + index, (_free_port(), _free_port(), _free_port())
+            instance = Instance(kind, sysid, number, home, *own, self._params[kind])
             folder = self._folder / instance.name
-            launch = self._launch(instance, folder, gcs_port, listen_port)
+            launch = self._launch(instance, folder, ports)
             try:
                 folder.mkdir(exist_ok=True)
                 for name, text in launch.files.items():
@@ -285,7 +286,7 @@ class _Sitl:
                 instance, folder, launch, time.monotonic(), Readiness(kind), locks=locks
             )
 
-    def _launch(self, instance: Instance, folder: Path, gcs_port: int, listen_port: int) -> Launch:
+    def _launch(self, instance: Instance, folder: Path, ports: Ports) -> Launch:
         speedup = self._options.speedup
         if instance.autopilot == "px4":
             assert self._px4 is not None
@@ -294,8 +295,7 @@ class _Sitl:
                 binary=str(self._px4.binary),
                 etc=str(self._px4.etc),
                 folder=str(folder),
-                gcs_port=gcs_port,
-                listen_port=listen_port,
+                ports=ports,
                 speedup=speedup,
             )
         assert self._copter is not None
@@ -304,8 +304,7 @@ class _Sitl:
             binary=str(self._copter.binary),
             defaults=str(self._copter.defaults),
             folder=str(folder),
-            gcs_port=gcs_port,
-            listen_port=listen_port,
+            ports=ports,
             rc_port=_free_port(),
             speedup=speedup,
         )
@@ -313,7 +312,8 @@ class _Sitl:
     def _write_fleet(self, gcs_port: int) -> Path:
         path = self._folder / "fleet.toml"
         try:
-            path.write_text(fleet_text([p.instance for p in self._processes.values()], port=gcs_port), "utf-8")
+            instances = [p.instance for p in self._processes.values()]
+            path.write_text(fleet_text(instances, port=gcs_port, second_port=self._options.second_port), "utf-8")
         except OSError as error:
             raise LinkError(f"{path}: {error.strerror or error}") from None
         return path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import Exit, fail, run, run_show, show, waiting
+from skygcs.cli.connection import Exit, fail, run, run_on_sites, run_show, show, waiting
 from skygcs.cli.options import Json, OptionalTargets, complete_methods
 from skygcs.cli.parsing import finite, parse_json
 from skygcs.cli.render import (
@@ -37,13 +37,17 @@ if TYPE_CHECKING:
 NOTHING_HEARD = "heard yet (skygcs-cli links shows what arrives)"
 
 STATUS_COLUMNS = (
-    *("name", "id", "autopilot", "mode", "armed", "alt", "x, y, up"),
-    *("battery", "gps", "link", "loss", "age", "last text"),
+    *("name", "site", "id", "autopilot", "mode", "armed", "alt", "x, y, up"),
+    *("battery", "gps", "link", "companion", "loss", "age", "last text"),
 )
-WORLD_COLUMN = STATUS_COLUMNS.index("x, y, up")
-"""Metres along the axes of the fleet's world frame."""
 
-STATUS_LEAVES_OUT = ("last text", "loss", "link", "autopilot", "gps", "x, y, up", "id")
+ONLY_IF_KNOWN = ("site", "x, y, up", "companion")
+"""Columns of what a whole fleet may not have: other sites, an origin, computers on its vehicles."""
+
+COMPANION_SILENT_S = 5.0
+"""A companion's heartbeat comes every second."""
+
+STATUS_LEAVES_OUT = ("last text", "loss", "site", "companion", "link", "autopilot", "gps", "x, y, up", "id")
 """Columns that a narrow terminal does not show, in the order in which they are left out."""
 
 LOW_BATTERY_PERCENT = 25
@@ -59,21 +63,24 @@ Count = Annotated[int, typer.Option("--count", metavar="N", help="End after N up
 
 
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show every vehicle, or some."""
+    """Show every vehicle, or some; with [federation] those of all sites."""
 
-    async def command(gcs: Client) -> None:
+    async def command(gcs: Client, targets: str) -> None:
         states = await gcs.vehicles(targets)
         if json_output:
             print_json(states)
         elif states:
             screen = console()
-            screen.print(status_table(states, width=screen.width))
+            screen.print(status_table(by_site(states), width=screen.width))
         else:
             typer.echo(f"no vehicle {NOTHING_HEARD}")
-        if left := (await gcs.call("daemon.info")).get("to_undo"):
+        info = await gcs.call("daemon.info")
+        if left := info.get("to_undo"):
             fail(f"{left} change{'s' if left > 1 else ''} in vehicles not undone: skygcs-cli undo list")
+        if info.get("pid") is None and (site := (info.get("federation") or {}).get("site")) is not None:
+            fail(f"the daemon of {site} does not answer: own vehicles are not shown")
 
-    run(command)
+    run_on_sites(targets, command)
 
 
 def components(json_output: Json = False) -> None:
@@ -103,7 +110,8 @@ def watch(
     count: Count = sys.maxsize,
     json_output: Json = False,
 ) -> None:
-    """Show vehicles as they change, until Ctrl-C. On a pipe or with --json: one line per update."""
+    """Show vehicles as they change, until Ctrl-C; with [federation] those of all sites. On a pipe or with --json: one
+    line per update."""
     wanted = [f.strip() for f in fields.split(",") if f.strip()]
     sections = sorted({f.split(".")[0] for f in wanted} | {"connected"}) if wanted else None
 
@@ -112,13 +120,13 @@ def watch(
             return f"{state['name']} " + " ".join(f"{f}={field_text(state, f)}" for f in wanted)
         return "  ".join(cell for cell in status_cells(state) if cell)
 
-    async def command(gcs: Client) -> None:
+    async def command(gcs: Client, targets: str) -> None:
         updates = gcs.telemetry(targets, rate_hz=rate_hz, groups=sections)
         await follow_states(
             updates, count, json_output, line, lambda states, width: status_table(states, wanted, width)
         )
 
-    run(command)
+    run_on_sites(targets, command)
 
 
 async def follow_states(
@@ -130,14 +138,14 @@ async def follow_states(
 ) -> None:
     """Show ``count`` updates of vehicles: live on a terminal, else one line each.
 
-    ``draw(states, columns)`` gets the newest state of every vehicle, ordered by system id.
+    ``draw(states, columns)`` gets the newest state of every vehicle, ordered by site and system id.
     """
     states: dict[str, State] = {}
     seen = 0
     live = sys.stdout.isatty() and not json_output
 
     def picture(columns: int) -> RenderableType:
-        ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
+        ordered = by_site(states.values())
         return draw(ordered, columns) if ordered else "waiting for vehicles …"
 
     with LiveView(picture, enabled=live) as view:
@@ -154,6 +162,11 @@ async def follow_states(
                 return
 
 
+def by_site(states: Iterable[State]) -> list[State]:
+    """Own vehicles first, then those of other sites; each by system id."""
+    return sorted(states, key=lambda state: (str(state.get("site") or ""), int(state["sysid"]), state["name"]))
+
+
 def status_cells(state: State) -> tuple[str, ...]:
     """One vehicle in the columns of STATUS_COLUMNS, without any markup."""
     battery, gps, position = (state.get(k) or {} for k in ("battery", "gps", "position"))
@@ -165,6 +178,7 @@ def status_cells(state: State) -> tuple[str, ...]:
     altitude = fixed(position.get("alt_rel_m"), 1, " m")
     return (
         str(state["name"]),
+        str(state.get("site") or ""),
         str(state["sysid"]),
         " ".join(filter(None, (state.get("autopilot"), state.get("firmware")))),
         state.get("mode") or "?",
@@ -174,6 +188,7 @@ def status_cells(state: State) -> tuple[str, ...]:
         " ".join(filter(None, (fixed(battery.get("percent"), 0, " %"), fixed(battery.get("volts"), 1, " V")))),
         " ".join(filter(None, (gps.get("fix"), fixed(gps.get("satellites"), 0, " sat")))),
         "" if best is None else f"{best} +{len(links) - 1}" if len(links) > 1 else best,
+        companion_word(state),
         percent(links[best].get("loss_ratio")) if best is not None else "",
         age_word(state),
         f"{newest['text']} ({duration(newest.get('age_s'))} ago)" if newest is not None else "",
@@ -192,6 +207,19 @@ def armed_word(state: State) -> str:
     return " ".join([armed, *words])
 
 
+def companion_word(state: State) -> str:
+    """The computer on the vehicle: our connection to it, else whether MAVLink of it is heard; "" without one."""
+    companion: Mapping[str, Any] | None = state.get("companion")
+    if not companion:
+        return ""
+    link, age_s = companion.get("link"), companion.get("age_s")
+    if link is not None:
+        return str(link) if link != "down" else f"DOWN {duration(companion.get('since_s'))}"
+    if age_s is None:
+        return "not heard"
+    return "heard" if age_s < COMPANION_SILENT_S else f"silent {duration(age_s)}"
+
+
 def near_word(state: State) -> str | None:
     """The vehicle that it is about to meet, in capitals if that is soon; None: none."""
     conflict: Mapping[str, Any] = state.get("separation") or {}
@@ -207,7 +235,7 @@ def is_deaf(state: State) -> bool:
 
 
 def age_word(state: State) -> str:
-    """How long ago it was heard; with "lost" if that is too long."""
+    """How long ago it was heard, in all if it is of another site; with "lost" if that is too long."""
     age = duration(state.get("last_heartbeat_age_s"))
     return age if state.get("connected") else f"lost {age}"
 
@@ -219,11 +247,11 @@ def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int
     if fields:
         values = [(str(s["name"]), *(field_text(s, f) for f in fields)) for s in states]
         return table(("name", *fields), values, styles=dim)
-    columns: Sequence[str] = STATUS_COLUMNS
     rows = [status_cells(state) for state in states]
-    # without an origin of the fleet there are no world positions, and no column for them
-    if not any(row[WORLD_COLUMN] for row in rows):
-        columns = tuple("" if i == WORLD_COLUMN else column for i, column in enumerate(columns))
+    columns = [
+        "" if column in ONLY_IF_KNOWN and not any(row[i] for row in rows) else column
+        for i, column in enumerate(STATUS_COLUMNS)
+    ]
     shown = fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
     # the last text is cut to the room that is left, never wrapped
     if len(columns) - 1 in shown:
@@ -260,6 +288,8 @@ def _styles(state: State) -> dict[str, str]:
     meets = (state.get("separation") or {}).get("level") in ("warning", "action")
     if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state) or meets:
         styles["armed"] = "bold red"
+    if (state.get("companion") or {}).get("link") == "down":
+        styles["companion"] = "bold red"
     if not state.get("connected"):
         styles["age"] = "bold red"
     charge = (state.get("battery") or {}).get("percent")

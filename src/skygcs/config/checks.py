@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import ipaddress
 import os
 import re
@@ -11,6 +10,7 @@ from itertools import combinations
 
 from skygcs.config.companions import companions_problems
 from skygcs.config.control import ControlSettings
+from skygcs.config.federation import federation_problems
 from skygcs.config.mocap import mocap_problems
 from skygcs.config.models import (
     FleetConfig,
@@ -30,6 +30,7 @@ from skygcs.config.radio import RadioKeys
 from skygcs.config.signing import EVERY_MESSAGE
 from skygcs.config.tables import KeyPath, Problem
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.spelling import near_names
 
 MAX_SOCKET_PATH_BYTES = 107
 """sun_path holds 108 bytes with the final zero (Linux, unix(7))."""
@@ -51,6 +52,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _control(config)
     problems += _mocap(config)
     problems += _companions(config)
+    problems += federation_problems(config.federation, config.vehicles)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
     problems += _own_places(active)
@@ -185,7 +187,7 @@ def _message_problem(message: str | int, dialect: Dialect) -> str | None:
     try:
         dialect.find(message)
     except KeyError:
-        near = difflib.get_close_matches(message.upper(), dialect.by_name, n=1)
+        near = near_names(message.upper(), dialect.by_name, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
         return f"the dialect has no message {message}{hint}"
     return None
@@ -248,7 +250,7 @@ def _vehicle_sysids(config: FleetConfig) -> Iterator[Problem]:
 def _vehicle_types(config: FleetConfig) -> Iterator[Problem]:
     for name, entry in config.vehicles.items():
         if entry.type is not None and entry.type not in config.types:
-            near = difflib.get_close_matches(entry.type, config.types, n=1)
+            near = near_names(entry.type, config.types, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             yield Problem(("vehicles", name, "type"), f"there is no [types.{entry.type}]{hint}")
 
@@ -468,7 +470,7 @@ def _vehicles(
         if sysid is None and _is_wrong(("vehicles", vehicle), wrong):
             continue  # it exists, and its problem is reported there
         if sysid is None:
-            near = difflib.get_close_matches(str(vehicle), config.vehicles, n=1)
+            near = near_names(str(vehicle), config.vehicles, n=1)
             known = ", ".join(config.vehicles) or "this file names none"
             hint = f"did you mean {near[0]}?" if near else f"there are: {known}; or a system id, 1 to 255"
             yield Problem(path, f"there is no vehicle {vehicle!r}; {hint}")

@@ -8,20 +8,20 @@ some 20 ms where importing pymavlink's generated `all` module takes over 300 ms.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import hashlib
 import io
 import json
 import os
 import re
-import tempfile
 from collections.abc import Sequence
 from importlib import util
 from pathlib import Path
 from typing import Any
 
+from skygcs.config.files import write_whole
 from skygcs.core.mavlink.dialect import ABSENT, MAX_PAYLOAD_BYTES, Dialect, FieldInfo, MessageInfo
 from skygcs.errors import DialectError
+from skygcs.spelling import near_names
 
 TABLE_FORMAT = 1
 """Raised whenever `Dialect.to_table` changes shape: old cache files are then never read."""
@@ -119,7 +119,7 @@ def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
         if path.is_file():
             return path
     known = sorted({p.stem for d in (shipped_dialects_dir(), packaged_dialects_dir()) for p in d.glob("*.xml")})
-    near = difflib.get_close_matches(name_or_path, known, n=1)
+    near = near_names(name_or_path, known, n=1)
     hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
     raise DialectError(name_or_path, None, "no dialect of this name" + hint)
 
@@ -322,12 +322,10 @@ def _check_messages(path: Path, xml: Any) -> None:
 
 
 def _store(cache: Path, dialect: Dialect) -> None:
-    """Whole or not at all: written beside and renamed, so that two daemons starting together never read half a file."""
+    """Whole or not at all: two daemons that start together never read half a file."""
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=cache.parent, suffix=".tmp")
-        with os.fdopen(handle, "w") as file:
-            json.dump(dialect.to_table(), file, separators=(",", ":"))
-        os.replace(name, cache)
+        content = json.dumps(dialect.to_table(), separators=(",", ":"))
+        write_whole(cache, content.encode(), 0o600, durable=False)
     except OSError:
         return  # a read-only home costs a second at every start, not a flight

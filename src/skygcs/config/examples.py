@@ -9,6 +9,9 @@ from skygcs.errors import ConfigError
 
 SUFFIX = ".toml"
 
+HUB = "hub.toml"
+"""An example of several stations is a folder with one of these, and a fleet file for each station."""
+
 
 def examples_dir() -> Path:
     """Inside the package when installed, at the project's top in a checkout."""
@@ -22,6 +25,23 @@ def scenarios() -> dict[str, str]:
     for path in sorted(examples_dir().glob(f"*{SUFFIX}")):
         first = path.read_text(encoding="utf-8").partition("\n")[0]
         found[path.stem] = first.removeprefix("#").strip()
+    for path in sorted(examples_dir().glob(f"*/{HUB}")):
+        first = path.read_text(encoding="utf-8").partition("\n")[0]
+        found[path.parent.name] = first.removeprefix("#").partition(":")[0].strip()
+    return found
+
+
+def station_texts(scenario: str) -> dict[str, str] | None:
+    """Names and texts of the files of an example of several stations, as they stand together in a folder of their own;
+    None for an example that is one fleet file."""
+    folder = examples_dir() / scenario
+    if scenario not in scenarios() or not folder.is_dir():
+        return None
+    found = {}
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        text = path.read_text(encoding="utf-8")
+        text = text.replace(f"configs/{scenario}/", "").replace(f"up configs/{scenario}", "up")
+        found[path.name] = text.replace(f"../../build/{scenario}/", "")
     return found
 
 

@@ -1,16 +1,17 @@
-"""Reading files that the fleet file or a command names: never a pipe or device, which would stop the daemon."""
+"""Files that the fleet file or a command names: read, but never a pipe or device, which would stop the daemon; written
+whole or not at all."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
+import tempfile
 from pathlib import Path
 from typing import BinaryIO
 
-from skygcs.core.params.param_file import MAX_CHARS, parse
-from skygcs.errors import ConfigError
-from skygcs.sim.param_set import ParamSet, param_set
+from skygcs.errors import KeyFileError
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -35,14 +36,48 @@ def open_regular(path: Path) -> BinaryIO:
         raise
 
 
-def load_param_set(path: Path) -> ParamSet:
-    """Raises ConfigError for a file that does not exist, is no text, or belongs to another kind of vehicle."""
+def write_whole(path: Path, content: bytes, mode: int, *, durable: bool = True) -> None:
+    """Write a file of this mode whole or not at all: beside it, then renamed. Raises OSError.
+
+    ``durable``: it is on the disk when this returns. False for caches, which are made anew when a power cut takes them:
+    waiting for the disk stops the loop for tens of milliseconds.
+    """
+    handle, draft = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with open_regular(path) as file:
-            raw = file.read(4 * MAX_CHARS + 1)
-        text = raw.decode("utf-8-sig")
-    except OSError as error:
-        raise ConfigError(str(path), [error.strerror or str(error)]) from None
-    except UnicodeDecodeError:
-        raise ConfigError(str(path), ["is not UTF-8 text"]) from None
-    return param_set(parse(text, str(path)), str(path))
+        with os.fdopen(handle, "wb") as file:
+            os.fchmod(file.fileno(), mode)
+            file.write(content)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        os.replace(draft, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(draft)
+        raise
+    if durable:
+        _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """The new name is in the folder, and that is written like a file."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def require_private(path: Path, status: os.stat_result) -> None:
+    """Raise KeyFileError, with what to do, if others could have read or changed this file."""
+    if not stat.S_ISREG(status.st_mode):
+        raise KeyFileError(str(path), "is not a file")
+    mode = stat.S_IMODE(status.st_mode)
+    if mode & 0o077:
+        raise KeyFileError(
+            str(path),
+            f"others can read or change it (mode {mode:04o}); run: chmod 600 {path}, "
+            "and make a new key if others may have read this one",
+        )
+    if status.st_uid not in (os.geteuid(), 0):
+        raise KeyFileError(str(path), f"belongs to another user (uid {status.st_uid}); it must be your own")

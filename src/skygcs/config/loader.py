@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import json
 import os
 import re
@@ -21,6 +20,7 @@ from skygcs.config.companion_role import as_companion, companion_problems
 from skygcs.config.companions import CompanionEntry, CompanionsConfig
 from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
 from skygcs.config.dialects import load_dialect
+from skygcs.config.federation import FederationConfig, SharedVehicle
 from skygcs.config.metrics import MetricsConfig
 from skygcs.config.mocap import MocapConfig, SimulatedMocapConfig
 from skygcs.config.models import (
@@ -43,6 +43,7 @@ from skygcs.config.tables import KeyPath, Problem, key_lines, line_of
 from skygcs.config.web import WebConfig, WebMapConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
+from skygcs.spelling import near_names
 
 _LINK_TYPES: dict[str, type[LinkCommon]] = {m.model_fields["type"].default: m for m in get_args(LinkConfig)}
 
@@ -271,7 +272,8 @@ def _wanted(error: ErrorDetails) -> str | None:
         words, key = _BOUNDS[kind]
         return f"{words} {error['ctx'][key]:.10g}"
     if kind == "literal_error":
-        allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
+        expected = error["ctx"]["expected"]
+        allowed = re.findall(r"'([^']*)'", expected) or re.findall(r"-?\d+", expected)
         return "one of " + ", ".join(allowed)
     return None
 
@@ -313,7 +315,7 @@ def _unknown_key(path: KeyPath, table: dict[str, Any]) -> str:
 def _did_you_mean(word: str, known: Iterable[str]) -> str:
     """'; did you mean X?' if one is near; mavlink-router's AllowMsgIdIn is near allow_msg_id_in."""
     plain = {re.sub("[^a-z0-9]", "", k.lower()): k for k in known}
-    near = difflib.get_close_matches(re.sub("[^a-z0-9]", "", word.lower()), plain, n=1, cutoff=0.6)
+    near = near_names(re.sub("[^a-z0-9]", "", word.lower()), plain, n=1, cutoff=0.6)
     return f"; did you mean {plain[near[0]]}?" if near else ""
 
 
@@ -347,6 +349,10 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return CompanionsConfig
         case ("companions", _):
             return CompanionEntry
+        case ("federation",):
+            return FederationConfig
+        case ("federation", "vehicles", _):
+            return SharedVehicle
         case (*_, "separation"):
             return SeparationSettings
         case (*_, "preflight"):
@@ -410,6 +416,9 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
     companions = config.companions
     if companions is not None:
         companions = companions.model_copy(update={"key_dir": absolute(companions.key_dir, ("companions", "key_dir"))})
+    federation = config.federation
+    if federation is not None:
+        federation = _federation_with_paths(federation, absolute)
     update = {
         "daemon": daemon.model_copy(update=paths),
         "links": links,
@@ -419,6 +428,7 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         "web": web,
         "companion": companion,
         "companions": companions,
+        "federation": federation,
     }
     return config.model_copy(update=update), problems
 
@@ -440,6 +450,15 @@ def _companion_with_paths(companion: CompanionConfig, absolute: Callable[[Path, 
         key_file = absolute(companion.signing.key_file, ("companion", "signing", "key_file"))
         update["signing"] = companion.signing.model_copy(update={"key_file": key_file})
     return companion.model_copy(update=update)
+
+
+def _federation_with_paths(federation: FederationConfig, absolute: Callable[[Path, KeyPath], Path]) -> FederationConfig:
+    update = {
+        key: absolute(value, ("federation", key))
+        for key in ("nkey", "ca", "cert", "key")
+        if (value := getattr(federation, key)) is not None
+    }
+    return federation.model_copy(update=update)
 
 
 def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyPath], Path]) -> LinkConfig:

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from skygcs.config.companion import CompanionConfig
 from skygcs.config.companions import CompanionsConfig
 from skygcs.config.control import ControlSettings
+from skygcs.config.federation import FederationConfig
 from skygcs.config.metrics import MetricsConfig
 from skygcs.config.mocap import MocapConfig
 from skygcs.config.preflight import PreflightSettings
@@ -373,6 +374,8 @@ class VehicleConfig(Model):
     """Whether it is in the fleet file."""
     mocap: bool = False
     """Whether [mocap] gives it poses."""
+    delegated: bool = False
+    """Whether [federation.vehicles] names it."""
 
 
 class OriginConfig(Model):
@@ -403,6 +406,7 @@ class FleetConfig(Model):
     web: WebConfig | None = None
     companion: CompanionConfig | None = None
     companions: CompanionsConfig | None = None
+    federation: FederationConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)
@@ -464,4 +468,6 @@ class FleetConfig(Model):
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
         mocap = self.mocap is not None and name in self.mocap.bodies
-        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), mocap=mocap, **merged)
+        delegated = self.federation is not None and name in self.federation.vehicles
+        merged |= {"mocap": mocap, "delegated": delegated}
+        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

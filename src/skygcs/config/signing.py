@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import stat
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skygcs.config.files import open_regular
+from skygcs.config.files import open_regular, require_private
 from skygcs.core.mavlink.signing import KEY_BYTES, MAX_AHEAD_S, key_from_passphrase
 from skygcs.errors import KeyFileError
 
@@ -46,7 +45,7 @@ def read_key(path: Path) -> bytes:
     """
     try:
         with open_regular(path) as file:
-            _require_private(path, os.fstat(file.fileno()))
+            require_private(path, os.fstat(file.fileno()))
             data = file.read(MAX_KEY_FILE_BYTES + 1)
     except OSError as error:
         hint = "; make one with: skygcs-cli signing key FILE" if isinstance(error, FileNotFoundError) else ""
@@ -72,20 +71,6 @@ def write_new_key(path: Path) -> bytes:
     except OSError as error:
         raise KeyFileError(str(path), f"cannot be written: {error.strerror}") from None
     return key
-
-
-def _require_private(path: Path, status: os.stat_result) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        raise KeyFileError(str(path), "is not a file")
-    mode = stat.S_IMODE(status.st_mode)
-    if mode & 0o077:
-        raise KeyFileError(
-            str(path),
-            f"others can read or change it (mode {mode:04o}); run: chmod 600 {path}, "
-            "and make a new key if others may have read this one",
-        )
-    if status.st_uid not in (os.geteuid(), 0):
-        raise KeyFileError(str(path), f"belongs to another user (uid {status.st_uid}); it must be your own")
 
 
 def _key_in(path: Path, data: bytes) -> bytes:

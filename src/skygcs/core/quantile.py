@@ -1,13 +1,31 @@
-"""A quantile of many values in bounded memory: counts in bins whose widths grow with the value (DDSketch: Masson, Rim,
-Lee, VLDB 2019). What it returns is never below the quantile and at most `GROWTH` above it. Pure."""
+"""Medians of a few values, and a quantile of many in bounded memory. Pure.
+
+The sketch counts in bins whose widths grow with the value (DDSketch: Masson, Rim, Lee, VLDB 2019). What it returns is
+never below the quantile and at most `GROWTH` above it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 
 GROWTH = 1.05
 """From one edge of a bin to the next: answers are at most 5 % too large."""
+
+
+def median(values: Iterable[float]) -> float:
+    """The middle value, or the mean of the two; at least one is given. As statistics.median, whose module would take
+    the daemon 0.15 MB."""
+    ordered = sorted(values)
+    middle = len(ordered) // 2
+    return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+
+
+def median_low(values: Iterable[float]) -> float:
+    """The middle value, or the lower of the two; at least one is given."""
+    ordered = sorted(values)
+    return ordered[(len(ordered) - 1) // 2]
 
 
 class QuantileSketch:

@@ -15,7 +15,7 @@ import contextlib
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -47,9 +47,10 @@ class SendFn(Protocol):
         *,
         everywhere: bool = False,
         key: Hashable | None = None,
+        exempt: bool = False,
     ) -> bool:
         """True if a link took it. Sysid 0 is every vehicle. With a ``key`` it replaces a message waiting under that
-        key."""
+        key. ``exempt``: it is of vehicles.stop and sent without authority, too."""
         ...
 
 
@@ -104,6 +105,7 @@ class _Request:
     everywhere: bool
     moving: bool
     with_repeats: Follower | None
+    exempt: bool = False
 
 
 class _Running:
@@ -194,7 +196,7 @@ class CommandClient:
         self,
         spec: CommandSpec,
         *,
-        emergency: bool = False,
+        emergency: bool | Literal["stop"] = False,
         satisfied: Check | None = None,
         on_report: Callable[[int | None], None] | None = None,
         everywhere: bool = False,
@@ -208,8 +210,8 @@ class CommandClient:
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
         vehicle: the best may be the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a
         command that moves the vehicle, which a newer order may replace (`supersede`); called when its turn has come.
-        An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same links
-        (`Step.with_repeats`).
+        An emergency is sent at once, "stop" also without authority (`SendFn`). ``with_repeats``: a message sent right
+        after each repeat, over the same links (`Step.with_repeats`).
         ``timers_s``: the waits after each transmission.
         """
         # refuse what cannot be packed
@@ -219,7 +221,8 @@ class CommandClient:
             self._dialect.by_name[spec.message].pack(spec.values(*self.target, 0))
         except ValueError as error:
             return Outcome(False, "refused", f"refused: {error}")
-        request = _Request(spec, satisfied, on_report, everywhere or emergency, wanted is not None, with_repeats)
+        everywhere, exempt, moving = everywhere or bool(emergency), emergency == "stop", wanted is not None
+        request = _Request(spec, satisfied, on_report, everywhere, moving, with_repeats, exempt)
         line = self._lines.setdefault(spec.command, _Line())
         # an emergency replaces a command of its kind
         if emergency:
@@ -336,6 +339,11 @@ class CommandClient:
         for command in [c for c, r in self._running.items() if r.priority is not Priority.EMERGENCY]:
             self.stop(command, result, message)
 
+    def stop_unauthorised(self, message: str) -> None:
+        """Another site may command the vehicle now: end everything but vehicles.stop."""
+        for command in [c for c, r in self._running.items() if not r.request.exempt]:
+            self.stop(command, "refused", message)
+
     def supersede(self, specs: Collection[CommandSpec]) -> None:
         """A newer order moves the vehicle: older commands are not repeated any more. One with equal fields goes on,
         and so does one that was run without ``wanted``."""
@@ -439,13 +447,14 @@ class CommandClient:
                 info = self._dialect.by_name[spec.message]
                 again = bool(effect.attempt) and running.rule.repeat is not Repeat.SAME_LINK
                 everywhere = {"everywhere": True} if running.request.everywhere or again else {}
-                if not self._send(info, values, *self.target, running.priority, **everywhere):
+                exempt = {"exempt": True} if running.request.exempt else {}
+                if not self._send(info, values, *self.target, running.priority, **everywhere, **exempt):
                     running.not_taken += 1
                 if effect.attempt and running.request.with_repeats is not None:
                     name, fields = running.request.with_repeats
                     if (follower := self._dialect.by_name.get(name)) is not None:
                         addressed = {**fields, **self._address(follower)}
-                        self._send(follower, addressed, *self.target, running.priority, everywhere=True)
+                        self._send(follower, addressed, *self.target, running.priority, everywhere=True, **exempt)
             elif isinstance(effect, Report):
                 if running.request.on_report is not None:
                     running.request.on_report(effect.percent)

@@ -39,6 +39,9 @@ GIVES_WAY_S = 60.0
 SILENT_S = 5.0
 """After this silence no orders are sent to it, as to a vehicle without heartbeats."""
 
+ONBOARD_COMPUTER = 18
+"""MAV_TYPE_ONBOARD_CONTROLLER."""
+
 RATE_PERIOD_S = 1.0
 
 ANSWER_S = 2.0
@@ -121,6 +124,12 @@ class Components:
         """By component id."""
         siblings = self._systems.get(sysid, {})
         return [siblings[compid] for compid in sorted(siblings)]
+
+    def onboard_computer_heard_at(self, sysid: int) -> float | None:
+        """When the newest message of an onboard computer of this system came; None: it has none."""
+        actors = self._systems.get(sysid, {}).values()
+        heard = (a.component.heard_at() for a in actors if a.component.type == ONBOARD_COMPUTER)
+        return max(heard, default=None)
 
     def all(self) -> list[ComponentActor]:
         """By system, then by component id."""

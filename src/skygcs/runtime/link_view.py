@@ -124,6 +124,10 @@ class LinkView:
         """See `Hub.channels_to`."""
         return self._hub.channels_to(vehicle.sysid, vehicle.compid)
 
+    def uplink_lost(self, key: int) -> None:
+        """See `Router.uplink_lost`."""
+        self._hub.router.uplink_lost(key)
+
     def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
         """Frames of a vehicle on one channel by message id; None: it is heard on one channel only."""
         state = self._hub.router.state_sources.get(key)
@@ -133,9 +137,15 @@ class LinkView:
         """See `Hub.forget_flows`."""
         self._hub.forget_flows()
 
+    def authority_refusal(self, sysid: int) -> str | None:
+        """See `AuthorityGate.refusal`."""
+        gate = self._hub.authority
+        return None if gate is None else gate.refusal(sysid, self._hub.authority_clock())
+
     def may_broadcast(self) -> bool:
-        """False if a link drops frames of some sources: a vehicle whose frames are dropped would still hear us."""
-        return not any(
+        """False if a link drops frames of some sources: a vehicle whose frames are dropped would still hear us. False,
+        too, where other sites may command a vehicle: it would take the order that is for ours."""
+        return self._hub.authority is None and not any(
             link.enabled
             and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
             for link in self._links.configs.values()

@@ -1,4 +1,4 @@
-"""The loop's clock, to the microsecond."""
+"""The clocks of the daemon: the loop's, to the microsecond, and one for grants of authority."""
 
 from __future__ import annotations
 
@@ -14,3 +14,11 @@ def exact_clock(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
     """What `loop.time` counts, without the rounding of uvloop: CLOCK_MONOTONIC, as both loops use it. A loop in
     virtual time keeps its own."""
     return time.monotonic if abs(loop.time() - time.monotonic()) < SAME_WITHIN_S else loop.time
+
+
+def boot_clock(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
+    """A clock that all processes of this machine read alike and that runs on while the machine sleeps, read anew at
+    each call: CLOCK_BOOTTIME. A loop in virtual time keeps its own."""
+    if exact_clock(loop) == loop.time:
+        return loop.time
+    return lambda: time.clock_gettime(time.CLOCK_BOOTTIME)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import LOG_DATA, LOG_ENTRY
 from skygcs.core.protocols.base import Chunk, Effect, Report, Send
 from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.core.radio_link.transmit_queue import Priority
@@ -27,7 +28,6 @@ from skygcs.events import Event
 from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.vehicle_services import VehicleServices
 
-LOG_ENTRY, LOG_DATA = 118, 120
 NEEDED = ("LOG_REQUEST_LIST", "LOG_ENTRY", "LOG_REQUEST_DATA", "LOG_DATA", "LOG_REQUEST_END")
 
 MAX_WAITING_CHUNKS = 64
@@ -88,9 +88,6 @@ class LogsOutcome:
 
 class VehicleLogs:
     """Onboard logs of one vehicle, one transfer at a time. Failures are outcomes, not exceptions."""
-
-    messages = frozenset({LOG_ENTRY, LOG_DATA})
-    """Ids of the messages that `on_frame` is to be given."""
 
     def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
         self._vehicle = vehicle

@@ -90,7 +90,9 @@ class OrderRunner:
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        authority_refusal: Callable[[], str | None] = lambda: None,
     ) -> None:
+        """``authority_refusal``: why another site's authority forbids sending now; None: it does not."""
         self.number = 0
         self.before_moving: Callable[[str], None] = lambda reason: None
         """Called with the reason before a plan that moves the vehicle is executed: flight by setpoints ends then."""
@@ -102,6 +104,7 @@ class OrderRunner:
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
+        self._authority_refusal = authority_refusal
         self._newest: Plan | None = None
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
@@ -152,6 +155,8 @@ class OrderRunner:
             return Outcome.refused(str(error))
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
+        if (why := self._not_ours(plan)) is not None:
+            return Outcome.refused(why)
         if plan.order in MOVING:
             self.before_moving(f"{plan.order} was ordered")
         return await self.execute(plan)
@@ -162,6 +167,8 @@ class OrderRunner:
             plan = planner(self._loop.time())
         except RefusedError as error:
             return Outcome.refused(str(error))
+        if (why := self._not_ours(plan)) is not None:
+            return Outcome.refused(why)
         return await self.execute(plan)
 
     async def execute(self, plan: Plan) -> Outcome:
@@ -283,6 +290,8 @@ class OrderRunner:
         number, expect = run.number, step.expect
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
+        if (why := self._not_ours(plan)) is not None:
+            return Outcome.refused(why)
         if step.message is not None:
             return await self._message_step(step, number)
         met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
@@ -294,7 +303,7 @@ class OrderRunner:
 
         outcome = await self._commands.run(
             spec,
-            emergency=plan.emergency,
+            emergency="stop" if plan.order == "stop" else plan.emergency,
             satisfied=met,
             on_report=lambda percent: self.report_progress(plan.order, percent),
             everywhere=plan.order in EVERYWHERE,
@@ -415,6 +424,10 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
+
+    def _not_ours(self, plan: Plan) -> str | None:
+        """Why this plan is refused as another site may command the vehicle; the emergency stop never is."""
+        return None if plan.order == "stop" else self._authority_refusal()
 
     def _is_ambiguous(self, plan: Plan) -> bool:
         """True if two vehicles have the system id and the plan is not one that both may take."""

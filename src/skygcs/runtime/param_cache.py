@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import os
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skygcs.config.files import write_whole
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, encoding_of, is_name
 from skygcs.core.protocols.parameter_list import MAX_COUNT
@@ -80,21 +80,17 @@ class ParamCache:
         return cached
 
     def store(self, key: CacheKey, cached: CachedParams) -> None:
-        """Store atomically: written to a temporary file and renamed."""
+        """Store it whole or not at all; a cache that cannot be written is read from the vehicle again."""
         path = self._path(key)
         if path is None or len(cached.params) > MAX_COUNT:
             return
-        handle, name = -1, None
+        content = json.dumps(_encode(cached, key), separators=(",", ":")).encode()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump(_encode(cached, key), file, separators=(",", ":"))
-            os.replace(name, path)
+            write_whole(path, content, 0o600, durable=False)
             self._prune(path.parent)
         except OSError:
-            if name is not None:
-                Path(name).unlink(missing_ok=True)
+            return
 
     def _path(self, key: CacheKey) -> Path | None:
         if self._folder is None:

@@ -335,6 +335,8 @@ class VehicleParams:
         if self._vehicle.duplicate:
             text = f"two vehicles with system id {self._vehicle.sysid} are on the air; give one of them another"
             return "refused", f"refused: {text}"
+        if (why := self._services.links.authority_refusal(self._vehicle.sysid)) is not None:
+            return "refused", f"refused: {why}"
         return None if self._vehicle.connected else ("lost", "the vehicle is lost: nothing is heard from it")
 
     async def _either(self, name: str, run: Callable[[str], Coroutine[Any, Any, ParamOutcome]]) -> ParamOutcome:

@@ -27,7 +27,7 @@ from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime import fleet_margins
-from skygcs.runtime.companion_control import CompanionControl
+from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.plan_flight import measured_place
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -157,7 +157,7 @@ def state_findings(
     if why is not None:
         return [Finding(actor.name, "state", Level.REFUSED, why, "it cannot fly the plan: leave it out")]
     found.append(Finding(actor.name, "state", Level.OK, f"{vehicle.family}, {vehicle.mode}"))
-    if isinstance(actor.offboard, CompanionControl):  # its setpoints are made on board
+    if not isinstance(actor.offboard, OffboardEngagement):  # its setpoints are made on board
         down = actor.offboard.down_reason()
         text = "its companion flies it" if down is None else down
         return [*found, Finding(actor.name, "link", Level.OK if down is None else Level.REFUSED, text)]

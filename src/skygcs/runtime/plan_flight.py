@@ -139,10 +139,10 @@ class PlanFlight:
             age_s + delay_s,
             holds=vehicle.mode in HOLD_MODES,
             forgotten=not self.known(actor),
-            foreign_mode=self.foreign_mode(name),
+            unexpected_mode=self.unexpected_mode(name),
         )
 
-    def foreign_mode(self, name: str) -> str | None:
+    def unexpected_mode(self, name: str) -> str | None:
         """As `Sight` has it."""
         actor = self.actors[name]
         ours = name in self.engaged or name in self.being_taken or actor.offboard.flying
@@ -313,7 +313,7 @@ class FlightOrders:
                 flight.engaged.discard(name)
                 outcome = await actor.land()
         flight.being_taken.discard(name)
-        mode = flight.foreign_mode(name)
+        mode = flight.unexpected_mode(name)
         self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message, mode))
 
     async def _arm(self, actor: VehicleActor) -> Outcome:

@@ -64,9 +64,6 @@ from skygcs.runtime.vehicle_services import VehicleLinks
 SLOWEST_CLIMB_MPS = 1.0
 """Of a take-off, for the charge that it takes: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
 
-CHARGE_S = 5.0
-"""Between two looks at the charges of all vehicles."""
-
 BELOW_GROUND_M = 2.0
 """A landing is certified down to so far below the lowest known ground: the field may slope."""
 
@@ -86,6 +83,15 @@ class World(Protocol):
     @property
     def origin(self) -> Origin | None: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
+
+
+class Place(Protocol):
+    """`runtime.plans.Plans`, as its runner sees it."""
+
+    processes: PlanningProcesses
+
+    def changed(self) -> None: ...
+    def record(self, actor: VehicleActor) -> FlightRecord: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +178,11 @@ MAX_STEPS_SHOWN = 50
 
 
 class PlanRunner:
-    """Of one fleet. ``on_change`` is called after each change of `status` that is worth a notification."""
+    """Of one fleet; made by `runtime.plans.Plans`, which is notified of each change of `status`."""
 
     def __init__(
         self,
+        plans: Place,
         fleet: World,
         trajectories: Trajectories,
         links: VehicleLinks,
@@ -184,19 +191,17 @@ class PlanRunner:
     ) -> None:
         self.kept: KeptPlan | None = None
         self.flight: PlanFlight | None = None
-        self.processes = PlanningProcesses()
         self.uploads = PlanUploads()
-        self.work: Heavy = self.processes.call
+        self.work: Heavy = plans.processes.call
         """Runs what is heavy: a function and its arguments."""
-        self.observers: set[Callable[[], None]] = set()
+        self._changed = plans.changed
+        self._record = plans.record
         self._fleet = fleet
         self._links = links
         self._loop = loop
         self._on_event = on_event
-        self._orders = FlightOrders(trajectories, loop, on_event, self._changed, self._certify_landing)
+        self._orders = FlightOrders(trajectories, loop, on_event, plans.changed, self._certify_landing)
         self._numbers = itertools.count(1)
-        self._records: dict[int, FlightRecord] = {}
-        self._charged_at = -math.inf
         self._busy: str | None = None
         """What is under way that must not be twice: a check before a flight, or a new certificate."""
         self._rule: MarginRule = MarginRule()
@@ -363,9 +368,6 @@ class PlanRunner:
     ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
         others = [actor for actor in self._fleet.everybody() if actor not in actors]
         return margin_rule(actors, others, request.margin_m)
-
-    def _record(self, actor: VehicleActor) -> FlightRecord:
-        return self._records.setdefault(actor.vehicle.key, FlightRecord())
 
     # -- orders of people
 
@@ -535,28 +537,18 @@ class PlanRunner:
 
     # -- time
 
-    def tick(self, now: float) -> None:
+    def tick(self) -> None:
         """Five times a second."""
-        if now - self._charged_at >= CHARGE_S:
-            self._charged_at = now
-            self._note_charges(now)
         if self.flight is not None and not self.flight.execution.over:
             self._orders.tick(self.flight)
 
-    def _note_charges(self, now: float) -> None:
-        there = self._fleet.everybody()
-        for actor in there:
-            battery = actor.vehicle.telemetry("battery")
-            percent = None if battery is None else battery["percent"]
-            record = self._record(actor)
-            record.charge(now, percent, in_air=actor.vehicle.armed and actor.vehicle.in_air(now) is True)
-        if len(self._records) > len(there):
-            keys = {actor.vehicle.key for actor in there}
-            self._records = {key: record for key, record in self._records.items() if key in keys}
+    def end(self) -> None:
+        """No further flight begins."""
+        self._ending = True
 
     async def wind_down(self) -> None:
-        """The daemon ends: nobody takes off any more, who stands armed is disarmed; who flies holds after this."""
-        self._ending = True
+        """See `Plans.wind_down`."""
+        self.end()
         flight = self.flight
         if flight is None or flight.execution.over:
             return
@@ -576,26 +568,11 @@ class PlanRunner:
     # -- what is shown
 
     def status(self) -> dict[str, Any]:
-        """As plan.status answers."""
+        """The keys of plan.status that differ from those of no plan (`Plans.status`)."""
         now, kept, flight = self._loop.time(), self.kept, self.flight
-        answer: dict[str, Any] = {
-            "now_s": round(now, 3),
-            "plan": None if kept is None else kept.number,
-            "name": None if kept is None else kept.name,
-            "kind": None if kept is None else kept.describe()["kind"],
-            "state": "none" if kept is None else "loaded",
-            "busy": self._busy,
-            "phase": None,
-            "step": 0,
-            "steps": 0,
-            "reason": "",
-            "mode": None,
-            "speed": None,
-            "clock": None,
-            "waits_for": [],
-            "pairs": [],
-            "vehicles": [],
-        }
+        answer: dict[str, Any] = {"busy": self._busy}
+        if kept is not None:
+            answer |= {"plan": kept.number, "name": kept.name, "kind": kept.describe()["kind"], "state": "loaded"}
         if flight is None:
             return answer
         execution, settings = flight.execution, flight.settings
@@ -629,10 +606,6 @@ class PlanRunner:
     def moving(self) -> bool:
         """Whether a flight is under way."""
         return self.flight is not None and not self.flight.execution.over
-
-    def _changed(self) -> None:
-        for observer in list(self.observers):
-            observer()
 
 
 def _prepared_and_loaded(

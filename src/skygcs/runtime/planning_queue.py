@@ -14,7 +14,6 @@ from pydantic_core import to_json
 
 from skygcs.errors import RefusedError
 from skygcs.planning.process import OnProgress, ProcessLimits, compute
-from skygcs.planning.request import with_text
 
 MAX_WAITING = 8
 """Requests that wait for the one that is computed; each takes seconds, two minutes at most."""
@@ -84,6 +83,8 @@ class PlanningQueue:
         self._last += 1
         job = PlanningJob(self._last, what, client, self._loop.time())
         self._jobs[job.number] = job
+        from skygcs.planning.request import with_text  # rpc.planning has imported it: no daemon does before
+
         encoded = with_text(to_json(request), text) if text else to_json(request)
         job.work = self._loop.create_task(self._in_turn(job, encoded, on_progress), name=f"planning {job.number}")
         try:

@@ -10,12 +10,11 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.modes import is_copter
-from skygcs.core.mocap.pose_stream import PoseStream
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
@@ -31,6 +30,9 @@ from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.vehicle_services import VehicleServices
+
+if TYPE_CHECKING:  # only vehicles of [mocap] have it
+    from skygcs.core.mocap.pose_stream import PoseStream
 
 AT_ONCE = 8
 """Parameters of one vehicle requested at the same time: 8 x 45 B are 65 ms of 57600 baud; a missing one takes 7 s."""
@@ -295,6 +297,7 @@ def _expectations(config: VehicleConfig) -> Expectations:
     control = config.control
     slowest_hz = min(control.velocity_hz or VELOCITY_HZ, control.position_hz or POSITION_HZ)
     wanted = config.preflight.expectations(control=config.control_planned, setpoint_hz=slowest_hz)
+    wanted = replace(wanted, delegated=config.delegated)
     if not config.mocap:
         return wanted
     return replace(wanted, mocap=True, gps_fix_min="no_gps", satellites_min=0, hdop_max=0.0)

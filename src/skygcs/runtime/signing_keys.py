@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from skygcs.config.files import write_whole
 from skygcs.config.models import LinkConfig
 from skygcs.config.signing import EVERY_MESSAGE, read_key
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -100,18 +100,11 @@ class SigningStore:
         if self._folder is None:
             return
         path = self._path(key_id)
-        name = None
+        content = json.dumps({"format": FORMAT, "timestamp": timestamp, "wall": wall, "exact": exact})
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump({"format": FORMAT, "timestamp": timestamp, "wall": wall, "exact": exact}, file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(name, path)
+            write_whole(path, content.encode(), 0o600)
         except OSError as error:
-            if name is not None:
-                Path(name).unlink(missing_ok=True)
             self.problem = f"{path} cannot be written ({error.strerror})"
         else:
             self.problem = ""

@@ -7,17 +7,16 @@ are reported and offered for undo, never undone automatically: something else ma
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from skygcs.config.files import write_whole
 from skygcs.errors import RefusedError
 
 FORMAT = 1
@@ -150,24 +149,10 @@ class UndoJournal:
         return self._folder / f"{id}.json"
 
     def _write(self, change: Change) -> None:
-        """Write the file atomically; it is on the disk when this returns."""
+        """It is on the disk when this returns."""
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")  # of mode 0600
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump({"format": FORMAT, **change.as_dict()}, file, indent=1)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(name, self._path(change.id))
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
-        folder = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        content = json.dumps({"format": FORMAT, **change.as_dict()}, indent=1)
+        write_whole(self._path(change.id), content.encode(), 0o600)
 
 
 def _read(path: Path) -> Change:

@@ -14,17 +14,16 @@ import time
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENTRY, TIMESYNC
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.mocap.pose_stream import PoseStream
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
@@ -45,12 +44,10 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
-from skygcs.runtime.companion_control import CompanionControl
 from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
-from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
 from skygcs.runtime.order_runner import OrderRunner, duplicate_refusal
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.param_transfers import VehicleParams
@@ -58,6 +55,11 @@ from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.takeoff_engagement import TakeoffEngagement
 from skygcs.runtime.vehicle_services import VehicleServices
+
+if TYPE_CHECKING:  # only some vehicles have them
+    from skygcs.core.mocap.pose_stream import PoseStream
+    from skygcs.runtime.companion_control import CompanionControl
+    from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
 
 SHUTDOWN = "skygcs is shutting down"
 
@@ -94,12 +96,9 @@ class VehicleActor:
         self.streams = StreamRequester(
             vehicle, self.commands, services.dialect, config.streams, partial(services.links.counts_on, vehicle.key)
         )
-        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event)
-        self.offboard: OffboardEngagement | CompanionControl = (
-            CompanionControl(vehicle, config, self._orders, services)
-            if config.control.at == "companion" and not vehicle.replayed
-            else OffboardEngagement(vehicle, config, self.commands, self._orders, self.streams, services)
-        )
+        not_ours = partial(services.links.authority_refusal, vehicle.sysid)
+        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, not_ours)
+        self.offboard = self._new_offboard(services)
         after_takeoff = config.control.engage_after_takeoff or "off"
         self._after_takeoff = TakeoffEngagement(
             vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event
@@ -109,7 +108,7 @@ class VehicleActor:
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self._orders.report_progress, services.on_event
         )
-        self.logs = VehicleLogs(vehicle, services)
+        self._logs: VehicleLogs | None = None
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
         self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
@@ -123,7 +122,7 @@ class VehicleActor:
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
             **dict.fromkeys(CALIBRATION_MESSAGES, self.calibration.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
-            **dict.fromkeys(self.logs.messages, self.logs.on_frame),
+            **dict.fromkeys((LOG_ENTRY, LOG_DATA), self._on_log_frame),
         }
         """Messages of which every frame is read, with their readers."""
 
@@ -157,13 +156,30 @@ class VehicleActor:
         """Counts the orders that moved it."""
         return self._orders.number
 
+    @property
+    def logs(self) -> VehicleLogs:
+        """The logs it has on board; made when somebody asks for them."""
+        if self._logs is None:
+            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.onboard_logs has imported it
+
+            self._logs = VehicleLogs(self.vehicle, self._services)
+        return self._logs
+
+    def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | CompanionControl:
+        """Its flight by setpoints: from here, or by its companion."""
+        if self.config.control.at == "companion" and not self.vehicle.replayed:
+            from skygcs.runtime.companion_control import CompanionControl  # imported only where companions fly
+
+            return CompanionControl(self.vehicle, self.config, self._orders, services)
+        return OffboardEngagement(self.vehicle, self.config, self.commands, self._orders, self.streams, services)
+
     # -- state
 
     def state(self, now: float, names: frozenset[str] | None = None) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`): all keys, or those in ``names``."""
         state = dict(take_snapshot(self.vehicle, now, time.time(), names))
         if "control" in state and (
-            self.offboard.controller.state is not OffboardState.OFF or isinstance(self.offboard, CompanionControl)
+            self.offboard.controller.state is not OffboardState.OFF or not isinstance(self.offboard, OffboardEngagement)
         ):
             state["control"] = self.control_state(now)
         if "calibration" in state:
@@ -184,7 +200,7 @@ class VehicleActor:
 
     def control_state(self, now: float) -> dict[str, Any]:
         """Control by setpoints, in the fleet's world frame."""
-        if isinstance(self.offboard, CompanionControl):
+        if not isinstance(self.offboard, OffboardEngagement):
             return self.offboard.status(now)
         return shown(self.offboard.status(now), self.offboard.controller.frame, self.vehicle.origin)
 
@@ -249,7 +265,7 @@ class VehicleActor:
             self._publish(events, now)
         self.streams.tick(now)
         self.calibration.tick(now)
-        if isinstance(self.offboard, CompanionControl):
+        if not isinstance(self.offboard, OffboardEngagement):
             self.offboard.watch(now)
         elif self.offboard.controller.active:
             self.offboard.refresh_budget()
@@ -276,7 +292,18 @@ class VehicleActor:
         """Its state comes over another channel from now on, which also gets its orders and setpoints."""
         self.streams.link_changed(channel_id, now)
         self.offboard.link_changed()
-        self.uplink.forget()
+        self.uplink.moved()
+
+    def authority_lost(self, text: str) -> None:
+        """Another site may command it from now on: end control and everything in progress but vehicles.stop, without
+        sending anything."""
+        self._after_takeoff.cancel()
+        self.offboard.release(text)
+        self.commands.stop_unauthorised(text)
+        self.missions.stop("refused", text)
+        self.params.stop_all("refused", text)
+        self._stop_logs("refused", text)
+        self.calibration.stop(text)
 
     def restarted(self, text: str, now: float) -> None:
         """It has restarted, or another vehicle has replaced it: drop its state."""
@@ -289,7 +316,7 @@ class VehicleActor:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
-        self.logs.stop("cancelled", SHUTDOWN)
+        self._stop_logs("cancelled", SHUTDOWN)
         self._orders.wind_down()
         await asyncio.gather(
             self.fence.wind_down(), self.calibration.wind_down(), self._orders.settled(), self.offboard.settled()
@@ -299,7 +326,7 @@ class VehicleActor:
         self._after_takeoff.cancel()
         self.offboard.close()
         self.missions.close()
-        self.logs.stop("cancelled", SHUTDOWN)
+        self._stop_logs("cancelled", SHUTDOWN)
         self.params.close()
         self.calibration.close()
         self.commands.close()
@@ -623,7 +650,7 @@ class VehicleActor:
     def _plan_hold(self, now: float) -> Plan:
         """An ArduCopter holds in GUIDED, in which it obeys a setpoint that its companion sends before it knows of the
         hold: then it stays in BRAKE."""
-        if isinstance(self.offboard, CompanionControl) and self.offboard.may_send:
+        if not isinstance(self.offboard, OffboardEngagement) and self.offboard.may_send:
             return orders.brake(self.vehicle, now)
         return orders.hold(self.vehicle, now)
 
@@ -635,7 +662,15 @@ class VehicleActor:
         """Request one message, without a report."""
         return await self._orders.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
+    def _stop_logs(self, result: str, text: str) -> None:
+        if self._logs is not None:
+            self._logs.stop(result, text)
+
     # -- reactions to frames and time
+
+    def _on_log_frame(self, frame: Frame, now: float) -> None:
+        if self._logs is not None:
+            self._logs.on_frame(frame, now)
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
@@ -675,6 +710,7 @@ class VehicleActor:
         if change is None:
             return
         if change == "lost":
+            self._services.links.uplink_lost(self.vehicle.key)
             text = (
                 f"it does not hear us: no answer to {self.uplink.unanswered} probes, while its telemetry comes; "
                 "orders do not reach it, and its failsafe for a lost ground station will act"
@@ -713,5 +749,5 @@ class VehicleActor:
         self.commands.stop_all("lost", text)
         self.missions.stop("lost", text)
         self.params.stop_all("lost", text)
-        self.logs.stop("lost", text)
+        self._stop_logs("lost", text)
         self.calibration.stop(text)

@@ -57,12 +57,21 @@ class VehicleLinks(Protocol):
         """Ids of the channels on which a message of ours to this vehicle is sent now."""
         ...
 
+    def uplink_lost(self, key: int) -> None:
+        """A vehicle does not hear us over the link that is used, one of several."""
+        ...
+
     def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
         """Frames of a vehicle on one channel by message id; None: it is heard on one channel only."""
         ...
 
     def forget_flows(self) -> None:
         """Vehicles or components were added or removed: cached flows are out of date."""
+        ...
+
+    def authority_refusal(self, sysid: int) -> str | None:
+        """Why nothing may be sent to this system now, as another site may command it; None if it may. By the clock of
+        now: call it at the moment of sending."""
         ...
 
 
@@ -93,11 +102,17 @@ class WideLinks:
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         return ()
 
+    def uplink_lost(self, key: int) -> None:
+        pass
+
     def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
         return None
 
     def forget_flows(self) -> None:
         pass
+
+    def authority_refusal(self, sysid: int) -> str | None:
+        return None
 
 
 class OrderChecks(Protocol):
@@ -136,6 +151,7 @@ class CompanionCalls(Protocol):
 
     @property
     def is_up(self) -> bool: ...
+    def summary(self) -> dict[str, Any]: ...
     def clock(self) -> ClockDifference | None: ...
     async def call(self, method: str, params: dict[str, Any] | None = None, timeout_s: float = 5.0) -> Any: ...
 

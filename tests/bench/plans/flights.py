@@ -173,7 +173,7 @@ class Air:
 
     async def fly(self, plan: Plan, seen: Watched, *, until: Callable[[], bool], lost: Callable[[], str | None]) -> Any:
         """Run it and look until then; resume it where it was stopped. ``lost``: the vehicle that is cut off."""
-        self.daemon.fleet.plans.work = inline
+        self.daemon.fleet.plans.runner.work = inline
         await self.call("plan.load", plan=content(plan), name="bench")
         report = await self._begin()
         began, stopped_s = self.daemon.now(), 0.0

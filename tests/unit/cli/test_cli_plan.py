@@ -121,7 +121,7 @@ def test_the_current_formation_is_turned_about_its_middle(goals: str, tmp_path: 
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (("--formation", "star", "--at", "0,0,9"), 2, "none of line, column"),
+        (("--formation", "star", "--at", "0,0,9"), 2, "neither one of line, column"),
         (("--formation", "line"), 2, "needs --at"),
         (("--formation", "line", "--at", "0,0"), 2, "not 3 numbers"),
         (("--formation", "missing.csv"), 1, "missing.csv: cannot be read: No such file"),

@@ -122,6 +122,10 @@ class FakePlans:
             raise RefusedError(self.refuses)
         return "done"
 
+    @property
+    def runner(self) -> FakePlans:
+        return self
+
     def pause(self) -> str:
         return self._order("pause")
 

@@ -42,6 +42,23 @@ def test_places_in_the_world_frame_have_a_column_once_there_is_one() -> None:
     assert "x, y, up" not in text_of(status.status_table([state(position={"alt_rel_m": 9.0, "enu_m": None})]))
 
 
+@pytest.mark.parametrize(
+    ("companion", "word"),
+    [
+        ({"link": "up", "age_s": 0.2}, "up"),
+        ({"link": "down", "since_s": 12.0, "age_s": 0.2}, "DOWN 12 s"),
+        ({"link": None, "age_s": 0.2}, "heard"),
+        ({"link": None, "age_s": 73.0}, "silent 73 s"),
+        ({"link": None, "age_s": None}, "not heard"),
+    ],
+)
+def test_the_computer_on_a_vehicle_has_a_column_once_one_has_it(companion: dict[str, Any], word: str) -> None:
+    lines = text_of(status.status_table([state(), state(name="bravo", sysid=2, companion=companion)])).splitlines()
+    column = lines[0].index("companion")
+    assert lines[1][column:].startswith(" ") and lines[2][column:].startswith(word)
+    assert "companion" not in text_of(status.status_table([state()]))
+
+
 @pytest.mark.parametrize("width", [80, 100, 140, 200])
 def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
     states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
@@ -71,11 +88,20 @@ def test_two_vehicles_under_one_id_and_a_recording_are_said_in_words() -> None:
     assert styles == ["bold red"]
 
 
+def test_vehicles_of_other_sites_stand_behind_ours_with_their_site_and_total_age() -> None:
+    silent = {"name": "south/alpha", "site": "south", "connected": False, "last_heartbeat_age_s": None}
+    found = status.by_site([state(**silent), state(name="zulu", sysid=9), state(name="south/b", site="south", sysid=1)])
+    assert [one["name"] for one in found] == ["zulu", "south/alpha", "south/b"]
+    lines = text_of(status.status_table(found)).splitlines()
+    assert lines[0].split()[:2] == ["name", "site"]
+    assert lines[2].split()[:2] == ["south/alpha", "south"] and "lost ?" in lines[2]
+
+
 def test_a_vehicle_of_which_only_a_heartbeat_is_known_has_its_row() -> None:
     bare = {"name": "v7", "sysid": 7, "autopilot": "px4", "connected": True, "armed": None, "mode": None}
     unknown = dict.fromkeys(("gps", "position", "battery", "home", "firmware", "landed", "last_heartbeat_age_s"))
     cells = status.status_cells({**bare, **unknown, "status_texts": [], "links": {}})
-    assert cells[:5] == ("v7", "7", "px4", "?", "?")
+    assert cells[:6] == ("v7", "", "7", "px4", "?", "?")
     text_of(status.status_table([{**bare, **unknown}]))
 
 

@@ -14,18 +14,37 @@ from skygcs.cli.completion import SHELLS, script
 from skygcs.cli.fleet_files import check, write_example
 from skygcs.cli.main import app
 from skygcs.config.examples import scenarios
+from skygcs.config.hub_inventory import load_inventory
+from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
 
 
 def test_every_example_is_a_scenario_with_its_purpose(capsys: pytest.CaptureFixture[str]) -> None:
-    assert scenarios().keys() == {path.stem for path in (ROOT / "configs").glob("*.toml")}
+    files = {path.stem for path in (ROOT / "configs").glob("*.toml")}
+    assert scenarios().keys() == files | {"federation"}
     assert write_example(None, Path(), force=False) == 0
     out = capsys.readouterr().out
     assert all(name in out and purpose in out for name, purpose in scenarios().items())
 
 
-@pytest.mark.parametrize("scenario", scenarios())
+def test_what_init_writes_of_several_stations_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new"
+    assert write_example("federation", folder, force=False) == 0
+    assert "skygcs run north.toml" in capsys.readouterr().out
+    inventory = load_inventory(folder / "hub.toml")
+    for site in inventory.sites:
+        text = (folder / f"{site}.toml").read_text()
+        assert '"../' not in text and "configs/" not in text and f"skygcs run {site}.toml" in text
+        federation = load_fleet(folder / f"{site}.toml").federation
+        assert federation is not None and federation.site == site
+        assert federation.nkey == inventory.users[site].nkey_file, "`federation up` makes the key that it names"
+        assert federation.servers == (inventory.local_url,)
+    with pytest.raises(ConfigError, match="--force"):
+        write_example("federation", folder, force=False)
+
+
+@pytest.mark.parametrize("scenario", sorted(scenarios().keys() - {"federation"}))
 def test_what_init_writes_stands_alone(scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
     assert write_example(scenario, folder, force=False) == 0

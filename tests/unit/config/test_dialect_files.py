@@ -85,7 +85,7 @@ def test_the_second_time_no_xml_is_parsed(tmp_path: Path, cache: Path, monkeypat
     first = load(path)
     monkeypatch.setattr(dialects, "_generate", lambda *_: pytest.fail("was parsed again"))
     assert load(path).to_table() == first.to_table()
-    assert len(list(cache.glob("lab-*.json"))) == 1 and not list(cache.glob("*.tmp"))
+    assert len(list(cache.glob("lab-*.json"))) == 1 and not list(cache.glob(".*"))
 
 
 def test_a_changed_file_or_include_gives_a_new_table(tmp_path: Path, cache: Path) -> None:

@@ -9,7 +9,18 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import companion, companions, control, metrics, mocap, models, preflight, separation, signing
+from skygcs.config import (
+    companion,
+    companions,
+    control,
+    federation,
+    metrics,
+    mocap,
+    models,
+    preflight,
+    separation,
+    signing,
+)
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -41,6 +52,8 @@ LINKS = get_args(models.LinkConfig)
         companion.CompanionConfig,
         companions.CompanionsConfig,
         companions.CompanionEntry,
+        federation.FederationConfig,
+        federation.SharedVehicle,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,

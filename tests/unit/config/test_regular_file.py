@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config.files import load_param_set, open_regular
+from skygcs.config.files import open_regular
+from skygcs.config.param_sets import load_param_set
 from skygcs.config.signing import read_key
 from skygcs.errors import ConfigError, KeyFileError
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import statistics
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.quantile import GROWTH, QuantileSketch
+from skygcs.core.quantile import GROWTH, QuantileSketch, median, median_low
 
 VALUES = st.lists(st.floats(0.001, 99.0), min_size=1, max_size=300)
 
@@ -44,3 +45,9 @@ def test_values_beyond_its_range_and_nan() -> None:
     assert len(sketch) == 2 and sketch.at_most(0.5) == 100.0
     sketch.add(-5.0)
     assert sketch.at_least() == 0.0 and sketch.at_most(0.1) == 0.001
+
+
+@given(VALUES)
+def test_medians_are_those_of_the_standard_library(values: list[float]) -> None:
+    assert median(iter(values)) == statistics.median(values)
+    assert median_low(iter(values)) == statistics.median_low(values)

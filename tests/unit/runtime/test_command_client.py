@@ -38,6 +38,7 @@ class BadRadio:
         priority: Priority,
         *,
         everywhere: bool = False,
+        exempt: bool = False,
     ) -> bool:
         self.sent += 1
         self._through(self._vehicle, dict(values))

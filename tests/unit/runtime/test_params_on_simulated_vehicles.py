@@ -48,6 +48,7 @@ async def field(cache: Path) -> AsyncIterator[tuple[Fleet, list[str]]]:
         /,
         *,
         everywhere: bool = False,
+        exempt: bool = False,
     ) -> bool:
         sent.append(info.name)
         for frame in up.feed_datagram(encode(info, values, sysid=255, compid=25, seq=0)):

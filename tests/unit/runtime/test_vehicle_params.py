@@ -95,6 +95,7 @@ class Rig:
         priority: Priority,
         *,
         everywhere: bool = False,
+        exempt: bool = False,
     ) -> bool:
         if self.deaf:
             return False

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 
 import pytest
 
 from skygcs.sim.sitl import (
     Home,
     Instance,
+    Ports,
     Readiness,
     copter_launch,
     fleet_text,
@@ -39,7 +41,7 @@ def test_homes_nearer_than_the_grid_of_a_float_are_refused(spacing_m: float) -> 
 
 def test_px4_gets_its_links_and_system_id_by_parts_of_its_own_startup() -> None:
     launch = px4_launch(
-        PX4, binary="/p/bin/px4", etc="/p/etc", folder="/w/px21", gcs_port=50001, listen_port=50002, speedup=2.0
+        PX4, binary="/p/bin/px4", etc="/p/etc", folder="/w/px21", ports=Ports(50001, 50002), speedup=2.0
     )
     assert launch.argv == ("/p/bin/px4", "-i", "7", "-d", "-w", "/w/px21", "/p/etc")
     assert launch.environment["PATH"] == "/w/px21/startup"
@@ -55,7 +57,7 @@ def test_px4_gets_its_links_and_system_id_by_parts_of_its_own_startup() -> None:
 
 def test_a_px4_logs_as_the_user_says() -> None:
     instance = Instance("px4", 1, 0, HOME, params={"SDLOG_MODE": "1"})
-    launch = px4_launch(instance, binary="b", etc="e", folder="f", gcs_port=1, listen_port=2)
+    launch = px4_launch(instance, binary="b", etc="e", folder="f", ports=Ports(1, 2))
     assert [line for line in launch.files["startup/px4-rc.simulator"].splitlines() if "SDLOG" in line] == [
         "param set SDLOG_MODE 1"
     ]
@@ -67,8 +69,7 @@ def test_copter_gets_both_links_and_its_parameters() -> None:
         binary="/a/arducopter",
         defaults="/a/copter.parm",
         folder="/w/copter22",
-        gcs_port=50001,
-        listen_port=50002,
+        ports=Ports(50001, 50002),
         rc_port=50003,
     )
     words = launch.argv
@@ -81,9 +82,23 @@ def test_copter_gets_both_links_and_its_parameters() -> None:
     assert "FS_GCS_ENABLE 1" in launch.files["skygcs.parm"].splitlines()
 
 
-def test_the_fleet_file_is_one(tmp_path: object) -> None:
-    import tomllib
+def test_a_second_link_is_a_port_of_its_own_on_each_autopilot() -> None:
+    px4 = px4_launch(
+        Instance("px4", 1, 0, HOME, own_second_port=40003),
+        binary="b",
+        etc="e",
+        folder="f",
+        ports=Ports(50001, 50002, second=50004),
+    )
+    assert px4.files["startup/px4-rc.mavlink"].splitlines()[-1] == "mavlink start -u 40003 -r 5760 -o 50004"
+    copter = copter_launch(COPTER, binary="b", defaults="d", folder="f", ports=Ports(1, 2, 50004), rc_port=3)
+    assert copter.argv[copter.argv.index("--serial2") + 1] == "udpclient:127.0.0.1:50004"
+    fleet = tomllib.loads(fleet_text([PX4, COPTER], port=50001, second_port=50004))
+    assert fleet["links"]["sitl_second"]["port"] == 50004
+    assert "sitl_second" not in fleet_text([PX4], port=50001)
 
+
+def test_the_fleet_file_is_one(tmp_path: object) -> None:
     fleet = tomllib.loads(fleet_text([PX4, COPTER], port=50001))
     assert fleet["links"]["sitl"]["port"] == 50001
     assert {name: v["sysid"] for name, v in fleet["vehicles"].items()} == {"px21": 21, "copter22": 22}

@@ -7,8 +7,9 @@ parameters. Names are looked up in any case and with any of ``. _ -`` or nothing
 
 from __future__ import annotations
 
-import difflib
 from typing import Literal
+
+from skygcs.spelling import near_names
 
 Family = Literal["px4", "ardupilot", "generic"]
 
@@ -279,7 +280,7 @@ def _group_values(name: str) -> str:
 
 
 def _unknown(name: str, known: tuple[str, ...]) -> str:
-    near = difflib.get_close_matches(name.upper(), known, n=3, cutoff=0.5)
+    near = near_names(name.upper(), known, n=3, cutoff=0.5)
     if near:
         return f"no mode {name!r}; did you mean {', '.join(near)}?"
     return f"no mode {name!r}; there are {', '.join(known)}"

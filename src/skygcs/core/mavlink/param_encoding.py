@@ -33,6 +33,10 @@ CAPABILITY_C_CAST = 1 << 17
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,15}", re.ASCII)
 
 
+SLACK_ERROR = 1e-6
+"""Relative tolerance: a value just between two roundings matches both, as a decimal has no exact binary form."""
+
+
 class ParamType(IntEnum):
     """MAV_PARAM_TYPE. The protocol's values are four bytes: no autopilot sends the 64-bit types."""
 
@@ -109,6 +113,20 @@ def float32(value: float) -> float:
     """The nearest 32-bit float. Raises OverflowError for a larger number."""
     nearest: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return nearest
+
+
+def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
+    """True if two values are the same 32-bit float, or differ by at most ``slack``, by which a file's writer is known
+    to have rounded (`Entry.slack`). Whole numbers are compared exactly."""
+    if first == second:
+        return True
+    if isinstance(first, int) and isinstance(second, int):
+        return False
+    try:
+        near = abs(first - second) <= slack * (1 + SLACK_ERROR)
+        return near or float32(first) == float32(second)
+    except OverflowError:
+        return False
 
 
 def short_float(value: float) -> str:

@@ -105,7 +105,7 @@ def rank(a: Track, b: Track, widened: float = 1.0) -> tuple[float, float] | None
     ratio = max(r.downwash_ratio, s.downwash_ratio)
     margin_m = (r.wingspan_m + s.wingspan_m) / 2 + r.position_error_m + s.position_error_m
     offset = (q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio)
-    velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+    velocity = believed_velocity(a.velocity_mps, b.velocity_mps, ratio)
     approach = closest_approach(offset, velocity, margin_m * widened + a.ball_m + b.ball_m, HORIZON_S)
     return None if approach.enters_s == math.inf else (approach.enters_s, approach.separation_m)
 
@@ -118,7 +118,7 @@ def _rank_with_goals(a: Track, b: Track, widened: float) -> tuple[float, float] 
     paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)
     approach = closest_on_paths(offset, *paths, radius_m, HORIZON_S, NOISE_MPS)
     if approach.enters_s == math.inf and not (a.planned or b.planned):
-        velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+        velocity = believed_velocity(a.velocity_mps, b.velocity_mps, ratio)
         approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
     return None if approach.enters_s == math.inf else (approach.enters_s, approach.separation_m)
 
@@ -131,7 +131,7 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
     radius_m = certain_m + a.ball_m + b.ball_m
     p, q = a.place_m, b.place_m
     offset = scaled((q[0] - p[0], q[1] - p[1], q[2] - p[2]), ratio)
-    velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+    velocity = believed_velocity(a.velocity_mps, b.velocity_mps, ratio)
     approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
     if a.has_goal or b.has_goal:
         conflict = _with_goals(a, b, offset, margin, certain_m)
@@ -143,10 +143,10 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
     difference_s = abs(a.at - b.at)
     if SAME_TIME_S < difference_s <= OLD_S and not (a.parked or b.parked):
         at = min(a.at, b.at)
-        then = closest_approach(offset, _believed(a.velocity_at(at), b.velocity_at(at), ratio), radius_m, HORIZON_S)
+        earlier = believed_velocity(a.velocity_at(at), b.velocity_at(at), ratio)
+        then = closest_approach(offset, earlier, radius_m, HORIZON_S)
         if then.enters_s > approach.enters_s:
-            approach = then
-            velocity = _believed(a.velocity_at(at), b.velocity_at(at), ratio)
+            approach, velocity = then, earlier
     if math.isinf(approach.enters_s):
         return None
     certain = closest_approach(offset, velocity, certain_m, HORIZON_S)
@@ -217,7 +217,7 @@ def action_s(a: Track, b: Track) -> float:
     return max(LEAST_ACTION_S, REACT_S + 0.5 + speed / BRAKE_MPS2 * 1.5)
 
 
-def _believed(a: Vector, b: Vector, ratio: float) -> Vector:
+def believed_velocity(a: Vector, b: Vector, ratio: float) -> Vector:
     """The velocity of the second against the first in the metric of the margin, less what may be noise."""
     u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     speed = math.hypot(u, v, w)

@@ -18,11 +18,11 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from statistics import median_low
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.monitor.approach import REST, Piece, Vector
+from skygcs.core.quantile import median_low
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.order_plan import CLIMBED_M

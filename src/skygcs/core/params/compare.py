@@ -6,12 +6,9 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from skygcs.core.mavlink.param_encoding import Param, Value, float32, held_as, value_text
+from skygcs.core.mavlink.param_encoding import Param, Value, equal, held_as, value_text
 from skygcs.core.params.names import Sort, other_name, sort_of, turns_on
 from skygcs.core.params.param_file import Entry, ParamFile, Rounding
-
-SLACK_ERROR = 1e-6
-"""Relative tolerance: a value just between two roundings matches both, as a decimal has no exact binary form."""
 
 THIRD_PARTY_RATIO = 0.2
 """If the vehicle does not know more than this share of a file, the file is of another firmware or vehicle type."""
@@ -69,20 +66,6 @@ class ApplyPlan:
     warnings: tuple[str, ...]
     rounding: Rounding = "exact"
     """Rounding of the file's values: smaller differences do not count."""
-
-
-def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
-    """True if two values are the same 32-bit float, or differ by at most ``slack``, by which a file's writer is known
-    to have rounded (`Entry.slack`). Whole numbers are compared exactly."""
-    if first == second:
-        return True
-    if isinstance(first, int) and isinstance(second, int):
-        return False
-    try:
-        near = abs(first - second) <= slack * (1 + SLACK_ERROR)
-        return near or float32(first) == float32(second)
-    except OverflowError:
-        return False
 
 
 def diff(first: Iterable[Entry], second: Iterable[Entry]) -> list[Difference]:

@@ -160,7 +160,7 @@ class Sight(NamedTuple):
     """Its autopilot holds it where it is, and needs nobody for that."""
     forgotten: bool = False
     """The fleet has it no more: no order reaches it, and no outcome comes."""
-    foreign_mode: str | None = None
+    unexpected_mode: str | None = None
     """The mode in which it is, if no order of a plan leads to that one and it is not under control: its pilot's, or of
     another program. It is never ordered to hold."""
 
@@ -241,8 +241,8 @@ class Execution:
         self._asked = False
         """Whether the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()
-        self._foreign: dict[str, str] = {}
-        """`Sight.foreign_mode` of those that have one, as of the last look."""
+        self._unexpected_modes: dict[str, str] = {}
+        """`Sight.unexpected_mode` of those that have one, as of the last look."""
         self._progress: deque[tuple[float, float]] = deque(maxlen=PROGRESS)
         """Time and trajectory time of the last ticks of this step."""
 
@@ -363,11 +363,13 @@ class Execution:
 
     # -- outcomes and time
 
-    def outcome(self, kind: OrderKind, name: str, ok: bool, text: str, foreign_mode: str | None = None) -> list[Order]:
-        """An order to one vehicle has ended; ``foreign_mode``: as `Sight` has it, by now."""
-        self._foreign.pop(name, None)
-        if foreign_mode is not None:
-            self._foreign[name] = foreign_mode
+    def outcome(
+        self, kind: OrderKind, name: str, ok: bool, text: str, unexpected_mode: str | None = None
+    ) -> list[Order]:
+        """An order to one vehicle has ended; ``unexpected_mode``: as `Sight` has it, by now."""
+        self._unexpected_modes.pop(name, None)
+        if unexpected_mode is not None:
+            self._unexpected_modes[name] = unexpected_mode
         if kind is OrderKind.ARM:
             return self._on_armed(name, ok, text)
         if kind is OrderKind.TAKEOFF:
@@ -399,7 +401,9 @@ class Execution:
     ) -> list[Order]:
         """``clock``: the state of the step's clock; None: none runs."""
         self._progress.append((now, trajectory_s))
-        self._foreign = {name: sights[name].foreign_mode or "" for name in self.names if sights[name].foreign_mode}
+        self._unexpected_modes = {
+            name: sights[name].unexpected_mode or "" for name in self.names if sights[name].unexpected_mode
+        }
         for name in list(self._armed):
             if not sights[name].on_ground or not sights[name].armed:
                 self._armed.discard(name)
@@ -630,7 +634,7 @@ class Execution:
         self._done.clear()
         staying = tuple(n for n in self.names if n not in self.left and n not in self._armed)
         standing = self._disarm()
-        self._done.update(self.left, self._armed, self._foreign)
+        self._done.update(self.left, self._armed, self._unexpected_modes)
         holding = self._hold(staying)
         if not holding:
             self._enter(PlanState.ABORTED, "nobody follows it any more")
@@ -639,10 +643,10 @@ class Execution:
     def _hold(self, names: Sequence[str]) -> list[Order]:
         """Order these to hold, but none that its pilot has taken meanwhile."""
         for name in names:
-            if name in self._foreign:
-                mode = self._foreign[name]
+            if name in self._unexpected_modes:
+                mode = self._unexpected_modes[name]
                 self._report(f"{name} is in {mode}, which this plan did not set: it is not ordered to hold", name)
-        ours = tuple(name for name in names if name not in self._foreign)
+        ours = tuple(name for name in names if name not in self._unexpected_modes)
         return [Order(OrderKind.HOLD, ours)] if ours else []
 
     def _tick_holding(self, sights: Mapping[str, Sight]) -> list[Order]:

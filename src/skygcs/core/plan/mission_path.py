@@ -35,7 +35,7 @@ SPEED_OF_TYPE = {0: "speed_mps", 1: "speed_mps", 2: "climb_mps", 3: "descent_mps
 """SPEED_TYPE: airspeed, ground speed, climb, descent. A multicopter takes the first two alike."""
 
 NO_CHANGE, DEFAULT = -1.0, -2.0
-"""Speeds of DO_CHANGE_SPEED that are none."""
+"""Values of DO_CHANGE_SPEED that do not give a speed."""
 
 
 class MissionPath(NamedTuple):

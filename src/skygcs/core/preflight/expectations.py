@@ -32,6 +32,8 @@ class Expectations:
     """EKF2_REQ_NSATS (PX4) and ArduPilot's own pre-arm check."""
     hdop_max: float = 2.0
     """PX4 wants a PDOP of 2.5, ArduPilot an HDOP of 1.4 or 2.0 by its board."""
+    delegated: bool = False
+    """Whether other sites may command it, too ([federation.vehicles])."""
     mocap: bool = False
     """Whether it flies by poses of motion capture, without GPS."""
     estimator: bool = True

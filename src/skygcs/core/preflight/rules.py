@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skygcs.core.mavlink.param_encoding import Value, value_text
-from skygcs.core.params.compare import equal
+from skygcs.core.mavlink.param_encoding import Value, equal, value_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,10 @@ HOLD = 5
 GF_WARN = 1
 """GF_ACTION: 0 is no action, 1 only a warning."""
 
+GCS_ALONE = 1
+"""MAV_OPTIONS of 4.7, in the place of SYSID_ENFORCE: messages of other ground stations are dropped
+(libraries/GCS_MAVLink/GCS.cpp: "Accept MAVLink only from system IDs given by MAV_SYSID_GCS and MAV_SYSID_GCS_HI")."""
+
 FENCE_ALT = 1
 """The bit of FENCE_TYPE that enables FENCE_ALT_MAX."""
 
@@ -75,6 +79,46 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
         f"(FS_GCS_ENABLE {value_text(enabled)})",
         f"set {name} to {facts.gcs_sysid}, or daemon.sysid to {value_text(watched)}",
         Fix(name, facts.gcs_sysid, watched),
+    )
+
+
+def one_commander(facts: Facts, wanted: Expectations) -> Finding:
+    """Whether the vehicle itself obeys this site's station alone, besides the lease."""
+    if not wanted.delegated:
+        return skipped("no other site may command it")
+    if facts.family != "ardupilot":
+        return skipped("ArduPilot's alone: only the lease keeps the sites apart")
+    if facts.gcs_sysid is None:
+        return skipped("we are its companion and no ground station: the ground's preflight checks it")
+    watched, enforce, options = (facts.value(name) for name in ("SYSID_MYGCS", "SYSID_ENFORCE", "MAV_OPTIONS"))
+    if watched is None:
+        return _not_known(facts, "SYSID_MYGCS")
+    if enforce is None and options is None:
+        return _not_known(facts, "SYSID_ENFORCE")
+    name = _held_name(facts, "SYSID_MYGCS")
+    last = max(watched, facts.value("MAV_GCS_SYSID_HI") or 0)
+    enforced = bool(enforce) if enforce is not None else bool(int(options or 0) & GCS_ALONE)
+    if not watched <= facts.gcs_sysid <= last:
+        text = f"{name} is {value_text(watched)}, we are {facts.gcs_sysid}"
+        then = "it ignores us" if enforced else "its GCS failsafe ignores our heartbeats"
+        todo = f"set {name} to {facts.gcs_sysid} at the site that it obeys, when this one is to command it"
+        return failed(f"{text}: {then}", todo)
+    if last > watched:
+        text = f"it obeys stations {value_text(watched)} to {value_text(last)}: other sites', if they have these ids"
+        return failed(text, f"set MAV_GCS_SYSID_HI to {facts.gcs_sysid}", severity=Severity.NOTE)
+    if enforced:
+        return passed(f"obeys system id {facts.gcs_sysid} alone: a stop of another site does not reach it either")
+    to = (
+        ("SYSID_ENFORCE", 1, enforce)
+        if enforce is not None
+        else ("MAV_OPTIONS", int(options or 0) | GCS_ALONE, options)
+    )
+    fix = Fix(to[0], to[1], to[2] or 0)
+    return failed(
+        "it obeys every station that reaches it: only the lease keeps the sites apart",
+        f"set {fix.name} to {fix.value}; then it ignores the stop of another site as well",
+        fix,
+        severity=Severity.NOTE,
     )
 
 

@@ -86,6 +86,13 @@ CHECKS: tuple[Check, ...] = (
         settings.gcs_id,
         ardupilot=(("FS_GCS_ENABLE",), ("SYSID_MYGCS",)),
     ),
+    Check(
+        "one commander",
+        FAULT,
+        settings.one_commander,
+        ardupilot=(("SYSID_MYGCS",), ("SYSID_ENFORCE", "MAV_OPTIONS"), ("MAV_GCS_SYSID_HI",)),
+        if_wanted=lambda wanted: wanted.delegated,
+    ),
     Check("gcs failsafe", FAULT, settings.gcs_failsafe, ardupilot=(("FS_GCS_ENABLE",), ("FS_OPTIONS",))),
     Check(
         "rtl height",

@@ -1,4 +1,4 @@
-"""Which commands and messages may be repeated, and over which link: a table with the reason for each.
+"""Which commands may be repeated, and over which link: a table with the reason for each.
 
 An order goes over the chosen link. When its answer does not come, either the order or the answer was lost, and the
 sender cannot know which. A repeat is harmless where doing it twice leaves what doing it once leaves. Elsewhere it is
@@ -195,27 +195,6 @@ DISARM = RepeatRule(Repeat.ANY_LINK, "it is disarmed already")
 RELATIVE_YAW = RepeatRule(Repeat.NEVER, "it would turn again")
 HOME_HERE = RepeatRule(Repeat.NEVER, "its home would be where it is by then")
 
-MESSAGES: Mapping[str, RepeatRule] = {
-    "SET_POSITION_TARGET_GLOBAL_INT": RepeatRule(
-        Repeat.IF_NOT_DONE, "as a goto the vehicle is asked for its target first; as a setpoint it is of its moment"
-    ),
-    "SET_POSITION_TARGET_LOCAL_NED": RepeatRule(Repeat.NEVER, "a setpoint is of its moment, and the next one follows"),
-    "SET_ATTITUDE_TARGET": RepeatRule(Repeat.NEVER, "a setpoint is of its moment, and the next one follows"),
-    "MANUAL_CONTROL": RepeatRule(Repeat.NEVER, "the sticks have moved since"),
-    "RC_CHANNELS_OVERRIDE": RepeatRule(Repeat.NEVER, "the sticks have moved since"),
-    "TIMESYNC": RepeatRule(Repeat.NEVER, "it measures the link it goes over"),
-    "MISSION_SET_CURRENT": RepeatRule(Repeat.IF_NOT_DONE, "an item that was flown meanwhile would be flown again"),
-    "REQUEST_DATA_STREAM": RepeatRule(Repeat.SAME_LINK, "an autopilot has rates of its own for each of its ports"),
-    "FILE_TRANSFER_PROTOCOL": RepeatRule(Repeat.SAME_LINK, "its session counts requests, and repeats are its own"),
-    "SET_GPS_GLOBAL_ORIGIN": RepeatRule(Repeat.ANY_LINK, "it is the same place"),
-    "PARAM_SET": RepeatRule(Repeat.ANY_LINK, "it is the same value"),
-    "PARAM_REQUEST_READ": RepeatRule(Repeat.ANY_LINK, "it is only answered twice"),
-    "HEARTBEAT": RepeatRule(Repeat.ANY_LINK, "each link gets its own, once a second"),
-}
-"""Messages without a COMMAND_ACK that are sent to a vehicle."""
-
-UNLISTED_MESSAGE = RepeatRule(Repeat.SAME_LINK, "its own protocol repeats it")
-
 
 def repeat_rule(spec: CommandSpec) -> RepeatRule:
     """The rule for a command with these parameters."""
@@ -227,8 +206,3 @@ def repeat_rule(spec: CommandSpec) -> RepeatRule:
     if spec.command == mav_cmd.DO_SET_HOME and params[0] == 1.0:
         return HOME_HERE
     return COMMANDS.get(spec.command, UNLISTED)
-
-
-def message_rule(name: str) -> RepeatRule:
-    """The rule for a message by its name."""
-    return MESSAGES.get(name, UNLISTED_MESSAGE)

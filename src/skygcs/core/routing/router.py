@@ -338,12 +338,14 @@ class Router:
 
     # -- our own messages
 
-    def route_own(self, sysid: int, compid: int, now: float, *, everywhere: bool = False) -> tuple[int, ...]:
+    def route_own(
+        self, sysid: int, compid: int, now: float, *, everywhere: bool = False, setpoint: bool = False
+    ) -> tuple[int, ...]:
         """Channels for a message of ours: all for system 0; else the best one to that component or system, or
         the one that supplies the vehicle's state.
 
-        ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard. Never one that
-        is bound to vehicles.
+        A ``setpoint`` also takes another one while that one is in doubt. ``everywhere`` (emergencies) takes every
+        channel on which it was heard. () if it was never heard. Never one that is bound to vehicles.
         """
         if sysid == 0:
             return tuple(p.id for p in self._ports.values() if not p.policy.replayed and not p.bound)
@@ -360,6 +362,8 @@ class Router:
         state = self.state_sources.get(sysid << 8 | compid)
         if state is not None:
             ports = [p for p in ports if p.id == state.present_id] or [p for p in ports if state.may_be(p.id)]
+        if setpoint and state is not None and (other := state.stand_in(now)) is not None:
+            return tuple(dict.fromkeys((*(p.id for p in ports), other)))
         if state is not None or len(ports) == 1:
             return () if not ports else (max(ports, key=lambda p: self._last_heard(p, sysid)).id,)
         heard = {p.id: self._last_heard(p, sysid) for p in ports}
@@ -464,7 +468,8 @@ class Router:
     def _report(self, source: int, state: StateSource) -> None:
         reports, state.reports = state.reports, []
         for report in reports:
-            self._note_report(source, report)
+            if not report.quiet:
+                self._note_report(source, report)
             if report.kind in ("switched", "replaced"):
                 self._topology_changed()
                 self._drop_echo_routes(source)
@@ -502,6 +507,15 @@ class Router:
             state.choose(partial(self._received, source), now)
             if state.reports:
                 self._report(source, state)
+
+    def uplink_lost(self, source: int) -> None:
+        """This vehicle does not hear us over the link that is used; without effect if it is heard on one only."""
+        if (state := self.state_sources.get(source)) is not None:
+            state.uplink_lost()
+
+    def links_to_probe(self, now: float) -> list[tuple[int, int]]:
+        """Vehicles and channels over which they did not hear us and are to be asked again now."""
+        return [(source, i) for source, state in self.state_sources.items() for i in state.to_probe(now)]
 
     def _received(self, source: int, channel_id: int) -> tuple[int, int] | None:
         return self.received(channel_id, source)
@@ -662,6 +676,11 @@ class Router:
         """The autopilots (sysid<<8|compid) that are heard on a channel."""
         port = self._ports.get(channel_id)
         return () if port is None else port.vehicles
+
+    def hears(self, channel_id: int, system: int) -> bool:
+        """True if there is a route to this system over this channel."""
+        port = self._ports.get(channel_id)
+        return port is not None and system in port.of_system
 
     def routes(self) -> list[tuple[int, int, int, float]]:
         """(sysid, compid, channel id, last heard at), sorted."""

@@ -5,7 +5,6 @@ Every function returns the plan or raises RefusedError, whose text gives the rea
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,6 +21,7 @@ from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying,
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.spelling import near_names
 
 MAX_TAKEOFF_M = 500.0
 
@@ -329,10 +329,10 @@ def find_command(dialect: Dialect, command: str | int) -> tuple[int, str]:
 
 def _near_commands(wanted: str, names: Sequence[str]) -> list[str]:
     """At most five similar names: close spellings first, then names that share a word."""
-    near = difflib.get_close_matches(wanted, names, n=3)
+    near = near_names(wanted, names, n=3)
     words = {word for word in wanted.split("_") if len(word) > 2 and word not in COMMON_WORDS}
     sharing = [n for n in names if words.intersection(n.split("_")) and n not in near]
-    return [*near, *difflib.get_close_matches(wanted, sharing, n=5 - len(near), cutoff=0.0)]
+    return [*near, *near_names(wanted, sharing, n=5 - len(near), cutoff=0.0)]
 
 
 def require_live(vehicle: Vehicle) -> None:

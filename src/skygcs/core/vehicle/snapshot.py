@@ -152,11 +152,13 @@ _KEYS: tuple[tuple[str, _Read], ...] = (
     ("system_status", lambda v, _: name_of(SYSTEM_STATUS, v.system_status)),
     ("landed", lambda v, now: v.landed(now)),
     ("failsafe", lambda v, _: v.failsafe),
+    ("authority", _filled_in_later),  # by the gate of vehicles that several sites command
     ("control", _filled_in_later),  # by flight control
     ("uplink", _filled_in_later),  # by the uplink watch
     ("separation", _filled_in_later),  # by the monitor
     ("mocap", _filled_in_later),  # by the actor that gets poses
     ("calibration", _filled_in_later),  # by the calibration that runs
+    ("companion", _filled_in_later),  # by the fleet, which knows companions and components
     *(_group(group.name) for group in GROUPS),
     ("last_ack", _last_ack),
     ("status_texts", _texts),

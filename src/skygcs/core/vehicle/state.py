@@ -106,6 +106,10 @@ class VehicleState(TypedDict):
     system_status: str
     landed: str
     failsafe: bool
+    authority: Part | None
+    """For a vehicle of [federation.vehicles]: held (this site may command it now), commander (the site that does, null:
+    not known), remaining_s (of the lease's grant), token, hub, blocked_frames (that were not sent to it); null: for any
+    other vehicle"""
     control: Part | None
     """Control by setpoints, as in control.status; null: skygcs does not control it."""
     uplink: Part | None
@@ -120,6 +124,10 @@ class VehicleState(TypedDict):
     mocap: Part | None
     """Its poses of motion capture, as in mocap.status: body, tracking, problem, age_s, rate_hz, sent_hz, latency_p50_s,
     dropouts and more; null: [mocap] does not name it"""
+    companion: Part | None
+    """The computer on the vehicle: name, link (connecting, up, down; null: the fleet file gives it no `rpc`), since_s,
+    error (why it is not up), version, age_s (since MAVLink of an onboard computer came; null: never); null: none is
+    known"""
     gps: Part | None
     """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None

@@ -132,6 +132,13 @@ class UplinkWatch:
         self._in_doubt_since = None
         self._waiting.clear()
 
+    def moved(self) -> None:
+        """Another link is used: earlier answers do not count. Its uplink is dead until the vehicle answers over it, if
+        the one before was."""
+        lost = self.lost
+        self.forget()
+        self.lost = lost
+
     @property
     def answer_timeout_s(self) -> float:
         """Time to wait for an answer."""
@@ -140,10 +147,10 @@ class UplinkWatch:
 
     def _period_s(self, *, armed: bool, thin: bool) -> float:
         base_s = (THIN_ARMED_S if armed else THIN_DISARMED_S) if thin else (ARMED_S if armed else DISARMED_S)
-        if self.answered_at is None:
-            return THIN_DISARMED_S if thin else DISARMED_S  # perhaps it never answers: no hurry
         if self.lost:
             return 2 * LOST_S if thin else LOST_S
+        if self.answered_at is None:
+            return THIN_DISARMED_S if thin else DISARMED_S  # perhaps it never answers: no hurry
         if not self.unanswered:
             return base_s
         if self.unanswered == 1:

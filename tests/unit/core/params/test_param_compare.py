@@ -8,8 +8,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param_encoding import Param, ParamType, float32, short_float
-from skygcs.core.params.compare import diff, equal, plan
+from skygcs.core.mavlink.param_encoding import Param, ParamType, equal, float32, short_float
+from skygcs.core.params.compare import diff, plan
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.params.param_file import Entry, parse
 

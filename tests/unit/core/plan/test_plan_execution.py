@@ -181,7 +181,7 @@ def test_one_that_took_off_by_its_pilot_after_the_abort_is_left_to_him() -> None
     told = Told()
     told.take(told.execution.abort())
     assert told.done(OrderKind.ARM, "alpha") == [Order(OrderKind.DISARM, ("alpha",))]
-    refused = told.execution.outcome(OrderKind.DISARM, "alpha", False, "not landed", foreign_mode="POSCTL")
+    refused = told.execution.outcome(OrderKind.DISARM, "alpha", False, "not landed", unexpected_mode="POSCTL")
     assert refused == []
     said = [change.text for change in told.execution.changes if change.vehicle == "alpha"]
     assert said[-2:] == [
@@ -195,7 +195,7 @@ def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has() -> Non
     told.done(OrderKind.ARM)
     for name in NAMES:
         told.see(name, armed=True, on_ground=False, takeoff="climbs")
-    told.see("bravo", foreign_mode="STABILIZE")
+    told.see("bravo", unexpected_mode="STABILIZE")
     told.tick()
     assert told.take(told.execution.abort()) == [Order(OrderKind.HOLD, ("alpha",))]
     told.done(OrderKind.HOLD, "alpha")
@@ -203,7 +203,7 @@ def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has() -> Non
     told = Told()
     told.done(OrderKind.ARM)
     for name in NAMES:
-        told.see(name, armed=True, on_ground=False, takeoff="climbs", foreign_mode="POSCTL")
+        told.see(name, armed=True, on_ground=False, takeoff="climbs", unexpected_mode="POSCTL")
     told.tick()
     assert told.take(told.execution.abort()) == [] and told.state is PlanState.ABORTED
 
@@ -211,7 +211,7 @@ def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has() -> Non
 def test_an_abort_before_control_leaves_those_that_it_has_not_taken() -> None:
     told = Told(())
     assert told.state is PlanState.ENGAGING
-    told.see("alpha", foreign_mode="LOITER")
+    told.see("alpha", unexpected_mode="LOITER")
     told.tick()
     told.take(told.execution.abort())
     assert told.orders[-1] == Order(OrderKind.HOLD, ("bravo",))
@@ -371,7 +371,7 @@ WHATS = st.one_of(
     st.tuples(st.just("left"), st.sampled_from(NAMES), st.sampled_from([None, *Why])),
     st.tuples(st.just("takeoff"), st.sampled_from(NAMES), st.sampled_from([None, "climbs", "reached", "mode"])),
     st.tuples(st.just("armed"), st.sampled_from(NAMES), st.booleans()),
-    st.tuples(st.just("foreign_mode"), st.sampled_from(NAMES), st.sampled_from([None, "POSCTL"])),
+    st.tuples(st.just("unexpected_mode"), st.sampled_from(NAMES), st.sampled_from([None, "POSCTL"])),
     st.tuples(st.just("clock"), st.sampled_from([None, *ClockState])),
     st.tuples(st.just("order"), st.sampled_from(["pause", "go_on", "abort", "land", "landing", "refused", "start"])),
 )
@@ -416,7 +416,7 @@ class Judged(Told):
                     assert self.asked
                 case OrderKind.HOLD:
                     # never one that its pilot had as of the last look
-                    assert not any(self.shown[name].foreign_mode for name in order.vehicles), order
+                    assert not any(self.shown[name].unexpected_mode for name in order.vehicles), order
         return super().take(orders)
 
     def do(self, what: tuple[Any, ...]) -> None:
@@ -434,7 +434,7 @@ class Judged(Told):
                     self.confirmed[kind].add(name)
                 self.late = kind is OrderKind.ARM and self.state is not PlanState.ARMING
                 self.shown[name] = self.sights[name]
-                self.take(execution.outcome(kind, name, ok, "so", self.sights[name].foreign_mode))
+                self.take(execution.outcome(kind, name, ok, "so", self.sights[name].unexpected_mode))
                 self.late = False
             case ("place", name, where):
                 places = {
@@ -445,7 +445,7 @@ class Judged(Told):
                     "none": None,
                 }
                 self.see(name, place_m=places[where], on_ground=where == "ground")
-            case ("age" | "takeoff" | "armed" | "foreign_mode", name, value):
+            case ("age" | "takeoff" | "armed" | "unexpected_mode", name, value):
                 self.see(name, **{"age": {"age_s": value}}.get(what[0], {what[0]: value}))
             case ("left", name, why):
                 self.see(name, left=None if why is None else Left(why, "so"))

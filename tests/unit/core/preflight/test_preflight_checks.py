@@ -383,3 +383,31 @@ def test_a_companion_never_takes_the_ground_stations_place_in_the_failsafe() -> 
     companion = settings.gcs_id(replace(known, gcs_sysid=None), WANTED)
     assert companion.fixes == ()
     assert "no ground station" in companion.text
+
+
+OURS = 253
+
+
+@pytest.mark.parametrize(
+    ("answers", "verdict", "severity", "fix"),
+    [
+        ({"SYSID_MYGCS": OURS, "SYSID_ENFORCE": 1, "MAV_GCS_SYSID_HI": None}, Verdict.PASS, None, None),
+        ({"MAV_GCS_SYSID": OURS, "MAV_OPTIONS": 3, "MAV_GCS_SYSID_HI": 0}, Verdict.PASS, None, None),
+        ({"SYSID_MYGCS": OURS, "SYSID_ENFORCE": 0}, Verdict.FAIL, Severity.NOTE, ("SYSID_ENFORCE", 1)),
+        ({"MAV_GCS_SYSID": OURS, "MAV_OPTIONS": 2}, Verdict.FAIL, Severity.NOTE, ("MAV_OPTIONS", 3)),
+        ({"MAV_GCS_SYSID": OURS, "MAV_OPTIONS": 1, "MAV_GCS_SYSID_HI": 255}, Verdict.FAIL, Severity.NOTE, None),
+        ({"SYSID_MYGCS": 255, "SYSID_ENFORCE": 1}, Verdict.FAIL, None, None),
+        ({"SYSID_MYGCS": OURS}, Verdict.UNKNOWN, None, None),
+    ],
+)
+def test_a_delegated_vehicle_obeys_one_station(
+    answers: dict[str, Value | None], verdict: Verdict, severity: Severity | None, fix: tuple[str, int] | None
+) -> None:
+    wanted = replace(WANTED, delegated=True)
+    finding = settings.one_commander(replace(facts(answers), gcs_sysid=OURS), wanted)
+    assert (finding.verdict, finding.severity) == (verdict, severity)
+    assert [(f.name, f.value) for f in finding.fixes] == ([] if fix is None else [fix])
+    assert settings.one_commander(facts(answers), WANTED).verdict is Verdict.SKIPPED
+    assert settings.one_commander(facts(answers, autopilot="px4"), wanted).verdict is Verdict.SKIPPED
+    assert ("SYSID_ENFORCE", "MAV_OPTIONS") in needed_params("ardupilot", wanted)
+    assert ("SYSID_ENFORCE", "MAV_OPTIONS") not in needed_params("ardupilot", WANTED)

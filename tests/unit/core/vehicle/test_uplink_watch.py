@@ -108,6 +108,21 @@ def test_other_proof_counts_and_a_reboot_begins_anew() -> None:
     assert air.watch.answered_at is None and not air.watch.lost
 
 
+def test_on_another_link_a_dead_uplink_is_dead_until_it_answers_there() -> None:
+    air = Air()
+    air.run(30)
+    air.run(20, dead=True)
+    air.watch.moved()
+    assert air.watch.lost and air.watch.answered_at is None
+    before = air.sent
+    air.run(3, dead=True)
+    assert air.sent - before >= 2, "it is asked every second"
+    air.run(3)
+    assert not air.watch.lost and air.changes[-1][1] == "back"
+    air.watch.moved()
+    assert not air.watch.lost
+
+
 def test_answers_to_others_are_none_of_ours() -> None:
     watch = UplinkWatch()
     for token in (0, -1, 5, 2**63 - 1, -(2**63)):
