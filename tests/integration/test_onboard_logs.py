@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import threading
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
@@ -15,6 +19,7 @@ from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.client import Client, connect
 from skygcs.sim import onboard_logs as sim
 from skygcs.sim.vehicle import SimVehicle
+from support.hosts import open_descriptors
 
 
 class Lab:
@@ -107,6 +112,36 @@ async def test_a_client_that_goes_away_ends_it_and_the_next_goes_on(tmp_path: Pa
             assert file["resumed_at"] >= 46_080
             assert content(file) == vehicle.logs[1].data
         assert [f for f in lab.files() if f.endswith(".part")] == []
+
+
+async def test_a_download_that_ends_while_its_file_is_being_opened_leaves_no_file_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, go_on = threading.Event(), threading.Event()
+    system_open = os.open
+
+    def slow(path: Any, *args: Any, **kwargs: Any) -> int:
+        if str(path).endswith(".part"):
+            asked.set()
+            assert go_on.wait(60)
+        return system_open(path, *args, **kwargs)
+
+    def held() -> list[str]:
+        return [name for name in open_descriptors() if ".part" in name]
+
+    async with running(tmp_path) as lab:
+        monkeypatch.setattr(os, "open", slow)
+        actor = lab.daemon.fleet.vehicles[2 << 8 | 1]
+        download = asyncio.create_task(actor.logs.get([2]))
+        await until(asked.is_set)
+        download.cancel()
+        await asyncio.gather(download, return_exceptions=True)
+        assert download.cancelled()
+        go_on.set()
+        await until(lambda: any(f.endswith(".part") for f in lab.files()))
+        await until(lambda: not held())
+        monkeypatch.undo()
+        assert (await actor.logs.get([2])).ok
 
 
 async def test_what_is_refused_says_why(tmp_path: Path) -> None:

@@ -213,6 +213,9 @@ class VehicleLogs:
             begin = await asyncio.to_thread(file.open)
         except OSError as error:
             return LogOutcome(False, "failed", f"{file.path}: {error.strerror or error}"), None, 0
+        except asyncio.CancelledError:
+            self._close(file)  # the thread goes on, and would open it for nobody
+            raise
         if begin is None:
             text = f"{file.path} is there already"
             return (
@@ -229,7 +232,7 @@ class VehicleLogs:
             written = await writing
         finally:
             writing.cancel()
-            await asyncio.to_thread(file.close)
+            await asyncio.shield(self._close(file))
         if written is not None:
             outcome = LogOutcome(False, "failed", written)
         if not outcome.ok:
@@ -239,6 +242,10 @@ class VehicleLogs:
         except OSError as error:
             return LogOutcome(False, "failed", f"{file.path}: {error.strerror or error}"), None, machine.sent
         return outcome, StoredLog(info.id, file.path, machine.size, begin), machine.sent
+
+    def _close(self, file: _File) -> asyncio.Future[None]:
+        """In a thread: it waits for a write in progress."""
+        return self._loop.run_in_executor(None, file.close)
 
     async def _write(self, file: _File, machine: OnboardLogDownload) -> str | None:
         """Write chunks until the machine is done; the reason if the disk does not take them."""
@@ -321,7 +328,8 @@ class VehicleLogs:
 @dataclass
 class _File:
     """One log on disk, on threads: a part until it is whole. Its name has the log's time and size, so that only the
-    same log is resumed. The lock keeps `close` from taking the descriptor from a `write` whose caller was cancelled."""
+    same log is resumed. The lock keeps `close` from taking the descriptor from a `write` whose caller was cancelled,
+    and an `open` that is done only after `close` from keeping one."""
 
     folder: Path
     info: LogInfo
@@ -336,6 +344,7 @@ class _File:
         self.path = self.folder / f"{self.info.id:04d}-{begun}-{self.info.size_bytes}{suffix}"
         self._part = self.path.with_name(self.path.name + PART_SUFFIX)
         self._fd = -1
+        self._closed = False
         self._lock = threading.Lock()
 
     def open(self) -> int | None:
@@ -343,10 +352,18 @@ class _File:
         self.folder.mkdir(parents=True, exist_ok=True)
         if self.path.exists():
             return None
-        self._fd = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
-        there = min(os.fstat(self._fd).st_size, self.info.size_bytes)
-        begin = there // BLOCK_BYTES * BLOCK_BYTES
-        os.ftruncate(self._fd, begin)
+        fd = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        begin = 0
+        try:
+            there = min(os.fstat(fd).st_size, self.info.size_bytes)
+            begin = there // BLOCK_BYTES * BLOCK_BYTES
+            os.ftruncate(fd, begin)
+            with self._lock:
+                if not self._closed:
+                    self._fd, fd = fd, -1
+        finally:
+            if fd >= 0:
+                os.close(fd)
         return begin
 
     def write(self, chunk: Chunk) -> None:
@@ -357,7 +374,9 @@ class _File:
                 data = data[written:]
 
     def close(self) -> None:
+        """For good: also against an `open` that is still in progress."""
         with self._lock:
+            self._closed = True
             fd, self._fd = self._fd, -1
             if fd >= 0:
                 os.close(fd)
