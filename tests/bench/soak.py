@@ -35,6 +35,7 @@ from typing import Any
 
 from bench.soak_traffic import OWN, HostilePeer, UdpSocket, World, udp_sockets, wait_until
 from support import router_bench as bench
+from support.process import free_port
 
 OUT = bench.ROOT / "build" / "bench"
 MINUTES = float(os.environ.get("SOAK_MINUTES", "60"))
@@ -188,7 +189,7 @@ class Soak:
         self.folder = folder
         shares = {"field": max(VEHICLES // 5, 1), "near": VEHICLES * 3 // 10}
         shares["air"] = VEHICLES - sum(shares.values())
-        self.world = World({link: (bench.free_port(), count) for link, count in shares.items()}, SEED)
+        self.world = World({link: (free_port(), count) for link, count in shares.items()}, SEED)
         self.hostile = HostilePeer(self.world)
         self.legs: list[dict[str, Any]] = []
         self.unexplained = 0

@@ -23,6 +23,7 @@ from pathlib import Path
 import pytest
 
 from support import router_bench as bench
+from support.process import free_port
 from support.routed import heartbeat, message
 
 ROUNDS = int(os.environ.get("SKYGCS_BENCH_STARTS", "15"))
@@ -53,7 +54,7 @@ class Start:
     def __init__(self, folder: Path, record: bool, changes: Environment) -> None:
         self.folder = folder
         self.environment = environment(folder, changes)
-        self.port, self.gcs = bench.free_port(), bench.free_port()
+        self.port, self.gcs = free_port(), free_port()
         self.file = folder / "fleet.toml"
         self.socket = folder / "s"
         self.file.write_text(f"""

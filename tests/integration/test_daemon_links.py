@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.tlog.reading import LogReader
+from support.process import free_port
 from support.routed import heartbeat, message
 
 
@@ -146,9 +146,7 @@ async def test_a_change_whose_asker_goes_away_is_carried_through(tmp_path: Path)
 
 
 async def test_a_link_in_conflict_with_another_is_refused_and_the_old_one_stays(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     async with running(tmp_path, radio={}) as daemon:
         await daemon.links.add("gcs", {"type": "udp_server", "host": "127.0.0.1", "port": port, "enabled": False})
         await daemon.links.add("loop", {"type": "udp_client", "host": "127.0.0.1", "port": port})
@@ -372,9 +370,7 @@ async def test_a_reload_changes_only_the_links_that_differ(tmp_path: Path) -> No
 
 
 async def test_a_reload_may_give_the_port_of_one_link_to_another(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     async with running(tmp_path) as daemon:
         empty = daemon._file_config
         link = {"type": "udp_server", "host": "127.0.0.1", "port": port}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import random
 import signal
 import socket
 import struct
@@ -21,11 +22,28 @@ TIMEOUT_S = 120.0
 """How long a slow machine may take for something that takes milliseconds; not what is tested."""
 
 
+PORTS = range(20_000, 30_000)
+"""Below the kernel's range for sockets that ask for no port (32768 and up): nobody is given one of them by chance
+between `free_port` and the program that binds it. Known services have theirs elsewhere."""
+
+_claims: list[socket.socket] = []
+"""Names of the kernel that hold this process's ports against other processes of the tests, until it ends."""
+
+
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """A port that was free a moment ago on loopback."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of this machine that nobody has, and that nobody else is given by this function."""
+    for port in random.SystemRandom().sample(PORTS, len(PORTS)):
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0skygcs-tests-port-{port}")
+            with socket.socket(socket.AF_INET, kind) as probe:
+                probe.bind(("", port))
+        except OSError:
+            claim.close()
+            continue
+        _claims.append(claim)
+        return port
+    raise RuntimeError(f"no free port in {PORTS}")
 
 
 def wait_until(condition: Callable[[], Any], what: str) -> Any:

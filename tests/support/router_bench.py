@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import statistics
 import subprocess
 import sys
@@ -19,6 +18,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from support.process import free_port
 
 ROOT = Path(__file__).parents[2]
 NATIVE = ROOT / "tests" / "bench" / "native"
@@ -30,21 +31,6 @@ RUN_TIMEOUT_S = 60.0
 _CPUS = sorted(os.sched_getaffinity(0))
 LOAD_CPU, ROUTER_CPU = _CPUS[0], _CPUS[-1]
 """The router alone on one CPU, the generator on another; on one CPU they share it, and ratios still hold."""
-
-_ports = iter(range(12_000 + os.getpid() % 1000 * 10, 24_000))
-"""Below the range of ephemeral ports, so that nobody is given one of them meanwhile."""
-
-
-def free_port() -> int:
-    """A UDP port of 127.0.0.1 that nobody has."""
-    for port in _ports:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return port
-    raise RuntimeError("no free UDP port")
 
 
 def build(folder: Path, name: str) -> Path | None:

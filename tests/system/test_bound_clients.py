@@ -120,10 +120,7 @@ def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[int, Script]]:
     monkeypatch.setitem(os.environ, "MAVLINK20", "1")
     made: dict[int, Script] = {}
     for sysid in range(1, 9):
-        port = _free_port(sysid)
-        while port in {script.port for script in made.values()}:
-            port = _free_port(sysid)
-        made[sysid] = Script(sysid, port)
+        made[sysid] = Script(sysid, _free_port(sysid))
     yield made
     for script in made.values():
         if script.connection is not None:

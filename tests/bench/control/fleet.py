@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ from typing import Any
 
 from bench.control.measures import Usage, percentile, usage_of
 from skygcs.rpc.client import Client, connect
+from support.process import free_port
 
 ROOT = Path(__file__).parents[3]
 TIMEOUT_S = 60.0
@@ -119,7 +119,7 @@ class Carried:
 def carry(load: Load, folder: Path, profile: Path | None = None) -> Carried:
     """Fly the load and measure. The folder is to be empty."""
     lateness = folder / "lateness"
-    port = _free_port()
+    port = free_port()
     (folder / "fleet.toml").write_text(
         FLEET_FILE.format(folder=folder, port=port, rate_hz=load.rate_hz, attitude_delay_s=load.attitude_delay_s)
     )
@@ -280,9 +280,3 @@ def _process(words: list[str], realtime: bool) -> Iterator[subprocess.Popen[byte
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -22,6 +22,7 @@ from skygcs.links.supervisor import LinkSupervisor
 from skygcs.links.tcp import TcpClientLink, TcpServerLink
 from support.hosts import RecordingHost, frames_in, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop
+from support.process import free_port
 
 
 @asynccontextmanager
@@ -224,8 +225,7 @@ async def test_running_out_of_descriptors_pauses_accepting_only(monkeypatch: pyt
 
 @on_every_loop
 async def test_a_server_on_a_name_takes_clients_on_every_address_of_it() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as placeholder:
-        port = placeholder.getsockname()[1]
+    port = free_port(socket.SOCK_STREAM)
     host = RecordingHost()
     async with serving(host, host="localhost", port=port):
         socket.create_connection(("127.0.0.1", port)).close()
@@ -292,8 +292,7 @@ async def test_a_client_connects_talks_and_fails_when_the_server_goes() -> None:
 
 @on_every_loop
 async def test_a_refused_connection_says_that_nobody_listens_and_leaves_nothing_open() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as placeholder:
-        port = placeholder.getsockname()[1]
+    port = free_port(socket.SOCK_STREAM)
     link = client(RecordingHost(), port)
     before = open_descriptors()
     with pytest.raises(LinkError, match=rf"tcp_client 127.0.0.1:{port}: connection refused: no program listens there"):
@@ -380,8 +379,8 @@ async def test_a_connection_made_just_after_close_is_dropped() -> None:
 async def test_the_supervisor_connects_again_when_the_server_is_back() -> None:
     host = RecordingHost()
     events: list[Event] = []
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = free_port(socket.SOCK_STREAM)
+    with socket.create_server(("127.0.0.1", port)) as listener:
         link = client(host, port)
         task = asyncio.ensure_future(LinkSupervisor(link, events.append).run())
         await until(lambda: link.channels)

@@ -17,6 +17,7 @@ from skygcs.errors import LinkError
 from skygcs.links.udp import UdpBroadcastLink, UdpClientLink, UdpServerLink
 from support.hosts import RecordingHost, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop
+from support.process import free_port
 
 
 @contextmanager
@@ -266,8 +267,7 @@ async def client(hub: RecordingHost, port: int, **keys: Any) -> UdpClientLink:
 @on_every_loop
 async def test_a_client_outlives_a_peer_that_is_not_there_yet() -> None:
     host = RecordingHost()
-    with peer() as placeholder:
-        port = placeholder.getsockname()[1]
+    port = free_port()
     link = await client(host, port)
     channel = host.channels[0]
     assert channel.peer == f"127.0.0.1:{port}"
@@ -355,8 +355,7 @@ async def test_a_broadcaster_locks_onto_who_answers_and_lets_go_after_silence(mo
 @on_every_loop
 async def test_a_broadcaster_does_not_lock_onto_itself() -> None:
     host = RecordingHost()
-    with peer() as placeholder:
-        port = placeholder.getsockname()[1]
+    port = free_port()
     config = models.UdpBroadcastLinkConfig(name="all", host="127.255.255.255", port=port, local_port=port)
     link = UdpBroadcastLink(config, host, asyncio.get_running_loop())
     await link.open()
