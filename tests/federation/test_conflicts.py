@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-from skygcs.rpc.client import Subscription
+from skygcs.rpc.client_connection import Subscription
 from support.fake_daemon import FakeDaemon
 from support.federated import site
 from support.hub import Hub

@@ -22,7 +22,7 @@ REACH_WITHIN_S = 2.0
 """A daemon that takes no connection for so long is not there."""
 
 MAX_LINE_BYTES = 32 << 20
-"""As the daemon's other clients (`rpc.client.MAX_REPLY_BYTES`)."""
+"""As the daemon's other clients (`rpc.client_connection.MAX_REPLY_BYTES`)."""
 
 HIGH_WATER_BYTES = 256 * 1024
 """Beyond this much that the daemon has not read, the client is not read."""

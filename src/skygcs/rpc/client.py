@@ -17,28 +17,20 @@ which are carried out to their end. One client belongs to one loop.
 
 from __future__ import annotations
 
-import asyncio
-import errno
 import json
 import math
 import os
-import pwd
-import re
-import socket
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, Self
 
-from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc.address import client_address, tcp_address
-from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.errors import DaemonUnreachable
+from skygcs.rpc.address import client_address
+from skygcs.rpc.client_connection import ClientConnection, Subscription, open_connection
+from skygcs.rpc.client_inbox import Encoded, Latest, Newest, Queue
 
 if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
     from skygcs.rpc.tls import Identity, PinnedTls
 
-_OnAnswer = Callable[[Any, "RpcError | None"], None]
 Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]
 """By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
@@ -46,38 +38,11 @@ Outcomes = dict[str, dict[str, Any]]
 TrajectoryOrder = Literal["start", "pause", "resume", "speed", "abort", "unload"]
 
 
-CONNECT_WITHIN_S = 10.0
-CONNECT_AGAIN_S = 0.01
-"""A daemon takes connections every few milliseconds, 100 at a time."""
-
-INBOX = 1000
-"""Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
-
-CLOSE_S = 1.0
-"""For the last words of TLS."""
-
-MAX_REPLY_BYTES = 32 << 20
-"""Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
-
-MAX_REQUEST_BYTES = 1 << 20
-"""Longest line that the daemon takes (`sessions.MAX_LINE_BYTES`). Its refusal of a longer one names no request, which
-would wait for its answer for ever."""
-
-MAX_NUMBER_CHARS = 20
-"""Of a subscription's number."""
-
-_RESULT = re.compile(rb'\{"jsonrpc":"2\.0","id":(\d{1,20}),"result":')
-_TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
-_STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
-
 UPLOAD_ABOVE_CHARS = 900_000
 """Of a plan's text: a line of the socket has 1 MiB, with the rest of the request."""
 
 PART_CHARS = 400_000
 """Of plan.upload."""
-
-PROGRESS = "plan.progress"
-"""The notification that belongs to no subscription."""
 
 EVENT_KINDS = (
     "vehicle_discovered",
@@ -148,8 +113,7 @@ class Client:
         self.address = address
         self._token = token
         self._tls = tls
-        self._wire: _Wire | None = None
-        self._last_id = 0
+        self._connection: ClientConnection | None = None
 
     async def __aenter__(self) -> Self:
         await self.open()
@@ -160,81 +124,33 @@ class Client:
 
     async def open(self) -> None:
         """Connect. Raises DaemonUnreachable, and RpcError for a wrong token."""
-        loop = asyncio.get_running_loop()
-        try:
-            tcp = None if self._tls is not None else tcp_address(self.address)
-            if self._tls is not None:
-                self._wire = await _connected_over_tls(self.address, self._tls)
-            elif tcp is not None:
-                _, self._wire = await loop.create_connection(lambda: _Wire(self.address), *tcp)
-            else:
-                sock = await _connected_to(self.address)
-                _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), sock=sock)
-        except ValueError as error:
-            raise DaemonUnreachable(self.address, str(error)) from None
-        except PermissionError as error:
-            owner = _owner_of(self.address)
-            if owner is not None:
-                raise DaemonForbidden(self.address, owner) from None
-            raise DaemonUnreachable(self.address, os.strerror(error.errno or errno.EACCES)) from None
-        except OSError as error:
-            raise DaemonUnreachable(self.address, os.strerror(error.errno) if error.errno else str(error)) from None
+        self._connection = await open_connection(self.address, self._tls)
         if self._token is not None and self.address.startswith("tcp://"):
             await self.call("auth", token=self._token)
 
     @property
     def connected(self) -> bool:
         """Whether the connection is open, as far as is known here: a call then is really sent."""
-        return self._wire is not None and self._wire.is_open
+        return self._connection is not None and self._connection.is_open
 
     async def close(self) -> None:
         """Close; calls and iterations still waiting end with DaemonUnreachable. Idempotent."""
-        wire, self._wire = self._wire, None
-        if wire is None:
-            return
-        wire.transport.close()
-        wire.lose("closed here")
-        if self._tls is not None:  # the other side may not answer the end of TLS
-            try:
-                async with asyncio.timeout(CLOSE_S):
-                    await wire.closed.wait()
-            except TimeoutError:
-                wire.transport.abort()
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            await connection.close()
 
     async def call(self, method: str, /, **params: Any) -> Any:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
-        return await self._answer(self._connected(), self._next_id(), method, params, {})
+        return await self._connected().request(method, params)
 
     async def relay(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
         """The result as the daemon encoded it, for a program that passes it on: a list of parameters has megabytes.
 
         A daemon that reads the request after ``deadline_s`` of its own clock (now_s of daemon.info) refuses it.
         """
-        wire, number = self._connected(), self._next_id()
-        wire.encoded.add(number)
         members = {} if deadline_s is None else {"deadline_s": deadline_s}
-        try:
-            result = await self._answer(wire, number, method, params, members)
-        finally:
-            wire.encoded.discard(number)
+        result = await self._connected().request(method, params, members, encoded=True)
         return result if isinstance(result, bytes) else json.dumps(result).encode()
-
-    async def _answer(
-        self, wire: _Wire, number: int, method: str, params: dict[str, Any], members: Mapping[str, Any]
-    ) -> Any:
-        """``members``: of the request, besides those of JSON-RPC."""
-        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-
-        def on_answer(result: Any, error: RpcError | None) -> None:
-            if future.done():
-                return
-            if error is not None:
-                future.set_exception(error)
-            else:
-                future.set_result(result)
-
-        wire.start(number, method, params, on_answer, members)
-        return await future
 
     # -- vehicles
 
@@ -347,12 +263,12 @@ class Client:
     ) -> dict[str, Any]:
         """plan.make or plan.certify, which may take a minute; ``on_progress`` gets job, what, done and total. A client
         has one such request at a time. Cancelled here, it goes on in the daemon until `close` or plan.cancel."""
-        wire = self._connected()
-        wire.on_progress = on_progress
+        connection = self._connected()
+        connection.on_progress = on_progress
         try:
             answer: dict[str, Any] = await self.call(method, progress=on_progress is not None, **params)
         finally:
-            wire.on_progress = None
+            connection.on_progress = None
         return answer
 
     async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:
@@ -384,7 +300,7 @@ class Client:
         A slow reader gets each vehicle's newest state, never old ones.
         """
         params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
-        return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Latest())
+        return Subscription(self._connected(), {"topic": "telemetry", **params}, Latest())
 
     def encoded_telemetry(
         self, targets: Targets = "all", *, rate_hz: float = 2.0, groups: Sequence[str] | None = None
@@ -392,16 +308,16 @@ class Client:
         """As `telemetry`, for a program that passes states on: what came together, as the daemon encoded it. Each item
         has ``states`` (JSON by name) and ``complete``: True if no more of this round is on its way."""
         params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
-        return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Encoded())
+        return Subscription(self._connected(), {"topic": "telemetry", **params}, Encoded())
 
     def events(self, targets: Targets = "all", *, kinds: Sequence[str] | None = None) -> Subscription:
         """Events from now on; ``event["dropped"]`` is there if so many before it were lost to slowness."""
         params = {"topic": "events", "targets": _plain(targets), "names": _listed(kinds)}
-        return Subscription(self._connected(), self._next_id(), params, Queue("event"))
+        return Subscription(self._connected(), params, Queue("event"))
 
     def plan(self, *, rate_hz: float = 2.0) -> Subscription:
         """The status of the plan (`plan.status`), after each change and at this rate while it is flown."""
-        return Subscription(self._connected(), self._next_id(), {"topic": "plan", "rate_hz": rate_hz}, Newest("plan"))
+        return Subscription(self._connected(), {"topic": "plan", "rate_hz": rate_hz}, Newest("plan"))
 
     def messages(self, *names: str | int, targets: Targets = "all", rate_hz: float | None = None) -> Subscription:
         """Decoded messages of these names (none: all): vehicle, sysid, compid, name, fields, age_s.
@@ -409,7 +325,7 @@ class Client:
         ``rate_hz``: at most so many of each name and source. ``message["dropped"]`` as for events.
         """
         params = {"topic": "messages", "targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(names)}
-        return Subscription(self._connected(), self._next_id(), params, Queue("message"))
+        return Subscription(self._connected(), params, Queue("message"))
 
     # -- private
 
@@ -418,395 +334,10 @@ class Client:
         outcomes: Outcomes = answer["outcomes"]
         return outcomes
 
-    def _connected(self) -> _Wire:
-        if self._wire is None:
+    def _connected(self) -> ClientConnection:
+        if self._connection is None:
             raise DaemonUnreachable(self.address, "not connected")
-        return self._wire
-
-    def _next_id(self) -> int:
-        self._last_id += 1
-        return self._last_id
-
-
-async def _connected_over_tls(address: str, tls: PinnedTls) -> _Wire:
-    """A connection to the holder of the pinned certificate. Raises DaemonUnreachable, OSError."""
-    from skygcs.rpc.tls import HANDSHAKE_S, SHUTDOWN_S, explain_tls
-
-    host, _, port = address.removeprefix("tls://").rpartition(":")
-    try:
-        transport, wire = await asyncio.get_running_loop().create_connection(
-            lambda: _Wire(address),
-            host,
-            int(port),
-            ssl=tls.context,
-            ssl_handshake_timeout=HANDSHAKE_S,
-            ssl_shutdown_timeout=SHUTDOWN_S,
-        )
-    except OSError as error:
-        if (reason := explain_tls(error)) is not None:
-            raise DaemonUnreachable(address, reason) from None
-        raise
-    if not tls.is_pinned(transport):
-        transport.abort()
-        raise DaemonUnreachable(address, "it shows a certificate that the pinned one has issued, not that one itself")
-    return wire
-
-
-async def _connected_to(path: str) -> socket.socket:
-    """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment, which
-    asyncio mistakes for a connection in progress. Raises OSError."""
-    loop = asyncio.get_running_loop()
-    deadline = loop.time() + CONNECT_WITHIN_S
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        sock.setblocking(False)
-        while True:
-            try:
-                sock.connect(path)
-            except BlockingIOError:
-                if loop.time() > deadline:
-                    raise
-                await asyncio.sleep(CONNECT_AGAIN_S)
-            else:
-                return sock
-    except BaseException:
-        sock.close()
-        raise
-
-
-class Inbox:
-    """What came and was not iterated over yet. Never holds up replies on the same connection."""
-
-    def __init__(self) -> None:
-        self._arrived = asyncio.Event()
-        self._error: RpcError | None = None
-
-    def put(self, params: dict[str, Any]) -> None:
-        self._keep(params)
-        self._arrived.set()
-
-    def fail(self, error: RpcError) -> None:
-        self._error = error
-        self._arrived.set()
-
-    async def get(self) -> dict[str, Any]:
-        while not self:
-            if self._error is not None:
-                raise self._error
-            self._arrived.clear()
-            await self._arrived.wait()
-        return self._take()
-
-    def __bool__(self) -> bool:
-        raise NotImplementedError
-
-    def _keep(self, params: dict[str, Any]) -> None:
-        raise NotImplementedError
-
-    def _take(self) -> dict[str, Any]:
-        raise NotImplementedError
-
-
-class Latest(Inbox):
-    """The newest state of each vehicle; the one that waits longest first."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._by_name: dict[str, dict[str, Any]] = {}
-
-    def __bool__(self) -> bool:
-        return bool(self._by_name)
-
-    def _keep(self, params: dict[str, Any]) -> None:
-        state = params["state"]
-        self._by_name[state["name"]] = state
-
-    def _take(self) -> dict[str, Any]:
-        return self._by_name.pop(next(iter(self._by_name)))
-
-
-class Encoded(Inbox):
-    """The newest state of each vehicle as the daemon encoded it: nothing is read but the name."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._by_name: dict[str, bytes] = {}
-        self._complete = False
-
-    def __bool__(self) -> bool:
-        return bool(self._by_name)
-
-    def put_encoded(self, state: bytes, last: bool) -> None:
-        """One state. ``last``: it is the last of its round."""
-        begin = _STATE_NAME.match(state)
-        name = json.loads(state)["name"] if begin is None else json.loads(begin[1])
-        self._by_name[name] = state
-        self._complete = last
-        self._arrived.set()
-
-    def _keep(self, params: dict[str, Any]) -> None:
-        self.put_encoded(json.dumps(params["state"]).encode(), bool(params.get("last")))
-
-    def _take(self) -> dict[str, Any]:
-        states, self._by_name = self._by_name, {}
-        return {"states": states, "complete": self._complete}
-
-
-class Newest(Inbox):
-    """The newest only."""
-
-    def __init__(self, key: str) -> None:
-        super().__init__()
-        self._key = key
-        self._content: dict[str, Any] | None = None
-
-    def __bool__(self) -> bool:
-        return self._content is not None
-
-    def _keep(self, params: dict[str, Any]) -> None:
-        self._content = params[self._key]
-
-    def _take(self) -> dict[str, Any]:
-        content, self._content = self._content, None
-        assert content is not None  # `get` waits for one
-        return content
-
-
-class Queue(Inbox):
-    """In order; the oldest are dropped and counted, as those that the daemon dropped."""
-
-    def __init__(self, key: str) -> None:
-        super().__init__()
-        self._key = key
-        self._waiting: deque[dict[str, Any]] = deque()
-
-    def __bool__(self) -> bool:
-        return bool(self._waiting)
-
-    def _keep(self, params: dict[str, Any]) -> None:
-        content = params[self._key]
-        dropped = params.get("dropped", 0)
-        if dropped:
-            content["dropped"] = dropped
-        if len(self._waiting) >= INBOX:
-            lost = 1 + self._waiting.popleft().get("dropped", 0)
-            self._waiting[0]["dropped"] = self._waiting[0].get("dropped", 0) + lost
-        self._waiting.append(content)
-
-    def _take(self) -> dict[str, Any]:
-        return self._waiting.popleft()
-
-
-class Subscription:
-    """What `Client.telemetry`, `events`, `messages` and `plan` give: to be iterated over with ``async for``.
-
-    Subscribed from the moment it is made until `close`, or until nobody holds it any more. The iteration raises
-    RpcError if the daemon refused it, DaemonUnreachable if the daemon goes away.
-    """
-
-    def __init__(self, wire: _Wire, call_id: int, params: dict[str, Any], inbox: Inbox) -> None:
-        self._inbox = inbox
-        self._wire = wire
-        self._state = state = _SubscriptionState(wire, inbox)
-        wire.start(call_id, "subscribe", params, state.on_answer)
-
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __anext__(self) -> dict[str, Any]:
-        return await self._inbox.get()
-
-    def close(self) -> None:
-        """Unsubscribe. Idempotent."""
-        self._state.close()
-
-    def __del__(self) -> None:
-        self._state.close()
-
-
-class _SubscriptionState:
-    """Apart from `Subscription`, so that the answer still due does not keep an abandoned one alive."""
-
-    def __init__(self, wire: _Wire, inbox: Inbox) -> None:
-        self._wire = wire
-        self._inbox = inbox
-        self._number: int | None = None
-        self._closed = False
-
-    def on_answer(self, result: Any, error: RpcError | None) -> None:
-        """Called before the next line is read: the first notification may be in the same packet."""
-        if error is not None:
-            self._inbox.fail(error)
-            return
-        number: int = result["subscription"]
-        if self._closed:
-            self._wire.notify("unsubscribe", {"subscription": number})
-        else:
-            self._number = number
-            self._wire.inboxes[number] = self._inbox
-
-    def close(self) -> None:
-        self._closed = True
-        number, self._number = self._number, None
-        if number is not None and self._wire.inboxes.pop(number, None) is not None:
-            self._wire.notify("unsubscribe", {"subscription": number})
-
-
-class _Wire(asyncio.Protocol):
-    """Lines in and out: finds the call or the subscription that each belongs to."""
-
-    transport: asyncio.Transport
-
-    def __init__(self, address: str) -> None:
-        self.inboxes: dict[int, Inbox] = {}
-        self.on_progress: Callable[[dict[str, Any]], None] | None = None
-        """For notifications plan.progress."""
-        self.encoded: set[int] = set()
-        """Calls whose result is not to be read."""
-        self._address = address
-        self._calls: dict[int, _OnAnswer] = {}
-        self._partial: list[bytes] = []
-        self._partial_bytes = 0
-        self._heard = False
-        self.closed = asyncio.Event()
-        self._lost: DaemonUnreachable | None = None
-        self._refused: RpcError | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
-        self.transport = transport
-
-    def data_received(self, data: bytes) -> None:
-        self._heard = True
-        if b"\n" not in data:
-            self._partial.append(data)
-            self._partial_bytes += len(data)
-            if self._partial_bytes > MAX_REPLY_BYTES:
-                self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
-            return
-        *lines, rest = b"".join([*self._partial, data]).split(b"\n")
-        self._partial = [rest]
-        self._partial_bytes = len(rest)
-        for line in lines:
-            if line and self._lost is None and not self._on_encoded(line) and not self._on_encoded_result(line):
-                try:
-                    self._on_answer(json.loads(line))
-                except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                    self._give_up(f"it sent what is no answer of skygcs ({type(error).__name__})")
-
-    def _give_up(self, reason: str) -> None:
-        """Close the connection because of what came."""
-        self._partial.clear()
-        self.lose(reason)
-        self.transport.abort()
-
-    def _on_encoded(self, line: bytes) -> bool:
-        """True for a state that goes on as it is. Anything written otherwise than here expected is read as JSON."""
-        if not line.startswith(_TELEMETRY):
-            return False
-        state, _, tail = line.rpartition(b',"subscription":')
-        number, comma, last = tail.removesuffix(b"}}").partition(b",")
-        inbox = self.inboxes.get(int(number)) if number.isdigit() and len(number) < MAX_NUMBER_CHARS else None
-        if not isinstance(inbox, Encoded) or not state.endswith(b"}") or (comma and last != b'"last":true'):
-            return False
-        inbox.put_encoded(state[len(_TELEMETRY) :], bool(comma))
-        return True
-
-    def _on_encoded_result(self, line: bytes) -> bool:
-        """True for a result that goes on as it is; an error, and anything written otherwise, is read as JSON."""
-        begin = _RESULT.match(line) if self.encoded else None
-        if begin is None or (number := int(begin[1])) not in self.encoded or not line.endswith(b"}"):
-            return False
-        on_answer = self._calls.pop(number, None)
-        if on_answer is not None:
-            on_answer(line[begin.end() : -1], None)
-        return True
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        reason = "it closed the connection"
-        if self._address.startswith("tls://") and not self._heard:  # asyncio's server closes without an alert
-            reason += " before its first answer: has it pinned our ground.crt? (there: skygcs companion pin ground.crt)"
-        self.lose(reason)
-        self.closed.set()
-
-    @property
-    def is_open(self) -> bool:
-        return self._lost is None
-
-    def lose(self, reason: str) -> None:
-        """End every waiting call and subscription with the reason. Idempotent."""
-        if self._lost is None:
-            self._lost = DaemonUnreachable(self._address, reason)
-        error = self._refused or self._lost
-        calls, self._calls = self._calls, {}
-        for on_answer in calls.values():
-            on_answer(None, error)
-        for inbox in self.inboxes.values():
-            inbox.fail(error)
-        self.inboxes.clear()
-
-    def start(
-        self,
-        number: int,
-        method: str,
-        params: dict[str, Any],
-        on_answer: _OnAnswer,
-        members: Mapping[str, Any] = MappingProxyType({}),
-    ) -> None:
-        """Send a request with further ``members``; ``on_answer(result, error)`` is called once.
-
-        Raises RpcError for a request that is too long for the daemon, DaemonUnreachable."""
-        if self._lost is not None:
-            raise self._lost
-        request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
-        line = json.dumps(request, allow_nan=False).encode()
-        if len(line) > MAX_REQUEST_BYTES:
-            text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_REQUEST_BYTES} in one request"
-            raise RpcError(INVALID_PARAMS, text)
-        self._calls[number] = on_answer
-        self.transport.write(line + b"\n")
-
-    def notify(self, method: str, params: dict[str, Any]) -> None:
-        if self._lost is None:
-            self.transport.write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
-
-    def _on_answer(self, answer: dict[str, Any]) -> None:
-        if "method" in answer:
-            params = answer["params"]
-            if answer["method"] == PROGRESS:
-                if self.on_progress is not None:
-                    self.on_progress(params)
-                return
-            inbox = self.inboxes.get(params["subscription"])
-            if inbox is not None:
-                inbox.put(params)
-            return
-        error = answer.get("error")
-        failure = None if error is None else RpcError(error["code"], error["message"], error.get("data"))
-        number = answer.get("id")
-        if number is None:
-            self._refused = failure  # not about one call: "too many clients", a wrong token; the end follows
-            return
-        on_answer = self._calls.pop(number, None)
-        if on_answer is not None:
-            on_answer(answer.get("result"), failure)
-
-
-def _owner_of(address: str) -> str | None:
-    """The other user that a socket, or the folder that hides it, belongs to; None if it is the caller's own."""
-    path = Path(address)
-    for place in (path, *path.parents):
-        try:
-            uid = place.stat().st_uid
-        except OSError:
-            continue  # hidden by a folder above
-        if uid == os.geteuid():
-            return None
-        try:
-            return pwd.getpwuid(uid).pw_name
-        except KeyError:
-            return f"user {uid}"
-    return None
+        return self._connection
 
 
 def _plain(targets: Targets) -> str | int | list[str | int]:

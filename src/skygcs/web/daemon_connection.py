@@ -41,7 +41,8 @@ import structlog
 from skygcs.config.federation import STATION_SUFFIX
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import default_socket_path
-from skygcs.rpc.client import Client, Subscription, connect
+from skygcs.rpc.client import Client, connect
+from skygcs.rpc.client_connection import Subscription
 from skygcs.rpc.daemon_clock import DaemonClock
 from skygcs.rpc.error_codes import INVALID_PARAMS, LIMIT_EXCEEDED, NO_DAEMON
 from skygcs.web.roles import access

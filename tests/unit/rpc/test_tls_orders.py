@@ -13,7 +13,7 @@ import pytest
 
 from skygcs.errors import DaemonUnreachable, LinkError
 from skygcs.events import Event
-from skygcs.rpc import client, sessions, tls, tls_listener
+from skygcs.rpc import sessions, tls, tls_listener
 from skygcs.rpc.client import Client, connect_pinned
 from skygcs.rpc.server import RpcServer
 from skygcs.rpc.tls import Identity, PinnedTls
@@ -256,48 +256,6 @@ def test_a_key_that_others_can_read_and_files_that_are_none_are_refused(tmp_path
     companion.key.write_bytes(ground.key.read_bytes())
     with pytest.raises(LinkError, match="cannot be used"):
         PinnedTls(companion, server=True)
-
-
-class Liar(asyncio.Protocol):
-    """Sends this to everything that comes, ``times`` over."""
-
-    def __init__(self, sent: bytes, times: int) -> None:
-        self._sent = sent
-        self._times = times
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport
-
-    def data_received(self, data: bytes) -> None:
-        assert isinstance(self._transport, asyncio.Transport)
-        for _ in range(self._times):
-            self._transport.write(self._sent)
-
-
-@contextlib.asynccontextmanager
-async def lied_to(path: Path, sent: bytes, times: int = 1) -> AsyncIterator[Client]:
-    server = await asyncio.get_running_loop().create_unix_server(lambda: Liar(sent, times), path)
-    async with client.connect(path) as gcs:
-        yield gcs
-    server.close()
-    await server.wait_closed()
-
-
-@pytest.mark.parametrize(
-    "sent",
-    [b"\xff\xfe\n", b"[]\n", b"17\n", b'{"method":"event"}\n', b'{"id":1,"error":3}\n', b"[" * 100_000 + b"\n"],
-)
-async def test_what_is_no_answer_ends_the_connection_and_nothing_else(sent: bytes, tmp_path: Path) -> None:
-    async with lied_to(tmp_path / "s", sent) as gcs:
-        with pytest.raises(DaemonUnreachable, match="no answer of skygcs"):
-            await gcs.call("daemon.info")
-
-
-async def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "MAX_REPLY_BYTES", 100_000)
-    async with lied_to(tmp_path / "s", b"x" * 10_000, 1000) as gcs:
-        with pytest.raises(DaemonUnreachable, match="without the end of a line"):
-            await gcs.call("daemon.info")
 
 
 def test_handshakes_are_limited_for_each_address_and_in_all() -> None:

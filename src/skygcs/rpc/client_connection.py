@@ -1,0 +1,379 @@
+"""A connection to a running daemon, over a Unix socket, TCP or TLS: requests find their answers, notifications the
+subscription they belong to.
+
+Lines of JSON-RPC both ways. Each request has a number and one answer; what the daemon sends besides carries the number
+of its subscription. When the connection ends, everything that waits on it ends with the reason.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import os
+import pwd
+import re
+import socket
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self, cast
+
+from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
+from skygcs.rpc.address import tcp_address
+from skygcs.rpc.client_inbox import Encoded, Inbox
+from skygcs.rpc.error_codes import INVALID_PARAMS
+
+if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
+    from skygcs.rpc.tls import PinnedTls
+
+_OnAnswer = Callable[[Any, "RpcError | None"], None]
+
+CONNECT_WITHIN_S = 10.0
+CONNECT_AGAIN_S = 0.01
+"""A daemon takes connections every few milliseconds, 100 at a time."""
+
+CLOSE_S = 1.0
+"""For the last words of TLS."""
+
+MAX_REPLY_BYTES = 32 << 20
+"""Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
+
+MAX_REQUEST_BYTES = 1 << 20
+"""Longest line that the daemon takes (`sessions.MAX_LINE_BYTES`). Its refusal of a longer one names no request, which
+would wait for its answer for ever."""
+
+MAX_NUMBER_CHARS = 20
+"""Of a subscription's number."""
+
+PROGRESS = "plan.progress"
+"""The notification that belongs to no subscription."""
+
+_TLS = "tls://"
+_NO_MEMBERS: Mapping[str, Any] = MappingProxyType({})
+_RESULT = re.compile(rb'\{"jsonrpc":"2\.0","id":(\d{1,20}),"result":')
+_TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
+
+
+async def open_connection(address: str, tls: PinnedTls | None = None) -> ClientConnection:
+    """Connect to a path, ``tcp://HOST:PORT`` or, with ``tls``, ``tls://HOST:PORT``. Raises DaemonUnreachable, and
+    DaemonForbidden for another user's socket."""
+    loop = asyncio.get_running_loop()
+    try:
+        if tls is not None:
+            return await _connected_over_tls(address, tls)
+        tcp = tcp_address(address)
+        if tcp is not None:
+            return (await loop.create_connection(lambda: ClientConnection(address), *tcp))[1]
+        sock = await _connected_to(address)
+        return (await loop.create_unix_connection(lambda: ClientConnection(address), sock=sock))[1]
+    except ValueError as error:
+        raise DaemonUnreachable(address, str(error)) from None
+    except PermissionError as error:
+        user = _owner_of(address)
+        if user is not None:
+            raise DaemonForbidden(address, user) from None
+        raise DaemonUnreachable(address, os.strerror(error.errno or errno.EACCES)) from None
+    except OSError as error:
+        raise DaemonUnreachable(address, os.strerror(error.errno) if error.errno else str(error)) from None
+
+
+class ClientConnection(asyncio.Protocol):
+    """An open connection to the daemon at ``address``; made by `open_connection`."""
+
+    transport: asyncio.Transport
+
+    def __init__(self, address: str) -> None:
+        self.inboxes: dict[int, Inbox] = {}
+        self.on_progress: Callable[[dict[str, Any]], None] | None = None
+        """For notifications plan.progress."""
+        self._address = address
+        self._last_number = 0
+        self._calls: dict[int, _OnAnswer] = {}
+        """By number, requests whose answer is due."""
+        self._encoded: set[int] = set()
+        """Requests whose result is not to be read."""
+        self._partial: list[bytes] = []
+        self._partial_bytes = 0
+        self._heard = False
+        self._closed = asyncio.Event()
+        self._lost: DaemonUnreachable | None = None
+        self._refused: RpcError | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the connection is open, as far as is known here."""
+        return self._lost is None
+
+    async def request(
+        self,
+        method: str,
+        params: dict[str, Any],
+        members: Mapping[str, Any] = _NO_MEMBERS,
+        *,
+        encoded: bool = False,
+    ) -> Any:
+        """The result of one request, sent with further ``members``. ``encoded``: as the bytes that came, if they came
+        as expected, else read. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def on_answer(result: Any, error: RpcError | None) -> None:
+            if future.done():
+                return
+            if error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+
+        number = self.start(method, params, on_answer, members)
+        if not encoded:
+            return await future
+        self._encoded.add(number)  # before anything can have come
+        try:
+            return await future
+        finally:
+            self._encoded.discard(number)
+
+    def start(
+        self, method: str, params: dict[str, Any], on_answer: _OnAnswer, members: Mapping[str, Any] = _NO_MEMBERS
+    ) -> int:
+        """Send a request with further ``members``; ``on_answer(result, error)`` is called once. Returns its number.
+
+        Raises RpcError for a request that is too long for the daemon, DaemonUnreachable."""
+        if self._lost is not None:
+            raise self._lost
+        number = self._last_number = self._last_number + 1
+        request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
+        line = json.dumps(request, allow_nan=False).encode()
+        if len(line) > MAX_REQUEST_BYTES:
+            text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_REQUEST_BYTES} in one request"
+            raise RpcError(INVALID_PARAMS, text)
+        self._calls[number] = on_answer
+        self.transport.write(line + b"\n")
+        return number
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        """Send what has no answer; nothing if the connection has ended."""
+        if self._lost is None:
+            self.transport.write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+
+    async def close(self) -> None:
+        """Close; requests and iterations still waiting end with DaemonUnreachable."""
+        self.transport.close()
+        self._lose("closed here")
+        if self._address.startswith(_TLS):  # the other side may not answer the end of TLS
+            try:
+                async with asyncio.timeout(CLOSE_S):
+                    await self._closed.wait()
+            except TimeoutError:
+                self.transport.abort()
+
+    # -- what asyncio calls
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self._heard = True
+        if b"\n" not in data:
+            self._partial.append(data)
+            self._partial_bytes += len(data)
+            if self._partial_bytes > MAX_REPLY_BYTES:
+                self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
+            return
+        *lines, rest = b"".join([*self._partial, data]).split(b"\n")
+        self._partial = [rest]
+        self._partial_bytes = len(rest)
+        for line in lines:
+            if line and self._lost is None and not self._on_encoded(line) and not self._on_encoded_result(line):
+                try:
+                    self._on_answer(json.loads(line))
+                except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+                    self._give_up(f"it sent what is no answer of skygcs ({type(error).__name__})")
+
+    def _give_up(self, reason: str) -> None:
+        """Close the connection because of what came."""
+        self._partial.clear()
+        self._lose(reason)
+        self.transport.abort()
+
+    def _on_encoded(self, line: bytes) -> bool:
+        """True for a state that goes on as it is. Anything written otherwise than here expected is read as JSON."""
+        if not line.startswith(_TELEMETRY):
+            return False
+        state, _, tail = line.rpartition(b',"subscription":')
+        number, comma, last = tail.removesuffix(b"}}").partition(b",")
+        inbox = self.inboxes.get(int(number)) if number.isdigit() and len(number) < MAX_NUMBER_CHARS else None
+        if not isinstance(inbox, Encoded) or not state.endswith(b"}") or (comma and last != b'"last":true'):
+            return False
+        inbox.put_encoded(state[len(_TELEMETRY) :], bool(comma))
+        return True
+
+    def _on_encoded_result(self, line: bytes) -> bool:
+        """True for a result that goes on as it is; an error, and anything written otherwise, is read as JSON."""
+        begin = _RESULT.match(line) if self._encoded else None
+        if begin is None or (number := int(begin[1])) not in self._encoded or not line.endswith(b"}"):
+            return False
+        on_answer = self._calls.pop(number, None)
+        if on_answer is not None:
+            on_answer(line[begin.end() : -1], None)
+        return True
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        reason = "it closed the connection"
+        if self._address.startswith(_TLS) and not self._heard:  # asyncio's server closes without an alert
+            reason += " before its first answer: has it pinned our ground.crt? (there: skygcs companion pin ground.crt)"
+        self._lose(reason)
+        self._closed.set()
+
+    def _lose(self, reason: str) -> None:
+        """End every waiting call and subscription with the reason. Idempotent."""
+        if self._lost is None:
+            self._lost = DaemonUnreachable(self._address, reason)
+        error = self._refused or self._lost
+        calls, self._calls = self._calls, {}
+        for on_answer in calls.values():
+            on_answer(None, error)
+        for inbox in self.inboxes.values():
+            inbox.fail(error)
+        self.inboxes.clear()
+
+    def _on_answer(self, answer: dict[str, Any]) -> None:
+        if "method" in answer:
+            params = answer["params"]
+            if answer["method"] == PROGRESS:
+                if self.on_progress is not None:
+                    self.on_progress(params)
+                return
+            inbox = self.inboxes.get(params["subscription"])
+            if inbox is not None:
+                inbox.put(params)
+            return
+        error = answer.get("error")
+        failure = None if error is None else RpcError(error["code"], error["message"], error.get("data"))
+        number = answer.get("id")
+        if number is None:
+            self._refused = failure  # not about one call: "too many clients", a wrong token; the end follows
+            return
+        on_answer = self._calls.pop(number, None)
+        if on_answer is not None:
+            on_answer(answer.get("result"), failure)
+
+
+class Subscription:
+    """What `Client.telemetry`, `events`, `messages` and `plan` give: to be iterated over with ``async for``.
+
+    Subscribed from the moment it is made until `close`, or until nobody holds it any more. The iteration raises
+    RpcError if the daemon refused it, DaemonUnreachable if the daemon goes away.
+    """
+
+    def __init__(self, connection: ClientConnection, params: dict[str, Any], inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._connection = connection
+        self._state = state = _SubscriptionState(connection, inbox)
+        connection.start("subscribe", params, state.on_answer)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> dict[str, Any]:
+        return await self._inbox.get()
+
+    def close(self) -> None:
+        """Unsubscribe. Idempotent."""
+        self._state.close()
+
+    def __del__(self) -> None:
+        self._state.close()
+
+
+class _SubscriptionState:
+    """Apart from `Subscription`, so that the answer still due does not keep an abandoned one alive."""
+
+    def __init__(self, connection: ClientConnection, inbox: Inbox) -> None:
+        self._connection = connection
+        self._inbox = inbox
+        self._number: int | None = None
+        self._closed = False
+
+    def on_answer(self, result: Any, error: RpcError | None) -> None:
+        """Called before the next line is read: the first notification may be in the same packet."""
+        if error is not None:
+            self._inbox.fail(error)
+            return
+        number: int = result["subscription"]
+        if self._closed:
+            self._connection.notify("unsubscribe", {"subscription": number})
+        else:
+            self._number = number
+            self._connection.inboxes[number] = self._inbox
+
+    def close(self) -> None:
+        self._closed = True
+        number, self._number = self._number, None
+        if number is not None and self._connection.inboxes.pop(number, None) is not None:
+            self._connection.notify("unsubscribe", {"subscription": number})
+
+
+async def _connected_over_tls(address: str, tls: PinnedTls) -> ClientConnection:
+    """A connection to the holder of the pinned certificate. Raises DaemonUnreachable, OSError."""
+    from skygcs.rpc.tls import HANDSHAKE_S, SHUTDOWN_S, explain_tls
+
+    host, _, port = address.removeprefix(_TLS).rpartition(":")
+    try:
+        transport, connection = await asyncio.get_running_loop().create_connection(
+            lambda: ClientConnection(address),
+            host,
+            int(port),
+            ssl=tls.context,
+            ssl_handshake_timeout=HANDSHAKE_S,
+            ssl_shutdown_timeout=SHUTDOWN_S,
+        )
+    except OSError as error:
+        if (reason := explain_tls(error)) is not None:
+            raise DaemonUnreachable(address, reason) from None
+        raise
+    if not tls.is_pinned(transport):
+        transport.abort()
+        raise DaemonUnreachable(address, "it shows a certificate that the pinned one has issued, not that one itself")
+    return connection
+
+
+async def _connected_to(path: str) -> socket.socket:
+    """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment, which
+    asyncio mistakes for a connection in progress. Raises OSError."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + CONNECT_WITHIN_S
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        sock.setblocking(False)
+        while True:
+            try:
+                sock.connect(path)
+            except BlockingIOError:
+                if loop.time() > deadline:
+                    raise
+                await asyncio.sleep(CONNECT_AGAIN_S)
+            else:
+                return sock
+    except BaseException:
+        sock.close()
+        raise
+
+
+def _owner_of(address: str) -> str | None:
+    """The other user that a socket, or the folder that hides it, belongs to; None if it is the caller's own."""
+    path = Path(address)
+    for place in (path, *path.parents):
+        try:
+            uid = place.stat().st_uid
+        except OSError:
+            continue  # hidden by a folder above
+        if uid == os.geteuid():
+            return None
+        try:
+            return pwd.getpwuid(uid).pw_name
+        except KeyError:
+            return f"user {uid}"
+    return None
