@@ -41,6 +41,15 @@ class Origin:
     alt_amsl_m: float
     x_heading_deg: float = EAST_DEG
 
+    def as_dict(self) -> dict[str, float]:
+        """The fields by their names: JSON-able."""
+        return {
+            "lat_deg": self.lat_deg,
+            "lon_deg": self.lon_deg,
+            "alt_amsl_m": self.alt_amsl_m,
+            "x_heading_deg": self.x_heading_deg,
+        }
+
 
 def enu_from_geodetic(lat_deg: float, lon_deg: float, alt_amsl_m: float, origin: Origin) -> Vector:
     """(x, y, up) in metres of a point along the origin's axes; east, north, up if its x axis points east."""

@@ -68,14 +68,8 @@ class World:
 
 
 def as_dict(origin: Origin | None) -> dict[str, float] | None:
-    if origin is None:
-        return None
-    return {
-        "lat_deg": origin.lat_deg,
-        "lon_deg": origin.lon_deg,
-        "alt_amsl_m": origin.alt_amsl_m,
-        "x_heading_deg": origin.x_heading_deg,
-    }
+    """`Origin.as_dict`, and None for None."""
+    return None if origin is None else origin.as_dict()
 
 
 def _reported(old: Origin | None, new: Origin | None, source: str) -> str:

@@ -1,7 +1,8 @@
-"""The record of orders that other stations gave: by whom, when, which, what became of them. Pure; JSON lines.
+"""The record of orders from other stations: sender, time, order and outcome of each. Pure; JSON lines.
 
-An order has a line with the status "running" when it begins, before anything is sent to the vehicle, and one when it
-ends; one that is not carried out has one line. The lines are also the memory of keys over a restart of the bridge.
+An order that is carried out has a line with the status "running", written before anything is sent to the vehicle, and
+a second line when it ends; an order that is not carried out has one line. After a restart of the bridge the lines
+restore the keys of the orders.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ from skygcs.core.federation.order_messages import (
 )
 
 MAX_PARAMS_BYTES = 1024
-"""Longer parameters are left out of the record: an order with them was refused."""
+"""Longer parameters are left out of the record: the daemon refuses an order with them."""
 
 MAX_LINE_BYTES = 32 * 1024
-"""More than a record with every text at its bound has."""
+"""Longest line that is read: more than a record has in which every text is at its bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class AuditRecord:
-    """``at_s``: unix seconds of the home site's clock, as ``deadline_s``."""
+    """One line of the record. ``at_s`` and ``deadline_s``: unix seconds of the home site's clock."""
 
     at_s: float
     key: str
@@ -49,10 +50,11 @@ class AuditRecord:
     run: str = ""
     seq: int = 0
     sender: str = ""
-    """Public key of the station that gave it; ``by`` is what that station says."""
+    """Public key of the station that gave the order, as the hub enforces it; ``by`` and ``role`` are that station's own
+    statement."""
 
     def encoded(self) -> bytes:
-        """One line, without its end."""
+        """The line, without its newline."""
         return to_json(
             {
                 "at_s": round(self.at_s, 3),
@@ -75,7 +77,7 @@ class AuditRecord:
 
 
 def record(request: OrderRequest, reply: OrderReply, at_s: float) -> AuditRecord:
-    """What is noted of an order that has this reply now."""
+    """The line for an order that has this reply now; texts are cut to their bounds."""
     params: Json | None = request.params
     if len(to_json(request.params, inf_nan_mode="null")) > MAX_PARAMS_BYTES:
         params = None
@@ -98,8 +100,8 @@ def record(request: OrderRequest, reply: OrderReply, at_s: float) -> AuditRecord
 
 
 def remembered(lines: Iterable[bytes]) -> Iterator[Remembered | None]:
-    """What each line says of an order, for `OrderGate.restore`; None for a line that is none, such as the last one of
-    a process that was killed while it wrote."""
+    """The order of each line, for `OrderGate.restore`; None for a line that cannot be read, such as the last one of a
+    process that was killed while it wrote."""
     for line in lines:
         yield _remembered(line)
 

@@ -1,13 +1,14 @@
-"""The lease of one vehicle, as one site sees it: who may command, and what to write to the hub's key-value store.
+"""The lease of one vehicle, as one site sees it: which site may command, and what to write to the hub's store.
 
-The key `<home>.<vehicle>` expires TTL_S after its last write. Create is to acquire, an update with the last revision to
-renew; the store lets one writer win. Valid is a lease for its holder from the moment the write was *sent* for VALID_S,
-by the holder's own clock, so that it ends before the store can give the key to another.
+The key `<home>.<vehicle>` of the key-value store expires TTL_S after its last write. A site acquires the lease by
+creating the key and renews it by an update with the last revision; of two writers the store accepts one. For its holder
+the lease is valid for VALID_S from the moment the write was *sent*, by the holder's own clock, so that it ends before
+the store can give the key to another site.
 
     state      meaning                                     may send   goes on to
     --------   -----------------------------------------   --------   -------------------------------------------------
-    observed   another site commands it, or nobody does    no         wanted: a person takes it, or a rule below
-    wanted     it is to be ours: created when it is free   no         held: written; observed: refused, or given up
+    observed   another site commands it, or none does      no         wanted: a person takes it, or a rule below
+    wanted     this site creates the key when it is free   no         held: written; observed: refused, or given up
     held       ours, renewed each RENEW_S                  yes        late: no answer; releasing; observed: taken
     late       ours, the last renewal has no answer        yes        held: renewed; alone: the hub is away (*);
                                                                       wanted or observed: the validity is over
@@ -15,22 +16,23 @@ by the holder's own clock, so that it ends before the store can give the key to 
     releasing  given up: the daemon's gate is closed first no         observed: written, or the validity is over
 
     (*) only the home, only with without_hub = "continue", and only before its validity has ended: a process that was
-        stopped, or a home that did not hold it when the hub went, does not begin by itself.
+        stopped, or a home that did not hold the lease when the hub was lost, does not go on alone by itself.
 
-Who takes a key that is free, after what was there has expired:
+Which site takes a free key, after the previous entry has expired:
 
-    home           at once, from anybody; not after a release by its own operator
-    another site   if a person said so: with "stop", or with force where the home may go on alone ("continue")
+    home           at once, whichever site held it before; not after a release by its own operator
+    another site   on a person's request: with "stop", or with force where the home may go on alone ("continue")
                    by itself: only with "stop", after it saw a holder vanish, OTHERS_LATER_S later than the home
 
-With "continue" no automatic taker exists, so the home alone meets one only where a person insisted.
+With "continue" no other site takes the lease by itself: a home that goes on alone can conflict with another site only
+where a person forced it.
 
-A released key has no holder and names who wanted it; the home of a released vehicle keeps it written. A hub that is new
-(another bucket) grants nothing for NEW_HUB_S to a site that holds nothing: an older holder may be valid until then. A
-site that is valid writes its lease there at once.
+A released key has no holder and names the site that asked for it; the home keeps a released key written. After a change
+of the hub (another bucket) a site that holds nothing writes nothing for NEW_HUB_S, because an older holder may be valid
+until then; a site whose lease is valid writes it there at once.
 
-Pure: time comes in as ``now``, the holder's clock that also runs while the machine sleeps; every method returns what is
-to be done. Every write is answered by `answered` or given up by `tick`.
+Pure: time comes in as ``now``, the holder's clock, which also runs while the machine sleeps; every method returns the
+actions to carry out. Every write ends with a call of `answered`, or `tick` gives it up.
 """
 
 from __future__ import annotations
@@ -46,32 +48,47 @@ TTL_S = 3.0
 """The bucket's TTL. Three renewals fit: two of them may be lost."""
 
 MARGIN_S = 0.5
-"""Between the end of a lease for its holder and at the store: two clocks whose rates differ by 1 % part by .06 s, and
-what the daemon gave the kernel is on its way for less than the rest."""
+"""From the end of a lease for its holder to its expiry at the store. Two clocks whose rates differ by 1 % drift apart
+by 0.06 s in the meantime; the rest is for frames that the daemon has given to the kernel already."""
 
 VALID_S = TTL_S - MARGIN_S
+"""How long a holder may send, from the moment it sent the write."""
+
 RENEW_S = 1.0
+"""Period of the renewals."""
+
 REPLY_S = 1.0
-"""A write without an answer for so long is given up; it may have been stored all the same."""
+"""A write that has no answer after this time is given up; the store may have accepted it."""
 
 RETRY_S = 0.25
+"""Pause before a write that failed is sent again."""
+
 NEW_HUB_S = TTL_S + MARGIN_S
+"""How long a site that holds nothing waits at a new hub: leases of the previous hub have expired by then."""
+
 LOOK_S = 0.1
-"""Between two looks at a key that should have expired: the store reports no expiry."""
+"""Least time between two readings of a key that should have expired: the store does not report an expiry."""
 
 ALONE_BEFORE_S = 1.0
-"""So long before its validity ends a home decides to go on alone: two more renewals have failed by then."""
+"""How long before the end of its validity a home decides to go on alone: a renewal has had no answer by then."""
 
 ALONE_GRANT_S = 0.5
-OTHERS_LATER_S = 0.25
-RECONNECT_S = 2.0
-"""For the home to come back to a hub that was away for all: its bridge tries each .8 s."""
+"""Period of the grants while the home goes on alone; each is valid for VALID_S."""
 
-WISH_S = 8.0
-"""A person's wish lasts so long: an expiry, a new hub and some retries."""
+OTHERS_LATER_S = 0.25
+"""How much later than the home another site takes an expired lease, so that the home is first."""
+
+RECONNECT_S = 2.0
+"""Time for the home's bridge to reconnect to a hub that all sites lost; it pauses 0.5 s at most between attempts."""
+
+REQUEST_S = 8.0
+"""How long a person's request to take a lease is pursued: an expiry, a new hub and some retries fit."""
 
 WITHOUT_HUB_AFTER_S = TTL_S + 1.0
+"""Time after the loss of the hub before a person may command without it: the lease of any other site is over."""
+
 ASK_S = 1.0
+"""Period of the requests to the holder to release its lease."""
 
 
 class State(StrEnum):
@@ -88,7 +105,7 @@ VALID = frozenset({State.HELD, State.LATE, State.ALONE})
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What is written under the key. ``holder`` None: released. ``run``: of the holder's daemon."""
+    """The value of the key. ``holder``: None if it was released. ``run``: identifies the run of the holder's daemon."""
 
     revision: int
     holder: str | None
@@ -98,7 +115,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Create the key (``revision`` None) or update it; then call `Lease.answered` with ``number``."""
+    """Create the key (``revision`` None) or update it; call `Lease.answered` with ``number`` and the result."""
 
     number: int
     holder: str | None
@@ -109,12 +126,12 @@ class Write:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Read the key; then call `Lease.seen`, or nothing if that failed. The hub permits no watching."""
+    """Read the key and call `Lease.seen`; call nothing if the reading failed. The hub permits no watch on a key."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Ask the holder to release it; then call `Lease.asked`."""
+    """Ask the holder to release the lease and call `Lease.asked` with its answer."""
 
     holder: str
     force: bool
@@ -122,7 +139,7 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """Let the daemon send until ``sent_s`` + `VALID_S` of this clock."""
+    """Permit the daemon to send until ``sent_s`` + `VALID_S` of this clock."""
 
     sent_s: float
     token: int
@@ -131,7 +148,7 @@ class Grant:
 
 @dataclass(frozen=True, slots=True)
 class Revoke:
-    """Have the daemon stop; then call `Lease.revoked` with ``number``."""
+    """Have the daemon stop sending; call `Lease.revoked` with ``number`` when it has."""
 
     token: int
     hub: str
@@ -141,14 +158,14 @@ class Revoke:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Say it to people."""
+    """Report this text to people: log and events."""
 
     text: str
 
 
 Action = Write | Look | Ask | Grant | Revoke | Report
 Answer = Literal["conflict", "failed"] | int
-"""The revision that was written; conflict: the key was another one; failed: no answer, or no hub."""
+"""Result of a `Write`: the new revision; "conflict": the key had another revision; "failed": no answer, or no hub."""
 
 Actions = list[Action]
 
@@ -161,8 +178,8 @@ class LeaseConfig:
     home: str
     site: str
     run: str
-    """Names this run of the daemon: a lease of another run is another's, one of this run is ours after a restart of the
-    bridge."""
+    """Identifies this run of the daemon. A lease of this run is still ours after a restart of the bridge; a lease of
+    another run of this site's daemon is treated as another site's."""
     goes_on_alone: bool = True
     """without_hub = "continue" """
 
@@ -179,7 +196,8 @@ class _Pending:
 
 
 class Lease:
-    """One vehicle at one site. Call `tick` ten times a second and carry out what each method returns, in order."""
+    """The lease of one vehicle at one site. Call `tick` ten times a second, and carry out the actions that each method
+    returns, in order."""
 
     def __init__(self, config: LeaseConfig) -> None:
         self.config = config
@@ -190,15 +208,15 @@ class Lease:
         self._away_since = -math.inf
         self._usable_at = math.inf
         self._others_from = -math.inf
-        """Before, no other site than the home takes it by itself: the home may not be connected again yet."""
+        """Until then only the home takes it by itself; the home may not have reconnected yet."""
         self._known = False
-        """``_entry`` is what was seen in this connection."""
+        """True if ``_entry`` was read in this connection."""
         self._entry: Entry | None = None
         self._entry_at = -math.inf
         self._revision = 0
-        """Of our last write to this hub; 0: none."""
+        """Revision of our last write to this hub; 0: none."""
         self._token, self._token_hub = 0, ""
-        """Of the last grant or revocation."""
+        """Fencing token of the last grant or revocation, and the hub that numbered it."""
         self._pending: _Pending | None = None
         self._numbers = 0
         self._next_write = -math.inf
@@ -207,23 +225,24 @@ class Lease:
         self._next_grant = -math.inf
         self._absent_since: float | None = None
         self._vanished = False
-        """A holder was seen, and its key expired."""
-        self._wish_until = -math.inf
+        """True if a holder was seen and its key has expired since."""
+        self._requested_until = -math.inf
+        """End of a person's request to take it."""
         self._forced = False
         self._released = False
-        """The home's operator gave it up: it is not taken again by itself until another site has held it."""
+        """The home's operator gave it up: the home does not take it again by itself until another site has held it."""
         self._release_to: str | None = None
         self._revoked = False
         self._revocations = 0
         self._unwanted = False
-        """It was given up while a write was under way that may make it ours."""
+        """It was given up while a write that may make it ours had no answer yet."""
         self._contested = False
-        """A write of ours met another revision: not alone before it is seen whose."""
+        """A write of ours met another revision: the home does not go on alone until it has read whose it is."""
 
     # -- time
 
     def tick(self, now: float) -> Actions:
-        """What is due."""
+        """The actions that are due now."""
         out: Actions = []
         pending = self._pending
         if pending is not None and now >= pending.sent_s + REPLY_S:
@@ -236,14 +255,14 @@ class Lease:
             out += self._let_go(now)
         elif self._connected:
             out += self._seek(now)
-        if self.state is State.WANTED and not self._wishes(now) and not self._takes_by_itself(now):
+        if self.state is State.WANTED and not self._is_requested(now) and not self._takes_by_itself(now):
             self.state = State.OBSERVED
         return out
 
     # -- the hub
 
     def hub_up(self, hub: str, now: float) -> Actions:
-        """Connected to a hub; ``hub`` names its bucket by the time of its creation."""
+        """The bridge has connected. ``hub``: identifies the hub's bucket by the time of its creation."""
         if hub != self._hub:
             self._usable_at = now + NEW_HUB_S
             self._vanished, self._revision, self._entry = False, 0, None
@@ -254,14 +273,14 @@ class Lease:
         return [Look()]
 
     def hub_down(self, now: float) -> Actions:
-        """The connection is gone."""
+        """The connection to the hub is lost."""
         if self._connected:
             self._away_since = now
         self._connected, self._known = False, False
         return self._failed(now) if self._pending is not None else []
 
     def seen(self, entry: Entry | None, now: float) -> Actions:
-        """The key as it is after a `Look`; None: there is none."""
+        """The result of a `Look`; ``entry`` None: the key does not exist."""
         before = self._entry
         if entry is not None and entry.revision < max(self._revision, 0 if before is None else before.revision):
             return []  # an older answer that came late
@@ -289,7 +308,7 @@ class Lease:
         return [self._revoke(entry.holder)]
 
     def answered(self, number: int, answer: Answer, now: float) -> Actions:
-        """The answer to a `Write`."""
+        """The result of the `Write` with this number."""
         pending = self._pending
         if pending is None or pending.number != number:
             return []  # given up; a look shows what became of it
@@ -314,7 +333,8 @@ class Lease:
     # -- people
 
     def take(self, now: float, *, force: bool = False, without_hub: bool = False) -> str | None:
-        """Have it be ours; a text if that is refused. What becomes of it shows in `state` and in reports."""
+        """A person asks for the lease. Returns why that is refused, None if it is pursued; `state` and `Report` actions
+        show the result."""
         if self.state in VALID:
             return None
         if without_hub:
@@ -322,16 +342,16 @@ class Lease:
         if not self._connected:
             hint = "; `--without-hub --force` if no other site commands it" if self.config.is_home else ""
             return f"the hub is away{hint}"
-        self._released, self._forced, self._wish_until = False, force, now + WISH_S
+        self._released, self._forced, self._requested_until = False, force, now + REQUEST_S
         self._unwanted = False
         self.state, self._next_ask = State.WANTED, now
         if self._usable_at > now:
-            self._wish_until = self._usable_at + WISH_S
+            self._requested_until = self._usable_at + REQUEST_S
         return None
 
     def release(self, now: float) -> Actions:
-        """Give it up; others may take it."""
-        self._wish_until = -math.inf
+        """A person gives the lease up; another site may take it."""
+        self._requested_until = -math.inf
         self._released = self.config.is_home
         if self.state not in VALID:
             self._unwanted = self._pending is not None  # it may become ours yet
@@ -339,50 +359,52 @@ class Lease:
         return self._begin_release(None)
 
     def requested(self, by: str, now: float, *, busy: str | None, force: bool = False) -> tuple[str | None, Actions]:
-        """Another site asks for it: why not (None: it is released) and what to do. ``busy``: what it is doing for this
-        site; with ``force`` it is released all the same."""
+        """The site ``by`` asks for the lease. Returns why it is not released (None: it is) and the actions.
+        ``busy``: what this site does with the vehicle, None for nothing; ``force`` releases it all the same."""
         if self.state not in VALID:
-            return None, []  # nothing against it: the key shows who does
+            return None, []  # no objection: the key shows which site holds it
         if busy is not None and not force:
             return f"{busy}; `--force` takes it all the same", []
         self._released = False
         return None, [Report(f"{self.config.vehicle} goes to {by}, which asked for it"), *self._begin_release(by)]
 
     def asked(self, refusal: str | None, now: float) -> Actions:
-        """The answer to an `Ask`; None: it is being released. No call if none came."""
+        """The answer to an `Ask`: why the holder refuses, None if it releases the lease. Without an answer do not
+        call it."""
         if self.state is not State.WANTED:
             return []
         if refusal is None or self._forced:
-            self._known = False  # it is looked at until the release shows
+            self._known = False  # read again until the release shows
             return []
-        self._wish_until = -math.inf
+        self._requested_until = -math.inf
         return [Report(f"{self.config.vehicle} was not taken: {refusal}")]
 
     def revoked(self, number: int) -> None:
-        """The daemon has closed its gate for this `Revoke`. Of an older one it says nothing: a grant may have come
-        between them."""
+        """The daemon has closed its gate for this `Revoke`. An older number is ignored: a grant may have opened the
+        gate in between."""
         self._revoked = number == self._revocations
 
     def adopt(self, until: float, token: int, hub: str) -> None:
-        """Go on with what the daemon holds from an earlier run of the bridge; call it before anything else."""
+        """Continue the grant that the daemon has from an earlier run of the bridge: valid until ``until``, with this
+        fencing token of this hub. Call it before any other method."""
         self.state, self.valid_until, self._revision, self._hub = State.LATE, until, token, hub
         self._token, self._token_hub, self._usable_at = token, hub, -math.inf
 
     def remember(self, hub: str) -> None:
-        """The hub of an earlier run of the bridge: it is not new. Call it before `hub_up`."""
+        """The hub of an earlier run of the bridge, which is therefore not new. Call it before `hub_up`."""
         self._hub, self._usable_at = hub, -math.inf
 
     # -- status
 
     @property
     def holder(self) -> str | None:
-        """The site that commands it, as far as known here."""
+        """The site that commands the vehicle, as far as this site knows."""
         if self.state in VALID:
             return self.config.site
         return self._entry.holder if self._known and self._entry is not None else None
 
     def status(self, now: float) -> dict[str, Any]:
-        """For people and programs."""
+        """For `federation.leases` and `federation.status`: JSON-able."""
         valid = self.state in VALID and now < self.valid_until
         return {
             "vehicle": self.config.vehicle,
@@ -395,7 +417,7 @@ class Lease:
             "without_hub": "continue" if self.config.goes_on_alone else "stop",
         }
 
-    # -- the inside: a valid lease
+    # -- private: a valid lease
 
     def _hold(self, now: float) -> Actions:
         out: Actions = []
@@ -423,7 +445,7 @@ class Lease:
         return [self._grant(now)]
 
     def _grant(self, sent_s: float) -> Grant:
-        """Of what is valid from then. Alone, it is still the last token."""
+        """A grant for the lease that was written at ``sent_s``. A home that goes on alone keeps the last token."""
         if self._revision:
             self._token, self._token_hub = self._revision, self._hub or ""
         return Grant(sent_s, self._token, self._token_hub)
@@ -433,7 +455,7 @@ class Lease:
         return Revoke(self._token, self._token_hub, commander, self._revocations)
 
     def _written(self, sent_s: float, now: float) -> Actions:
-        """Our name is under the key since some time after ``sent_s``."""
+        """The store has accepted our entry, some time after ``sent_s``."""
         config = self.config
         self._entry = Entry(self._revision, config.site, config.run)
         self._known, self._entry_at, self._contested = True, now, False
@@ -452,7 +474,7 @@ class Lease:
         elif self.state is State.ALONE:
             out.append(Report(f"{config.vehicle}: the hub is back, and the lease is held"))
         self.state, self.valid_until = State.HELD, sent_s + VALID_S
-        self._wish_until, self._forced, self._vanished = -math.inf, False, False
+        self._requested_until, self._forced, self._vanished = -math.inf, False, False
         return [self._grant(sent_s), *out]
 
     def _lose(self, why: str, commander: str | None) -> Actions:
@@ -473,14 +495,14 @@ class Lease:
             self.state = State.LATE
         return []
 
-    # -- the inside: giving it up
+    # -- private: giving it up
 
     def _begin_release(self, to: str | None) -> Actions:
         self.state, self._release_to, self._revoked, self._next_write = State.RELEASING, to, False, -math.inf
         return [self._revoke(to)]
 
     def _let_go(self, now: float) -> Actions:
-        """Write the release once the daemon sends nothing any more: it said so, or its grant is over."""
+        """Write the release once the daemon sends nothing any more: it has confirmed that, or its grant has ended."""
         over = now >= self.valid_until
         if not self._connected:
             if over:
@@ -495,7 +517,7 @@ class Lease:
         revision = self._revision if self._entry is None or not self._known else self._entry.revision
         return [self._write_release(now, revision)]
 
-    # -- the inside: not ours
+    # -- private: not ours
 
     def _seek(self, now: float) -> Actions:
         if not self._known or self._entry_is_old(now):
@@ -504,7 +526,7 @@ class Lease:
             return []
         entry, config = self._entry, self.config
         if entry is not None and entry.holder is not None and not self._is_ours(entry):
-            if self.state is State.WANTED and self._wishes(now) and now >= self._next_ask:
+            if self.state is State.WANTED and self._is_requested(now) and now >= self._next_ask:
                 self._next_ask = now + ASK_S
                 return [Ask(entry.holder, self._forced)]
             return []
@@ -518,18 +540,18 @@ class Lease:
 
     def _may_take(self, entry: Entry | None, now: float) -> bool:
         if entry is not None and self._is_ours(entry):
-            return self.config.is_home or self._wishes(now)
+            return self.config.is_home or self._is_requested(now)
         if entry is None:
             return self._may_take_free(now)
         reserved = entry.wanted_by is not None and entry.wanted_by != self.config.site
-        if self._wishes(now):
+        if self._is_requested(now):
             return not reserved or self._forced
         return self.config.is_home and not reserved and not self._released
 
     def _may_take_free(self, now: float) -> bool:
         if self._takes_by_itself(now):
             return True
-        if not self._wishes(now):
+        if not self._is_requested(now):
             return False
         return self.config.is_home or self._forced or not self.config.goes_on_alone
 
@@ -556,7 +578,7 @@ class Lease:
         return None
 
     def _entry_is_old(self, now: float) -> bool:
-        """A holder that renews is seen each second; a key that expires is not reported."""
+        """True if the key has to be read again: the store reports neither a renewal nor an expiry."""
         return now >= self._entry_at + (RENEW_S + RETRY_S if self._entry is not None else RENEW_S)
 
     def _look(self, now: float) -> Actions:
@@ -565,8 +587,9 @@ class Lease:
         self._next_look = now + LOOK_S
         return [Look()]
 
-    def _wishes(self, now: float) -> bool:
-        return now < self._wish_until
+    def _is_requested(self, now: float) -> bool:
+        """True while a person's request to take it is pursued."""
+        return now < self._requested_until
 
     def _is_ours(self, entry: Entry) -> bool:
         return entry.holder == self.config.site and entry.run == self.config.run
@@ -586,16 +609,16 @@ class Lease:
 
 MAX_ENTRY_BYTES = 1024
 _UNREADABLE = Entry(0, "?", "")
-"""Somebody's, as far as one can see: nobody uses the key before it has expired."""
+"""Stands for a value that cannot be read: it is treated as held by another site until it expires."""
 
 
 def encode_entry(holder: str | None, run: str, since_s: float, wanted_by: str | None) -> bytes:
-    """The value of a key."""
+    """The value of a key, as `decode_entry` reads it. ``since_s``: unix seconds since the holder has it."""
     return to_json({"holder": holder, "run": run, "since_s": round(since_s, 3), "wanted_by": wanted_by})
 
 
 def decode_entry(value: bytes, revision: int) -> Entry:
-    """The value of a key, whoever wrote it."""
+    """The entry of a value. Never raises: a value that cannot be read gives the entry of an unknown holder."""
     try:
         found = from_json(value) if len(value) <= MAX_ENTRY_BYTES else None
     except ValueError:

@@ -1,34 +1,34 @@
-"""The home site's decision about an order that another station sends: each is carried out once, in time, by the site
-that commands the vehicle. Pure; times are seconds of the home site's clock, which never goes back.
+"""The home site's decision about an order from another station: each order is carried out at most once, in time, and
+only by the site that commands the vehicle. Pure; times are seconds of the home site's clock, which never goes back.
 
-    the order that came                                 what is done                status of the answer
+    the order                                           what is done                status of the answer
     -------------------------------------------------   -------------------------   --------------------------------
     its key is known, still being carried out           its outcome is awaited      running, or that outcome
     its key is known, ended                             nothing                     that outcome, again
     its key is known, asked for before it came          nothing                     refused
-    new, of a station that gives no orders              nothing                     refused
-    new, a method or parameter that does not travel     nothing                     refused
+    new, of a station whose role permits no orders      nothing                     refused
+    new, a method or parameter for own vehicles only    nothing                     refused
     new, its deadline is more than MAX_AHEAD_S ahead    nothing                     refused: the clocks disagree
     new, after its deadline (stop: STOP_LATE_S after)   nothing                     late
-    new, while orders before this start may come        nothing (a stop is done)    refused
-    new, while orders were refused without a record     nothing                     refused: too many
+    new, may be a copy of one from before the start     nothing (a stop is done)    refused
+    new, may be a copy of one refused without record    nothing                     refused: too many
     new, a newer one of the same station came before    nothing (a stop is done)    refused
     new, another site commands the vehicle              nothing (a stop is done)    refused
     new, too many are being carried out                 nothing                     refused
-    new                                                 it is carried out           running, then its outcome
+    any other new order                                 it is carried out           running, then its outcome
 
     the question for an outcome                         what is done                status of the answer
     -------------------------------------------------   -------------------------   --------------------------------
     its key is known                                    nothing                     as above
     its key is not known                                the key is noted            never came
 
-A refusal is final: its key is kept as well, so that a copy that comes later is not carried out after the sender was
-told of the refusal. "never came" is final for the same reason.
+A refusal is final: the key of a refused order is kept as well, so that a copy that comes later is not carried out after
+the sender has received the refusal. "never came" is final for the same reason.
 
-A key is kept until it may be forgotten: at the earliest when its deadline is over, from when on a copy is late anyway.
-With all places taken by keys that are younger, an order is refused without a record; then every unknown order with
-a deadline up to that of the refused one is refused, too, since it may be its copy. Emergency stops have places of their
-own beyond.
+A key is kept at least until its order's deadline is over; a copy that comes after the deadline is late anyway. If all
+places are taken by younger keys, an order is refused and its key is not kept. Then every unknown order whose deadline
+is not after that of the refused one is refused, too, since it may be a copy. Emergency stops have STOP_KEYS further
+places.
 """
 
 from __future__ import annotations
@@ -51,43 +51,45 @@ from skygcs.core.federation.order_messages import (
 ORDERING_ROLES = frozenset({"site", "operator"})
 
 MAX_AHEAD_S = 10.0
-"""Stations give an order one second. A deadline further ahead comes from a clock that is wrong."""
+"""Largest time to a deadline. Stations set the deadline about one second ahead; one further ahead than this comes from
+a wrong clock."""
 
 STOP_LATE_S = 5.0
-"""An emergency stop is carried out so long after its deadline: it is never too much, but an old one would stop a
-vehicle that has been started again since."""
+"""An emergency stop is carried out up to this time after its deadline: a delayed stop still helps, but an older
+one would stop a vehicle that has been started again since."""
 
 KEEP_S = 3600.0
-"""Outcomes are kept for questions."""
+"""How long the outcome of an order can be asked for."""
 
 MAX_KEYS = 4096
-"""Some 4 MB. An order every ms for the 16 s in which a key may not be forgotten does not fill it."""
+"""Keys that are kept, some 4 MB. A key may not be forgotten for 16 s (MAX_AHEAD_S + STOP_LATE_S and 1 s): 256 orders a
+second fill the places."""
 
 STOP_KEYS = 512
-"""Further keys for emergency stops only."""
+"""Further keys, for emergency stops only."""
 
 MAX_RUNNING = 60
-"""Orders that are carried out at a time; a daemon takes 64 of one client."""
+"""Orders carried out at the same time; a daemon takes 64 requests of one client."""
 
 MAX_ENDING = 320
-"""As MAX_RUNNING, of orders that end a flight: one for each vehicle that a daemon can have."""
+"""The same limit for orders that end a flight: one for each vehicle that a daemon can have, and some to spare."""
 
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """The order is to be carried out now; `OrderGate.ended` is to be called with its outcome."""
+    """Carry the order out now, and call `OrderGate.ended` with its outcome."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """It is not carried out."""
+    """Do not carry the order out; ``reply`` says why."""
 
     reply: OrderReply
 
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """It came before; ``reply``: what is known of it."""
+    """The same order came before. ``reply``: its present status."""
 
     reply: OrderReply
 
@@ -97,7 +99,8 @@ Decision = Begin | Refuse | Repeated
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """What a record says of an order, for `OrderGate.restore`; see `OrderRequest`. ``noted_s``: when it was made."""
+    """An order as the record has it, for `OrderGate.restore`. ``noted_s``: time of the record. The other fields are
+    those of `OrderRequest`."""
 
     reply: OrderReply
     deadline_s: float
@@ -117,29 +120,29 @@ class _Known:
 
 
 class OrderGate:
-    """The keys of one site. ``site``: its name, for texts."""
+    """The keys of the orders of one site, and the decision about each. ``site``: its name, for texts."""
 
     def __init__(self, site: str, now_s: float, *, no_order_before_s: float = -math.inf) -> None:
-        """``no_order_before_s``: orders with a deadline up to then are refused, since what was carried out before
-        this start is not known."""
+        """``no_order_before_s``: orders whose deadline is not after it are refused, because the orders carried out
+        before this start are not known."""
         self.counters: Counter[str] = Counter()
-        """Orders by what was decided; questions; keys that were forgotten."""
+        """Number of orders by decision, of questions, and of forgotten keys."""
         self._site = site
         self._known: OrderedDict[str, _Known] = OrderedDict()
         self._no_order_before_s = no_order_before_s
         self._unrecorded_until_s = {True: -math.inf, False: -math.inf}
-        """The latest deadline of an order that was refused without a record: of stops, and of others."""
+        """Latest deadline of an order that was refused without keeping its key: True for stops, False for others."""
         self._remembers_since_s = now_s
         self._newest = _NewestOrders()
         self._running = {True: 0, False: 0}
-        """Orders being carried out, by whether they end a flight."""
+        """Number of orders being carried out: True for those that end a flight, False for others."""
 
     def __len__(self) -> int:
         return len(self._known)
 
     def restore(self, records: Iterable[Remembered], *, complete: bool) -> None:
-        """What was decided before this start, oldest first; a later record of an order replaces an earlier one. One
-        without an outcome is "unknown" from now on. ``complete``: there were no older records."""
+        """Take over the decisions from before this start, oldest first; a later record of an order replaces an earlier
+        one. An order without an outcome becomes "unknown". ``complete``: True if there were no older records."""
         if complete:
             self._remembers_since_s = -math.inf
         for record in records:
@@ -158,7 +161,7 @@ class OrderGate:
             self._remembers_since_s = min(self._remembers_since_s, oldest_s)
 
     def admit(self, request: OrderRequest, now_s: float, *, not_held: str | None = None) -> Decision:
-        """What becomes of an order. ``not_held``: why this site does not command the vehicle; None if it does."""
+        """Decide about an order. ``not_held``: why this site does not command the vehicle; None if it does."""
         known = self._known.get(request.key)
         if known is not None:
             self.counters["repeated"] += 1
@@ -182,7 +185,7 @@ class OrderGate:
         return Begin()
 
     def ended(self, reply: OrderReply, now_s: float) -> None:
-        """An order that was to `Begin` has ended with this reply. Every `Begin` needs one."""
+        """An order has ended with this reply. Call it once for every `Begin`."""
         known = self._known.get(reply.key)
         if known is None or known.reply.status != "running":
             return
@@ -191,7 +194,7 @@ class OrderGate:
         self.counters[reply.status] += 1
 
     def asked(self, question: OutcomeQuestion, now_s: float) -> OrderReply:
-        """What became of an order. One that has not come is refused from now on."""
+        """Answer a question for an outcome. An order that has not come is refused from now on."""
         self.counters["asked"] += 1
         key = question.key
         known = self._known.get(key)
@@ -209,14 +212,14 @@ class OrderGate:
         return reply
 
     def known(self, key: str) -> OrderReply | None:
-        """What is known of an order; None if nothing is."""
+        """The present reply about an order; None if its key is not known."""
         known = self._known.get(key)
         return None if known is None else known.reply
 
-    # -- the inside
+    # -- private
 
     def _refusal(self, request: OrderRequest, now_s: float, not_held: str | None) -> tuple[Status, str] | None:
-        """Why an order with a new key is not carried out; None if nothing is against it but room."""
+        """Why an order with a new key is not carried out, apart from limits; None if it may be."""
         is_stop = request.method == STOP
         late_s = now_s - request.deadline_s
         if request.role not in ORDERING_ROLES:
@@ -238,7 +241,7 @@ class OrderGate:
         return None
 
     def _full(self, request: OrderRequest, now_s: float) -> tuple[Status, str] | None:
-        """Why there is no room for an order."""
+        """Why the limits do not permit a further order; None if they do."""
         ends_flight = request.method in ENDS_FLIGHT
         most = MAX_ENDING if ends_flight else MAX_RUNNING
         if self._running[ends_flight] >= most:
@@ -249,7 +252,7 @@ class OrderGate:
         return None
 
     def _has_room(self, now_s: float, *, stop: bool = False) -> bool:
-        """Forget what may be forgotten; True if there is room for one more key."""
+        """Forget keys that are over; True if there is room for one more."""
         while self._known:
             key, known = next(iter(self._known.items()))
             if known.reply.status == "running" or now_s - known.noted_s < KEEP_S:
@@ -273,7 +276,7 @@ class OrderGate:
 
 
 class _NewestOrders:
-    """The highest number of an order that was carried out, by the sender's run and the vehicle."""
+    """The highest number of an order that was carried out, for each run of a sender and vehicle."""
 
     def __init__(self) -> None:
         self._numbers: OrderedDict[tuple[str, str], int] = OrderedDict()
@@ -282,7 +285,8 @@ class _NewestOrders:
         return self._numbers.get((run, vehicle), 0)
 
     def note(self, run: str, vehicle: str, seq: int) -> None:
-        """The oldest makes room: an order is overtaken within a second or is late."""
+        """Note an order that is carried out. Beyond MAX_KEYS the oldest entry is dropped: an order that another one
+        overtook comes within a second, or is late."""
         newest = max(seq, self._numbers.pop((run, vehicle), 0))
         self._numbers[run, vehicle] = newest
         if len(self._numbers) > MAX_KEYS:
@@ -290,7 +294,7 @@ class _NewestOrders:
 
 
 def _params_problem(request: OrderRequest) -> str | None:
-    """A parameter that has another meaning here than where it was typed."""
+    """The problem with a parameter whose meaning differs between sites; None without one."""
     params = request.params
     if "targets" in params:
         return "an order that travels names its vehicle in the subject"

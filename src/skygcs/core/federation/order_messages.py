@@ -1,9 +1,9 @@
-"""The messages by which one site asks another to carry out an order: made and read, with bounds. Pure.
+"""The messages by which one site asks another to carry out an order: encoded, and decoded within bounds. Pure.
 
     cmd.<site>.<vehicle>    OrderRequest  ->  OrderReply    one vehicle, one order, one subscriber
     cmd.<site>.outcome      OutcomeQuestion  ->  OrderReply
 
-All are JSON objects; keys that are not known here are ignored. What cannot be read gives None.
+All are JSON objects; unknown keys are ignored. The decoders return None for a message that is not valid.
 """
 
 from __future__ import annotations
@@ -33,31 +33,35 @@ METHODS = frozenset(
         "vehicles.takeoff",
     }
 )
-"""Orders that travel: each is for one vehicle and changes nothing of the daemon."""
+"""Orders that may be sent to another site: each is for one vehicle and changes no setting of the daemon."""
 
 ENDS_FLIGHT = frozenset({"vehicles.disarm", "vehicles.hold", "vehicles.land", "vehicles.rtl", "vehicles.stop"})
-"""Orders that end a flight; the daemon carries them on to their outcome without the client."""
+"""Orders that end a flight; the daemon carries them out to their outcome even if the client disconnects."""
 
 STOP = "vehicles.stop"
 
 MAX_BYTES = 4096
-"""Of a request: the longest, a goto with every parameter, has 500."""
+"""Longest request. The longest valid one, a goto with every parameter, has 500 bytes."""
 
 MAX_REPLY_BYTES = 64 * 1024
-"""An outcome has up to eight status texts."""
+"""Longest reply. An outcome has up to eight status texts."""
 
 MAX_BY_CHARS = 100
+"""Longest name of the user and station that gave an order."""
+
 MAX_TEXT_CHARS = 1000
+"""Longest text of a reply; longer ones are cut."""
+
 MAX_SEQ = 1 << 53
-"""Numbers are JSON's."""
+"""Largest number of an order: the largest integer that every JSON reader keeps exactly."""
 
 OUTCOME_SUBJECT = "outcome"
-"""Stands where a vehicle's name stands in the subject of an order."""
+"""Last token of the subject of questions, in the place of a vehicle's name."""
 
 Status = Literal["done", "failed", "refused", "late", "running", "unknown", "never came"]
-"""done, failed: it was given to the vehicle. refused, late: it was not, and never will be. running: it is still being
-carried out. unknown: the site cannot say, since its daemon or its bridge ended meanwhile. never came: it did not come,
-and is refused if it comes now."""
+"""done, failed: the order was given to the vehicle. refused, late: it was not, and never will be. running: it is still
+being carried out. unknown: the site does not know, because its daemon or its bridge ended meanwhile. never came: the
+order did not arrive, and is refused if it arrives now."""
 
 STATUSES: frozenset[str] = frozenset({"done", "failed", "refused", "late", "running", "unknown", "never came"})
 
@@ -71,10 +75,13 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class OrderRequest:
-    """One order to one vehicle. ``key``: 128 bits as hex, never used for another order. ``deadline_s``: on the home
-    site's clock. ``by``: "user@station". ``role``: of the station that sends it. ``run`` and ``seq``: of its bridge and
-    the number of the order, growing, so that an order does not overtake a newer one; "" and 0: not numbered.
-    ``sender``: the key of the station that the hub has it from; "" before it was sent."""
+    """One order to one vehicle.
+
+    ``key``: 128 bits as hexadecimal digits, never used for another order. ``deadline_s``: by the home site's clock.
+    ``by``: "user@station". ``role``: role of the sending station. ``run`` and ``seq``: run of the sender's bridge and
+    the growing number of the order there, so that the home site can refuse an order that comes after a newer one; ""
+    and 0: not numbered. ``sender``: public key of the sending station, as the hub enforces it; "" before sending.
+    """
 
     key: str
     vehicle: str
@@ -88,7 +95,7 @@ class OrderRequest:
     sender: str = ""
 
     def encoded(self) -> bytes:
-        """Without vehicle and sender, which stand in the subject."""
+        """The payload. Vehicle and sender are not in it but in the subject."""
         return to_json(
             {
                 "v": VERSION,
@@ -106,8 +113,9 @@ class OrderRequest:
 
 @dataclass(frozen=True, slots=True)
 class OutcomeQuestion:
-    """What became of an order? ``wait_s``: how long the answer may wait for the order's end. ``deadline_s``: of the
-    order, if it is known: a site whose memory does not reach back so far then says so."""
+    """The question for the outcome of an order. ``wait_s``: how long the answer may wait for the order's end.
+    ``deadline_s``: deadline of the order, if it is known, so that a site can say that its memory does not reach back
+    to that time."""
 
     key: str
     wait_s: float = 0.0
@@ -119,7 +127,7 @@ class OutcomeQuestion:
 
 @dataclass(frozen=True, slots=True)
 class OrderReply:
-    """What became of an order. ``outcome``: the daemon's, of the vehicle, if the daemon answered."""
+    """The status of an order. ``outcome``: the vehicle's outcome from the daemon, if the daemon answered."""
 
     key: str
     status: Status
@@ -134,7 +142,7 @@ class OrderReply:
 
 
 def decode_request(vehicle: str, payload: bytes, sender: str = "") -> OrderRequest | None:
-    """The order for ``vehicle`` from the station with this key; None if it is none."""
+    """The order for ``vehicle`` from the station with the key ``sender``; None if the payload is not valid."""
     found = _object(payload, MAX_BYTES)
     if found is None or not is_key(found.get("id")):
         return None
@@ -152,6 +160,7 @@ def decode_request(vehicle: str, payload: bytes, sender: str = "") -> OrderReque
 
 
 def decode_question(payload: bytes) -> OutcomeQuestion | None:
+    """The question; None if the payload is not valid."""
     found = _object(payload, MAX_BYTES)
     if found is None or not is_key(found.get("id")):
         return None
@@ -162,7 +171,7 @@ def decode_question(payload: bytes) -> OutcomeQuestion | None:
 
 
 def decode_reply(key: str, payload: bytes) -> OrderReply | None:
-    """The reply about the order ``key``; None if it is none, or about another one."""
+    """The reply about the order ``key``; None if the payload is not valid, or about another order."""
     found = _object(payload, MAX_REPLY_BYTES)
     if found is None or found.get("id") != key or found.get("status") not in STATUSES:
         return None
@@ -178,12 +187,13 @@ def is_key(value: object) -> bool:
 
 
 def vehicle_token(name: str) -> str:
-    """A vehicle's name as the last token of an order's subject; the reserved token is none."""
+    """A vehicle's name as the last token of an order's subject. The name "outcome" is escaped, as that token is
+    reserved for questions."""
     return _NAMED_OUTCOME if name == OUTCOME_SUBJECT else subject_token(name)
 
 
 def vehicle_of_token(token: str) -> str | None:
-    """The name that `vehicle_token` was given; None for a token that it does not make."""
+    """The inverse of `vehicle_token`; None for a token that it does not make."""
     if token == _NAMED_OUTCOME:
         return OUTCOME_SUBJECT
     try:
@@ -194,19 +204,19 @@ def vehicle_of_token(token: str) -> str | None:
 
 
 def status_of(outcome: Mapping[str, Any]) -> Status:
-    """Of a daemon's outcome: "refused" if skygcs itself refused it."""
+    """The status for an outcome of the daemon: "refused" if skygcs itself refused the order."""
     if outcome["ok"]:
         return "done"
     return "refused" if outcome["result"] == "refused" else "failed"
 
 
 def printable(text: str) -> str:
-    """What another station wrote, for logs and screens: bounded, without control characters."""
+    """A text of another station for logs and screens: cut to MAX_BY_CHARS, control characters replaced."""
     return "".join(c if c.isprintable() else "?" for c in text[:MAX_BY_CHARS])
 
 
 def _is_outcome(value: object) -> bool:
-    """True for what clients of the daemon expect of an outcome."""
+    """True if the value has the fields that clients of the daemon read in an outcome."""
     return (
         isinstance(value, dict)
         and isinstance(value.get("ok"), bool)
@@ -219,7 +229,7 @@ def _is_outcome(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    """True for a finite number; an integer too large for a float is none."""
+    """True for a finite number; False for an integer that is too large for a float."""
     try:
         return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
     except OverflowError:

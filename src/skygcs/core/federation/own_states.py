@@ -1,7 +1,7 @@
-"""What a site sends of its own vehicles: the newest state of each, aged to the moment of sending. Pure.
+"""The states that a site publishes of its own vehicles: the newest of each, with its age at the time of sending. Pure.
 
-The daemon sends a round of states each period. What it no longer sends for GONE_AFTER_S it has forgotten. While no
-round comes (the daemon stands still, or is not there) nothing is removed: the states go on with growing ages.
+The daemon sends a round of states each period. A vehicle that is missing in the rounds for GONE_AFTER_S is removed.
+While no round comes (the daemon is stopped or away) nothing is removed, and the ages grow.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from skygcs.core.vehicle.targets import select
 from skygcs.errors import TargetError
 
 GONE_AFTER_S = 3.0
-"""As the web page has it. The slowest round is one in two seconds."""
+"""As long as on the web page; longer than the slowest period of the rounds, two seconds."""
 
 HEARD_WITHIN_S = 10.0
-"""A row whose vehicle was heard, and that is older, is sent as not heard: its daemon no longer answers. Daemons count a
-vehicle as lost after 3 to 10 s."""
+"""A state older than this is sent as not heard: the daemon no longer answers. Daemons count a vehicle as lost after 3
+to 10 s."""
 
 
 class LeaseOf(Protocol):
-    """The lease of a vehicle of this name, None if it has none."""
+    """Returns the lease of the vehicle of this name, None if it has none."""
 
     def __call__(self, vehicle: str) -> RowLease | None: ...
 
 
 def no_lease(vehicle: str) -> RowLease | None:
-    """For a site whose vehicles are its own alone."""
+    """The `LeaseOf` of a site without delegated vehicles."""
     return None
 
 
@@ -49,10 +49,12 @@ class _Kept:
 
 
 class OwnStates:
-    """`put` each state that the daemon sends, `end_round` after the last of a round, then `batch`."""
+    """The own vehicles. Call `put` for each state of the daemon, `end_round` after the last one of a round, and `batch`
+    for the next message."""
 
     def __init__(self, site: str, run: str, period_s: float, share: Sequence[str] = ("all",)) -> None:
-        """``share``: target expressions of the vehicles that are sent; one that names none (yet) is no error."""
+        """``share``: target expressions of the published vehicles; an expression that names no vehicle yet is no
+        error."""
         self.counters: Counter[str] = Counter()
         self.seq = 0
         self.site = site
@@ -66,15 +68,15 @@ class OwnStates:
 
     @property
     def names(self) -> list[str]:
-        """All vehicles of the daemon, shared or not."""
+        """Names of all vehicles of the daemon, shared or not."""
         return list(self._kept)
 
     def __contains__(self, name: object) -> bool:
-        """Whether the daemon has a vehicle of this name."""
+        """True if the daemon has a vehicle of this name."""
         return name in self._kept
 
     def put(self, state: Mapping[str, Any], now: float) -> None:
-        """A newer state of one vehicle, as the daemon sent it now."""
+        """Take in a state that the daemon has just sent."""
         if self._round_began is None:
             self._round_began = now
         row = row_from_state(state)
@@ -90,7 +92,7 @@ class OwnStates:
         self._kept[row.name] = _Kept(row, now)
 
     def end_round(self, now: float) -> None:
-        """No more of this round is on its way."""
+        """The round is complete: remove vehicles that were missing for GONE_AFTER_S, or since `begin_anew`."""
         began, self._round_began = self._round_began, None
         if self._anew_at is not None and began is not None:
             self._remove_older(began)
@@ -98,13 +100,13 @@ class OwnStates:
         self._remove_older(min(now if began is None else began, now - GONE_AFTER_S))
 
     def begin_anew(self, now: float) -> None:
-        """Another daemon answers from now on: what is not in its first round is gone; all of it, if there is no round
-        for GONE_AFTER_S, as it has no vehicle."""
+        """Another run of the daemon answers from now on. Vehicles that are not in its first round are removed; all
+        vehicles are, if no round comes within GONE_AFTER_S: that daemon has no vehicle."""
         self._anew_at = now
         self._round_began = None
 
     def shares(self, name: str) -> bool:
-        """Whether the vehicle of this name is sent."""
+        """True if the vehicle of this name is published."""
         if self._shared is None:
             self._shared = self._find_shared()
         return name in self._shared
@@ -112,7 +114,7 @@ class OwnStates:
     def batch(
         self, now: float, sent_s: float, origin: Origin | None, *, daemon: bool, lease_of: LeaseOf = no_lease
     ) -> StateBatch:
-        """The next batch. ``sent_s``: the site's clock now."""
+        """The next batch to send. ``sent_s``: the site's clock now. ``daemon``: True if the daemon is connected."""
         self.seq += 1
         if self._anew_at is not None and now - self._anew_at > GONE_AFTER_S:
             self._remove_older(self._anew_at)
@@ -125,7 +127,7 @@ class OwnStates:
         return StateBatch(self.site, self.run, self.seq, sent_s, self._period_s, daemon, origin, tuple(rows))
 
     def rows(self, now: float) -> Iterator[VehicleRow]:
-        """All vehicles, shared or not, as old as they are now."""
+        """The rows of all vehicles, shared or not, with their ages at ``now``."""
         for kept in self._kept.values():
             row = aged(kept.row, now - kept.at)
             stale = row.heard and now - kept.at > HEARD_WITHIN_S

@@ -3,20 +3,20 @@
     a batch                                         is
     ---------------------------------------------   -------------------------------------------------------------------
     of a new site, while there is room              kept
-    of the same run, with a larger seq              kept; what lies between two numbers is counted as lost
-    of the same run, with another seq               left out (late or twice)
-    of a run that was never heard                   kept: the site's bridge has restarted
-    of a run that was replaced                      left out; within CONTESTED_S the site is shown as contested: two
-                                                    bridges send under one name
-    of the own site, from another run               left out; the own name is contested
+    of the same run, with a larger seq              kept; missing numbers are counted as lost
+    of the same run, with a seq that is not larger  ignored (late or a copy)
+    of a run that was never received                kept: the site's bridge has restarted
+    of a run that was replaced                      ignored; if it comes later than CONTESTED_S after the replacement,
+                                                    the site is contested: two bridges send under one name
+    of the own site, from another run               ignored; the own name is contested
 
-Age. A batch says when it was sent, on the site's clock. `ClockComparison` bounds how far that is ahead of ours, from
-pings that the site answers. So a state's total age is its age at the site, plus the time since the batch was *sent*:
-one that stood in a queue for a minute is a minute older, however lately it came. Without a comparison the age is not
-known, and the state is not fresh.
+Age. A batch has its time of sending by the site's clock. `ClockComparison` estimates how far that clock is ahead of
+ours, with a bound of the error, from pings that the site answers. The total age of a state is its age at the site plus
+the time since the batch was *sent*: a batch that was in a queue for a minute is a minute older, even if it has just
+arrived. Without a comparison the age is not known.
 
-Fresh. A site whose newest batch was sent longer than SILENT_PERIODS ago (SILENT_AFTER_S at least) is silent: its
-vehicles keep their last values, with ages that grow, and are not connected.
+Silence. A site is silent if its newest batch was sent longer than SILENT_PERIODS periods ago (SILENT_AFTER_S at least),
+or if that age is not known: its vehicles keep their last values, with growing ages, and count as not connected.
 """
 
 from __future__ import annotations
@@ -36,20 +36,23 @@ from skygcs.core.vehicle.decoding import FIX_NAMES
 from skygcs.core.vehicle.state import AIRBORNE
 
 MAX_SITES = 64
-"""Sites of one fleet; with 300 vehicles each they take 20 MB."""
+"""Other sites that are kept; with 300 vehicles each they take 20 MB."""
 
 FORGET_AFTER_S = 3600.0
-"""A site that was silent for so long makes room for a new one. Until then it is shown, grey."""
+"""A site that was silent for this time is dropped when a new one needs its place. Until then it is shown, grey."""
 
 SILENT_AFTER_S, SILENT_PERIODS = 1.0, 4.0
+"""Age of the newest batch, in seconds and in periods of the site, from which the site is silent; the larger counts."""
 
 CONTESTED_S = 5.0
-"""Batches of a bridge that has ended are in the network for less."""
+"""Longer than batches of a bridge that has ended can stay in the network; also how long a name stays contested."""
 
 RUNS_REMEMBERED = 8
+"""Replaced runs of a site that are recognised."""
 
 CLOCK_JUMP_S = 0.25
-"""A batch that seems to come so long before it was sent, beyond the comparison's error, shows that a clock was set."""
+"""A batch that arrives this much before its time of sending, beyond the comparison's error, shows that a clock was
+set: the comparison begins anew."""
 
 
 @dataclass(slots=True)
@@ -69,8 +72,8 @@ class _Site:
 
 
 class RemoteSites:
-    """`take` each batch, `compare_clock` after each answered ping; read `sites`, `states` and `state`. ``now``: one
-    clock of this station that goes on while it sleeps."""
+    """The other sites. Call `take` for each batch and `compare_clock` after each answered ping; read `sites`, `states`
+    and `state`. ``now`` is always the same clock of this station, which also runs while the machine sleeps."""
 
     def __init__(self, own_site: str | None, own_run: str) -> None:
         self.counters: Counter[str] = Counter()
@@ -85,13 +88,13 @@ class RemoteSites:
 
     @property
     def names(self) -> list[str]:
-        """Sites that were heard, the own one not among them."""
+        """Sorted names of the other sites that are kept."""
         return sorted(self._sites)
 
-    # -- what comes
+    # -- input
 
     def take(self, batch: StateBatch, now: float) -> bool:
-        """A batch that has come now; True if it is the newest of its site."""
+        """Take in a batch that has arrived now; True if it is the newest of its site."""
         if batch.site == self._own_site:
             if batch.run != self._own_run:
                 self.own_contested_at = now
@@ -127,14 +130,15 @@ class RemoteSites:
     def compare_clock(
         self, name: str, run: str, sent: float, received: float, site_s: float, *, unix_received: float
     ) -> bool:
-        """A ping that was answered: our clock when it was sent and when the answer came, the site's between.
-        ``unix_received``: our wall clock when it came. False if it is no use: of another run, or impossible times."""
+        """Take in an answered ping: our clock when it was ``sent`` and when the answer was ``received``, and the site's
+        clock in between. ``unix_received``: our wall clock at the answer. False if it cannot be used: it is of another
+        run, or its times are impossible."""
         site = self._sites.get(name)
         if site is None or run != site.batch.run:
             return False
         return site.clock.add(sent, received, site_s, wall_received=unix_received, remote_wall=site_s)
 
-    # -- what is known
+    # -- output
 
     def clock(self, name: str, now: float) -> ClockOffset | None:
         """How far the site's clock is ahead of ours; None: not known."""
@@ -142,12 +146,12 @@ class RemoteSites:
         return None if site is None else site.clock.best(now)
 
     def batch_age_s(self, name: str, now: float) -> float | None:
-        """Since the site's newest batch was sent; None: not known."""
+        """Time since the site's newest batch was sent; None: not known."""
         site = self._sites.get(name)
         return None if site is None else _batch_age_s(site, now)
 
     def is_silent(self, name: str, now: float) -> bool:
-        """Whether the site's states are too old to act on, or of an age that is not known."""
+        """True if the site's states are too old to act on, or of unknown age."""
         site = self._sites.get(name)
         return site is None or _is_silent(site, now)
 
@@ -162,7 +166,7 @@ class RemoteSites:
         return None if site is None else site.batch.origin
 
     def states(self, name: str, now: float, ours: Origin | None) -> list[dict[str, Any]]:
-        """The states of a site's vehicles, in the own world frame."""
+        """The states of a site's vehicles (`state_of`). ``ours``: origin of the own world frame."""
         site = self._sites.get(name)
         if site is None:
             return []
@@ -170,7 +174,7 @@ class RemoteSites:
         return [state_of(row, name, age_s, ours, silent=silent) for row in site.batch.vehicles]
 
     def state(self, name: str, vehicle: str, now: float, ours: Origin | None) -> dict[str, Any] | None:
-        """The state of one vehicle; None: the site's newest batch does not have it."""
+        """The state of one vehicle (`state_of`); None: the site's newest batch does not have it."""
         site = self._sites.get(name)
         row = None if site is None else site.rows.get(vehicle)
         if site is None or row is None:
@@ -178,7 +182,7 @@ class RemoteSites:
         return state_of(row, name, _batch_age_s(site, now), ours, silent=_is_silent(site, now))
 
     def sites(self, now: float) -> list[dict[str, Any]]:
-        """Every site, for federation.sites."""
+        """The status of every other site, for federation.sites."""
         return [_described(name, self._sites[name], now) for name in self.names]
 
     # -- private
@@ -203,7 +207,7 @@ class RemoteSites:
 
 
 def _batch_age_s(site: _Site, now: float) -> float | None:
-    """Never less than since it came, whatever the clocks say."""
+    """Time since the newest batch was sent, at least the time since it was received; None: not known."""
     offset = site.clock.best(now)
     if offset is None:
         return None
@@ -218,8 +222,8 @@ def _is_silent(site: _Site, now: float) -> bool:
 def state_of(
     row: VehicleRow, site: str, batch_age_s: float | None, ours: Origin | None, *, silent: bool
 ) -> dict[str, Any]:
-    """A vehicle of another site in the words of a daemon's state, with ``site`` and total ages; positions also in the
-    own world frame."""
+    """A vehicle of another site with the keys of a daemon's state, ``site``, and total ages. Its position is also in
+    the own world frame if ``ours``, its origin, is known."""
     age_s = _sum(row.age_s, batch_age_s)
     gps = None
     if row.gps_fix is not None:
@@ -295,7 +299,7 @@ def _described(name: str, site: _Site, now: float) -> dict[str, Any]:
         "rate_hz": round(1.0 / site.batch.period_s, 2),
         "batches": {"taken": site.taken, "lost": site.lost, "late": site.late},
         "clock": None if offset is None else _clock_as_dict(offset),
-        "origin": None if site.batch.origin is None else _origin_as_dict(site.batch.origin),
+        "origin": None if site.batch.origin is None else site.batch.origin.as_dict(),
         "vehicles": {
             "count": len(rows),
             "heard": 0 if silent else sum(row.heard for row in rows),
@@ -312,15 +316,6 @@ def _clock_as_dict(offset: ClockOffset) -> Mapping[str, float]:
         "ahead_s": round(offset.wall_offset_s, 4),
         "error_s": round(offset.error_s, 4),
         "round_trip_s": round(offset.round_trip_s, 4),
-    }
-
-
-def _origin_as_dict(origin: Origin) -> Mapping[str, float]:
-    return {
-        "lat_deg": origin.lat_deg,
-        "lon_deg": origin.lon_deg,
-        "alt_amsl_m": origin.alt_amsl_m,
-        "x_heading_deg": origin.x_heading_deg,
     }
 
 

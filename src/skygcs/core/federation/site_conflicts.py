@@ -1,28 +1,30 @@
 """Conflicts between our vehicles and those of other sites, predicted from what the sites publish. Pure.
 
-The monitor of a daemon (`core.monitor`) watches the vehicles of its own site against each other; here each of ours is
-watched against each of another site. Nothing is ordered: two sites report it, and their people decide which one yields.
+The monitor of a daemon (`core.monitor`) compares the vehicles of its own site with each other; this module compares
+each vehicle of ours with each vehicle of other sites. It sends no order: both sites report the conflict, and the
+operators decide which vehicle gives way.
 
-    level     when (of two vehicles that fly straight on from where their last positions put them)
+    level     predicted from the last positions of two vehicles, each continued with its last velocity
     -------   ---------------------------------------------------------------------------------------------------------
-    none      otherwise
-    notice    they come nearer than the margin and both balls within `HORIZON_S`
-    warning   they lose the margin itself within `WARNING_S`
+    none      neither of the following
+    notice    within `HORIZON_S` their distance falls below the margin plus both balls
+    warning   within `WARNING_S` their distance falls below the margin
 
-    level     predicted is            for                            -> level
+    level     predicted level         for                            -> level
     -------   ---------------------   ----------------------------   --------------------------------------------------
-    none      notice or warning       `CONFIRM_S` without a break    what is predicted
+    none      notice or warning       `CONFIRM_S` without a break    the predicted one
     notice    warning                 at once                        warning
-    any       less than the level     `CLEAR_S` without a break      what is predicted, with a margin wider by a tenth
+    any       below the level         `CLEAR_S` without a break      the predicted one, with a margin wider by a tenth
     any       one is not watched      at once                        none, and an event that says so
 
-The ball of a vehicle is where it may be besides: it grows with the age of its position, which for a vehicle of another
-site is its total age, the way through the hub included. Margin, balls and times are those of the monitor.
+The ball of a vehicle is the sphere about the predicted position in which it may be: it grows with the age of the
+position, which for a vehicle of another site is the total age, the time in the hub included. Margin, balls and times
+are those of the monitor.
 
     a vehicle that                                 counts as
     --------------------------------------------   --------------------------------------------------------------------
-    flies                                          watched against all of the other side
-    is on the ground                               an obstacle at rest, for what flies
+    flies                                          watched against all vehicles of the other side
+    is on the ground                               an obstacle at rest for those that fly
     has no position, or one older than `SILENT_S`  not watched: it may be anywhere
     is shared, and has the name of the other       the same vehicle, heard by two sites: no pair
 """
@@ -52,42 +54,43 @@ from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.events import Event
 
 KIND = "separation"
-"""Of its events: the same as the monitor's, with ``site`` in their data."""
+"""Kind of the events: that of the monitor, with ``site`` in the data."""
 
 MAX_CONFLICTS = 256
-"""Pairs that are kept, the most urgent ones: nobody reads more. Further ones are counted."""
+"""Pairs that are kept, the most urgent ones: more than a person can read. Further ones are counted."""
 
 PAIRS_A_TURN = 50
-"""Looked at before other tasks of the loop may get their turn: 0.2 ms (measured)."""
+"""Pairs compared before other tasks of the loop get their turn: 0.2 ms (measured)."""
 
 FARTHEST_M = 1_000_000.0
-"""From the middle of our vehicles. What is beyond flies nowhere near, and a plane about the middle means nothing."""
+"""Largest distance from the middle of our vehicles. A vehicle beyond it cannot come near within `HORIZON_S`, and its
+coordinates in a plane about the middle would be meaningless."""
 
 PairKey = tuple[str, str]
-"""The name of ours, and the name of the other with its site."""
+"""Name of our vehicle, and name of the other one with its site."""
 
 
 @dataclass(frozen=True, slots=True)
 class SiteVehicle:
-    """What is known of a vehicle, of ours or of another site."""
+    """A vehicle of this or of another site, as the prediction needs it."""
 
     name: str
-    """``alpha`` of ours, ``south/bravo`` of another site."""
+    """``alpha`` for a vehicle of ours, ``south/bravo`` for one of another site."""
     lat_deg: float | None
     lon_deg: float | None
     alt_amsl_m: float | None
     vel_enu_mps: Vector | None
     """True east, north, up."""
     age_s: float
-    """Of its position, now, with the way to us."""
+    """Age of its position now, the time on the way to this site included."""
     flying: bool
     footprint: Footprint = field(default_factory=Footprint)
     shared: bool = False
-    """[federation.vehicles] names it: two sites may hear it, under one name."""
+    """True if [federation.vehicles] names it: two sites may hear it under the same name."""
 
     @property
     def short_name(self) -> str:
-        """Without the site."""
+        """The name without the site."""
         return self.name.rpartition("/")[2]
 
 
@@ -109,7 +112,7 @@ class _Box(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Of a pair, now."""
+    """The prediction for a pair now."""
 
     level: Level
     distance_m: float
@@ -117,10 +120,10 @@ class Prediction:
     margin_m: float
     balls_m: float
     ages_s: tuple[float, float]
-    """Of the positions: ours, the other's."""
+    """Ages of the two positions: ours, the other's."""
 
     def as_dict(self) -> dict[str, Any]:
-        """For people and programs."""
+        """For `federation.sites` and events: JSON-able."""
         enters_s = self.approach.enters_s
         return {
             "distance_m": round(self.distance_m, 2),
@@ -135,16 +138,16 @@ class Prediction:
 
 @dataclass(slots=True)
 class SiteConflict:
-    """A pair of which something is predicted, or was until a moment ago."""
+    """A pair with a predicted conflict, also for a short time after the prediction has ended."""
 
     ours: str
     other: str
     predicted_at: float
-    """Since when, without a break."""
+    """Since when a conflict is predicted without a break."""
     level: Level = Level.NONE
     prediction: Prediction | None = None
     below_since: float | None = None
-    """Since when less than ``level`` is predicted."""
+    """Since when a lower level than ``level`` is predicted."""
 
     @property
     def site(self) -> str:
@@ -172,7 +175,7 @@ class SiteConflict:
         return self.prediction is None and self.level is Level.NONE
 
     def describe(self) -> dict[str, Any]:
-        """For people and programs."""
+        """For `federation.sites` and events: JSON-able."""
         predicted = {} if self.prediction is None else self.prediction.as_dict()
         return {"vehicles": [self.ours, self.other], "site": self.site, "level": self.level.name.lower(), **predicted}
 
@@ -196,18 +199,18 @@ class SiteConflict:
 
 @dataclass(slots=True)
 class Counters:
-    """Since the process began."""
+    """Counts since the process began."""
 
     evaluations: int = 0
     pairs_checked: int = 0
     pairs_dropped: int = 0
-    """Beyond `MAX_CONFLICTS`."""
+    """Pairs beyond `MAX_CONFLICTS`."""
     notices: int = 0
     warnings: int = 0
 
 
 class SiteConflicts:
-    """`evaluate` about once a second; then take ``events``."""
+    """Call `evaluate` about once a second, and take ``events`` after it."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
@@ -217,7 +220,8 @@ class SiteConflicts:
         self._conflicts: dict[PairKey, SiteConflict] = {}
 
     def evaluate(self, ours: Iterable[SiteVehicle], others: Iterable[SiteVehicle], now: float) -> Iterator[None]:
-        """Predict all pairs and advance their levels. Yields between slices, for other tasks; complete at its end."""
+        """Predict all pairs and advance their levels. Yields between slices so that other tasks can run; the result is
+        complete when it is exhausted."""
         ours, others = [v for v in ours if _watched(v)], [v for v in others if _watched(v)]
         self.watched = len(others)
         found: dict[PairKey, Prediction] = {}
@@ -245,15 +249,15 @@ class SiteConflicts:
         self.counters.evaluations += 1
 
     def conflicts(self) -> list[SiteConflict]:
-        """Those that have a level, the most urgent first."""
+        """The conflicts that have a level, the most urgent first."""
         rated = [conflict for conflict in self._conflicts.values() if conflict.level is not Level.NONE]
         return sorted(rated, key=lambda one: (-one.level, _enters_s(one.prediction)))
 
     def _sweep(self, boxes: list[_Box], found: dict[PairKey, Prediction]) -> Iterator[None]:
-        """Along x: only boxes that overlap there are compared, one of ours with one of another site."""
+        """Sweep along x: only boxes that overlap in x are compared, one of ours with one of another site."""
         boxes.sort(key=lambda box: box.low_x)
         active: tuple[list[_Box], list[_Box]] = ([], [])
-        """Ours that may overlap with what follows, and the others."""
+        """Boxes of ours, and of other sites, that may overlap with the following ones."""
         looked = 0
         for box in boxes:
             against = active[box.ours]
@@ -281,7 +285,7 @@ class SiteConflicts:
             self._report(conflict, conflict.text())
 
     def _end(self, key: PairKey, conflict: SiteConflict, gone: str) -> None:
-        """One of the two is not watched any more, which does not make them clear of each other."""
+        """End a pair whose vehicle ``gone`` is not watched any more; the two may still be close to each other."""
         del self._conflicts[key]
         if conflict.level is Level.NONE:
             return
@@ -293,7 +297,8 @@ class SiteConflicts:
 
 
 def _watched(vehicle: SiteVehicle) -> bool:
-    """Whether it is known where it is. What parks may be silent: it stays an obstacle until its site forgets it."""
+    """True if the position is known. A vehicle on the ground may be silent: it stays an obstacle until its site forgets
+    it."""
     numbers = (vehicle.lat_deg, vehicle.lon_deg, vehicle.alt_amsl_m)
     if any(number is None or not math.isfinite(number) for number in numbers):
         return False
@@ -303,7 +308,8 @@ def _watched(vehicle: SiteVehicle) -> bool:
 
 
 def _place(ours: list[SiteVehicle], others: list[SiteVehicle], boxes: list[_Box]) -> Iterator[None]:
-    """In true ENU about the middle of ours, chosen by medians: one wrong position does not tilt it for all others."""
+    """Append the box of each vehicle to ``boxes``, in true ENU about the middle of ours. The middle is a median, so
+    that one wrong position does not move it."""
     lat_deg = median_low(v.lat_deg or 0.0 for v in ours)
     lon_deg = median_low(v.lon_deg or 0.0 for v in ours)
     frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
@@ -344,7 +350,8 @@ def _box(vehicle: SiteVehicle, frame: EnuFrame, ratio: float, *, ours: bool) -> 
 
 
 def _overlap(a: _Box, b: _Box) -> bool:
-    """Of boxes that overlap in x; two on the ground, and one vehicle heard twice, are no pair."""
+    """True if two boxes that overlap in x are a pair. Two vehicles on the ground, or one vehicle heard by two sites,
+    are no pair."""
     return (
         a.low_y <= b.high_y
         and b.low_y <= a.high_y
@@ -356,7 +363,7 @@ def _overlap(a: _Box, b: _Box) -> bool:
 
 
 def _predict(mine: _Box, theirs: _Box, widened: float) -> Prediction | None:
-    """What two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
+    """The prediction for two vehicles; None: no conflict within `HORIZON_S`. ``widened``: factor of the margin."""
     margin = pair_margin(mine.vehicle.footprint, theirs.vehicle.footprint)
     ratio, certain_m, balls_m = margin.downwash_ratio, margin.total_m * widened, mine.ball_m + theirs.ball_m
     p, q = mine.place_m, theirs.place_m
@@ -377,7 +384,7 @@ def _enters_s(prediction: Prediction | None) -> float:
 
 
 def _most_urgent(found: dict[PairKey, Prediction]) -> dict[PairKey, Prediction]:
-    """At most `MAX_CONFLICTS` of them."""
+    """The `MAX_CONFLICTS` most urgent predictions."""
     if len(found) <= MAX_CONFLICTS:
         return found
     items = heapq.nsmallest(MAX_CONFLICTS, found.items(), key=lambda item: (-item[1].level, _enters_s(item[1])))

@@ -2,14 +2,14 @@
 
 A part of a target expression is, in this order:
 
-    *.../all, "all sites"   every vehicle of every site, the own one among them
+    */all, "all sites"      every vehicle of every site, own vehicles included
     own-site/REST           REST at the own daemon
     known-site/REST         REST at that site: what `core.vehicle.targets` reads there (name, id, range, group, all)
-    anything/NUMBER         a component of an own vehicle (7/191, alpha/191): goes to the daemon as it is
+    anything/NUMBER         a component of an own vehicle (7/191, alpha/191): passed to the daemon unchanged
     unknown/REST            an error that names the known sites
-    without a slash         an own vehicle, as ever
+    without a slash         an own vehicle
 
-A vehicle of the own daemon that has a site's name keeps it; only its components must be named by its system id.
+An own vehicle may have the name of a site; its components are then named by its system id only (7/191).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ SITE_NAME = re.compile(r"[a-z][a-z0-9-]{0,15}")
 
 EVERY_SITE = "*/all"
 ALL_SITES = "all sites"
-"""The same, as a person says it."""
+"""The same in words."""
 
 MAX_NAME_CHARS = 64
-"""Of a vehicle's name on the bus."""
+"""Longest name of a vehicle, group, or station in messages of the hub."""
 
 _COMPONENT_ID = re.compile(r"\d{1,3}")
 _PLAIN = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_-")
@@ -36,9 +36,9 @@ _PLAIN = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456
 
 @dataclass(frozen=True, slots=True)
 class SiteTargets:
-    """A target expression by site. ``own``: parts for the own daemon, () if it names no own vehicle. ``others``: parts
-    by site. ``every``: sites that come later are meant, too. ``changed``: the daemon would not read the expression as
-    it is."""
+    """A target expression split by site. ``own``: parts for the own daemon, () if it names no own vehicle. ``others``:
+    parts by site. ``every``: True if it includes sites that are heard later. ``changed``: True if the daemon cannot
+    read the expression unchanged."""
 
     own: tuple[str, ...]
     others: Mapping[str, tuple[str, ...]]
@@ -49,7 +49,8 @@ class SiteTargets:
 def split_by_site(
     expression: str | int | Sequence[str | int], own_site: str | None, sites: Collection[str]
 ) -> SiteTargets:
-    """The parts of an expression by site; ``sites``: the others that are known. Raises TargetError."""
+    """Split an expression by site. ``own_site``: None for a station that is no site. ``sites``: the other known sites.
+    Raises TargetError."""
     own: dict[str, None] = {}
     others: dict[str, dict[str, None]] = {}
     every = changed = False
@@ -83,7 +84,7 @@ def _required(part: str, rest: str) -> str:
 
 
 def select_at(site: str, parts: Sequence[str], vehicles: Iterable[T]) -> list[T]:
-    """The vehicles that the parts name at a site. Raises TargetError; "all" of a site without vehicles is none."""
+    """The vehicles that the parts name at a site; [] for "all" of a site without vehicles. Raises TargetError."""
     known = list(vehicles)
     if tuple(parts) == ("all",):
         return sorted(known, key=lambda v: (v.sysid, v.compid))
@@ -99,17 +100,17 @@ def qualified(site: str, vehicle: str) -> str:
 
 
 def subject_token(name: str) -> str:
-    """A vehicle's name as one token of a subject; `name_of_token` reads it. Whatever has a meaning in subjects, or is
-    no ASCII letter, number, "_" or "-", is "=" and two hexadecimal digits for each byte."""
+    """A vehicle's name as one token of a subject; `name_of_token` is the inverse. Each byte that is no ASCII letter,
+    digit, "_" or "-" is written as "=" and two hexadecimal digits."""
     return "".join(chr(byte) if byte in _PLAIN else f"={byte:02X}" for byte in name.encode())
 
 
 def name_of_token(token: str) -> str:
-    """The inverse of `subject_token`. Raises ValueError for what it does not write."""
+    """The inverse of `subject_token`. Raises ValueError for a token that it does not make."""
     first, *rest = token.split("=")
     try:
         name = (first.encode("ascii") + b"".join(bytes.fromhex(r[:2]) + r[2:].encode("ascii") for r in rest)).decode()
-    except ValueError:  # also of what is no ASCII, and no UTF-8
+    except ValueError:  # also for text that is no ASCII or no UTF-8
         name = ""
     if not name or subject_token(name) != token:
         raise ValueError(f"{token[:40]!r} is no vehicle's name")

@@ -1,14 +1,14 @@
-"""The state of a site's vehicles at one moment, as it goes over the bus: `state.<site>.fast` and `state.<site>.slow`.
+"""The states of a site's vehicles at one moment, as a message of the hub: `state.<site>.fast`, `state.<site>.slow`.
 
     {"v":1,"site":"north","run":"5f0c…","seq":17,"sent_s":1790000000.25,"period_s":0.1,"daemon":true,
      "origin":{"lat_deg":…,"lon_deg":…,"alt_amsl_m":…,"x_heading_deg":90.0},"vehicles":[[…],[…]]}
 
-Each vehicle is an array with the fields of `VehicleRow` in their order: half the bytes of objects, and read in half the
-time (docs/howto/federation.md has the figures). A later version may append fields and keys, which a reader leaves out.
-Positions are degrees, velocities and yaw those of true east and north: the origin is for people.
+Each vehicle is an array with the fields of `VehicleRow` in their order, which needs half the bytes of an object
+(docs/howto/federation.md has the figures). A later version may append fields and keys; readers ignore them.
+Positions are degrees; velocities and yaw refer to true east and north. The origin is shown to people only.
 
-Pure. What a site sends is checked against bounds; a batch of which one value is out of them is refused whole, since
-`row_from_state` never makes one: a vehicle's own nonsense is null.
+Pure. `decode_batch` checks every value against bounds and refuses the whole batch if one is outside, because
+`row_from_state` never writes one: it replaces values of a vehicle that are out of bounds by null.
 """
 
 from __future__ import annotations
@@ -26,33 +26,36 @@ from skygcs.core.geo import EAST_DEG, Origin, Vector
 VERSION = 1
 
 MAX_BATCH_BYTES = 1 << 20
-"""nats-server's usual max_payload. 250 vehicles take 45 kB."""
+"""The default max_payload of nats-server. 250 vehicles take 45 kB."""
 
 MAX_VEHICLES_OF_SITE = 300
 """As many as a daemon has (`runtime.fleet.MAX_VEHICLES`)."""
 
 MAX_WORD_CHARS = 32
-"""Of a mode, a type, and other words of the daemon."""
+"""Longest mode, type, or other word of the daemon's state; longer ones are cut."""
 
 MAX_GROUPS = 8
+"""Groups of a vehicle that are sent; further ones are left out."""
 
 MAX_AGE_S = 1e7
-"""Four months. What was never heard has no age."""
+"""Largest age, four months. A value that was never received has no age."""
 
 MAX_SPEED_MPS = 2000.0
 MAX_ALTITUDE_M = 100_000.0
+"""Bounds of plausible values: larger ones are errors of a sensor or of a sender."""
 
 LEAST_PERIOD_S, MAX_PERIOD_S = 0.05, 10.0
+"""Bounds of the period of batches. The least is that of the highest `federation.rate_hz`, 20."""
 
 STATE_GROUPS = (
     *("compid", "autopilot", "type", "groups", "connected", "last_heartbeat_age_s", "armed", "mode", "landed"),
     *("failsafe", "control", "gps", "position", "battery"),
 )
-"""What the daemon is asked for."""
+"""Telemetry groups that the bridge subscribes to at the daemon."""
 
 
 class RowLease(NamedTuple):
-    """Who commands a delegated vehicle: the site, the fencing token, and how long it is still valid at the holder."""
+    """The lease of a delegated vehicle: the site that holds it, the fencing token, and its remaining validity."""
 
     holder: str
     revision: int
@@ -60,7 +63,7 @@ class RowLease(NamedTuple):
 
 
 class VehicleRow(NamedTuple):
-    """One vehicle of a batch, by the name it has at its site. None: not known."""
+    """One vehicle of a batch, with the name it has at its site. None: the value is not known."""
 
     name: str
     sysid: int
@@ -75,9 +78,9 @@ class VehicleRow(NamedTuple):
     """``connected`` of the daemon's state."""
     failsafe: bool
     age_s: float | None
-    """Since its last heartbeat, when the batch was sent."""
+    """Time from its last heartbeat to the sending of the batch."""
     position_age_s: float | None
-    """Since its last position."""
+    """Time from its last position to the sending of the batch."""
     lat_deg: float | None
     lon_deg: float | None
     alt_amsl_m: float | None
@@ -97,24 +100,24 @@ class VehicleRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class StateBatch:
-    """All shared vehicles of a site. The newest is the one with the largest ``seq`` of the newest ``run``."""
+    """All shared vehicles of a site. The newest batch has the largest ``seq`` of the newest ``run``."""
 
     site: str
     run: str
-    """Random, of one run of the site's bridge."""
+    """Random identifier of one run of the site's bridge."""
     seq: int
     sent_s: float
-    """The site's clock, which never steps within a run."""
+    """Time of sending by the site's clock, which never steps within a run."""
     period_s: float
-    """The next batch comes in so long."""
+    """Time to the next batch."""
     daemon: bool
-    """Whether the site's daemon answers its bridge; without it nothing is newer than it was, and the ages show it."""
+    """True if the bridge is connected to the site's daemon. If not, no state is renewed, and the ages grow."""
     origin: Origin | None
     vehicles: tuple[VehicleRow, ...]
 
 
 def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> VehicleRow | None:
-    """The row of a daemon's state, which has STATE_GROUPS. None: it has no name that can go over the bus."""
+    """The row of a daemon's state, which has STATE_GROUPS. None if its name or ids cannot be sent."""
     name, sysid, compid = state.get("name"), state.get("sysid"), state.get("compid")
     if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME_CHARS or "/" in name:
         return None
@@ -157,7 +160,7 @@ def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> V
 
 
 def aged(row: VehicleRow, seconds: float) -> VehicleRow:
-    """The same, so much later."""
+    """The row with its ages larger by ``seconds``."""
     age_s, position_age_s = row.age_s, row.position_age_s
     return row._replace(
         age_s=None if age_s is None else round(min(age_s + seconds, MAX_AGE_S), 3),
@@ -166,7 +169,7 @@ def aged(row: VehicleRow, seconds: float) -> VehicleRow:
 
 
 def encode_batch(batch: StateBatch) -> bytes:
-    """As `decode_batch` reads it."""
+    """The message that `decode_batch` reads."""
     origin = batch.origin
     return to_json(
         {
@@ -177,7 +180,7 @@ def encode_batch(batch: StateBatch) -> bytes:
             "sent_s": round(batch.sent_s, 4),
             "period_s": batch.period_s,
             "daemon": batch.daemon,
-            "origin": None if origin is None else _origin_as_dict(origin),
+            "origin": None if origin is None else origin.as_dict(),
             "vehicles": batch.vehicles,
         },
         inf_nan_mode="null",
@@ -185,7 +188,7 @@ def encode_batch(batch: StateBatch) -> bytes:
 
 
 def decode_batch(data: bytes) -> StateBatch:
-    """Raises ValueError with what is wrong, in one line."""
+    """The batch of a message. Raises ValueError that names the first problem in one line."""
     if len(data) > MAX_BATCH_BYTES:
         raise ValueError(f"a batch of {len(data)} bytes; at most {MAX_BATCH_BYTES}")
     try:
@@ -242,15 +245,6 @@ def _velocity(value: object) -> Vector | None:
     return None if east is None or north is None or up is None else (east, north, up)
 
 
-def _origin_as_dict(origin: Origin) -> dict[str, float]:
-    return {
-        "lat_deg": origin.lat_deg,
-        "lon_deg": origin.lon_deg,
-        "alt_amsl_m": origin.alt_amsl_m,
-        "x_heading_deg": origin.x_heading_deg,
-    }
-
-
 def _lease(found: tuple[Any, ...] | None) -> RowLease | None:
     return None if found is None else RowLease(*found[:3])
 
@@ -275,7 +269,7 @@ def _integer(most: int) -> core_schema.CoreSchema:
 
 
 def _growing(*items: core_schema.CoreSchema, spare: int = 64) -> core_schema.CoreSchema:
-    """An array of these, to which later versions may append."""
+    """An array of these items, to which later versions may append up to ``spare`` items."""
     return core_schema.tuple_schema(
         [*items, core_schema.any_schema()], variadic_item_index=len(items), max_length=len(items) + spare, strict=False
     )

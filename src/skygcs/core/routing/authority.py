@@ -1,20 +1,20 @@
 """The authority gate: whether a frame may leave for a vehicle that several sites could command.
 
 Only vehicles of [federation.vehicles] are gated. A gated vehicle is *held* while a grant of this site's lease is in
-force, by the clock that the caller passes; else it is *closed*. What may be sent on a channel:
+force, by the clock that the caller passes; else it is *closed*. The gate decides for each frame on a channel:
 
     frame                                       while the vehicle is closed
     ----------------------------------------    ------------------------------------------------------------------------
     of vehicles.stop                            sent, always
     its target is the vehicle                   not sent
     its target field is 0 (every system)        not sent on a channel on which the vehicle is heard
-    without a target field (heartbeat, RTCM)    not sent on a channel on which only closed vehicles are heard; on others
-                                                sent, because what they carry is for the other vehicles as well
+    without a target field (heartbeat, RTCM)    not sent on a channel on which only closed vehicles are heard; sent on
+                                                other channels, because the frame is for their other vehicles as well
     its target is another system                sent
 
-A channel keeps the vehicles that were heard on it until it is closed: a vehicle that is silent may still hear us. The
-gate has no timer. A grant ends because the time is over whenever somebody asks, so a process that was stopped past the
-end finds it over when it goes on.
+The vehicles heard on a channel are kept until the channel is closed: a silent vehicle may still receive. The gate has
+no timer. Each question compares the end of the grant with the time, so a process that was stopped past the end sends
+nothing when it goes on.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from typing import Any, Literal
 from skygcs.core.mavlink.dialect import MessageInfo
 
 MAX_VALID_S = 3.0
-"""The longest grant: the TTL of a lease. A longer one could outlive the lease of which it is a part."""
+"""The longest grant: the TTL of a lease. A longer one could outlive its lease."""
 
 CLOCK_ERROR_S = 0.1
-"""A grant may seem to come from the future by as much: the two processes read one clock, but round it differently."""
+"""Tolerance of that limit: the two processes read one clock, but round it differently."""
 
 MANUAL_CONTROL = "MANUAL_CONTROL"
-"""The one message whose target system is in a field ``target``."""
+"""The only message whose target system is in a field named ``target``."""
 
 NO_TARGET = -1
-"""Of a message without a target field."""
+"""Result of `target_of` for a message without a target field."""
 
 GrantResult = Literal["granted", "late", "fenced"]
-"""late: its time is over already; fenced: a newer grant or revocation has come before it."""
+"""late: the grant has ended already; fenced: a newer grant or revocation came before it."""
 
 
 @dataclass(slots=True)
@@ -49,22 +49,22 @@ class _Gated:
     name: str
     sysid: int
     until: float = -math.inf
-    """End of the grant in force."""
+    """End of the last grant."""
     hub: str = ""
     token: int = 0
-    """Of the newest grant or revocation from ``hub``; an older one is refused."""
+    """Fencing token of the newest grant or revocation from ``hub``; an older one is refused."""
     revoked: bool = False
     commander: str | None = None
-    """The site that commands it, as far as known."""
+    """The site that commands the vehicle, as far as known."""
     was_held: bool = False
     reported: bool = False
-    """`gains` has returned it, and `lapses` not since."""
+    """True if `gains` has returned it, and `lapses` has not since."""
     blocked: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Lapse:
-    """A vehicle whose authority has ended since the last look."""
+    """A vehicle whose grant has ended since the last call of `AuthorityGate.lapses`. ``text``: why, for people."""
 
     name: str
     sysid: int
@@ -100,9 +100,9 @@ class AuthorityGate:
         return gated is not None and now >= gated.until
 
     def passes(self, channel_id: int, target: int, others: Collection[int], now: float) -> bool:
-        """Whether a frame may leave on a channel; one that may not is counted.
+        """True if a frame may be sent on a channel; a frame that may not is counted.
 
-        ``target``: its target system, 0 for all, `NO_TARGET` without a target field. ``others``: systems of the
+        ``target``: its target system, 0 for all, `NO_TARGET` without a target field. ``others``: system ids of the
         autopilots that are heard on the channel.
         """
         if target > 0:
@@ -125,7 +125,7 @@ class AuthorityGate:
     # -- where gated vehicles are
 
     def hear(self, channel_id: int, sysid: int) -> bool:
-        """A gated system is heard on a channel; True if that is new, and fast paths there must be closed."""
+        """Note that a gated system is heard on a channel. True if that is new: the fast paths there must be closed."""
         heard = self._heard.setdefault(channel_id, set())
         if sysid in heard:
             return False
@@ -133,19 +133,19 @@ class AuthorityGate:
         return True
 
     def leads_to_gated(self, channel_id: int) -> bool:
-        """True if a gated system is or was heard on this channel: each frame towards it is checked."""
+        """True if a gated system is or was heard on this channel: each frame sent there must be checked."""
         return channel_id in self._heard
 
     def forget_channel(self, channel_id: int) -> None:
-        """The channel is gone."""
+        """The channel is closed."""
         self._heard.pop(channel_id, None)
 
     # -- grants
 
     def grant(self, name: str, until: float, now: float, *, token: int, hub: str = "") -> GrantResult:
-        """Open the gate of a vehicle until then. ``token``: the revision of the lease; ``hub``: what numbers the
-        revisions, a new one begins anew. Raises KeyError for a vehicle that is not gated, ValueError for a time that no
-        lease can give."""
+        """Open the gate of a vehicle until ``until``. ``token``: the revision of the lease, which grows; ``hub``:
+        identifies the store that counts the revisions, so that another store may begin anew. Raises KeyError for a
+        vehicle that is not gated, ValueError for an end that no lease can have."""
         gated = self._named(name)
         if not until - now <= MAX_VALID_S + CLOCK_ERROR_S:
             raise ValueError(
@@ -162,7 +162,8 @@ class AuthorityGate:
 
     def revoke(self, name: str, *, token: int, hub: str = "", commander: str | None = None) -> None:
         """Close the gate of a vehicle. Grants with this token or an older one are refused from now on. ``commander``:
-        the site that commands it instead, as far as known. Raises KeyError for a vehicle that is not gated."""
+        the site that commands the vehicle instead, None if not known. Raises KeyError for a vehicle that is not
+        gated."""
         gated = self._named(name)
         gated.token = max(token, gated.token) if hub == gated.hub else token
         gated.hub, gated.revoked = hub, True
@@ -203,7 +204,7 @@ class AuthorityGate:
         return self._by_sysid[self.vehicles[name]]
 
     def _commander(self, gated: _Gated) -> str | None:
-        """A grant that has lapsed says nothing about the site that commands the vehicle now."""
+        """The site that commands the vehicle, None if not known: after the end of our own grant it may be any."""
         return None if gated.commander == self.site else gated.commander
 
     def _why(self, gated: _Gated) -> str:
@@ -213,8 +214,8 @@ class AuthorityGate:
 
 
 def target_of(info: MessageInfo | None, payload: bytes) -> int:
-    """The target system of a message for `AuthorityGate.passes`. A message that the dialect does not have may be
-    addressed to anybody: 0."""
+    """The target system of a message, for `AuthorityGate.passes`. 0, every system, for a message that the dialect does
+    not have."""
     if info is None:
         return 0
     at = info.target_system_offset
