@@ -1,15 +1,15 @@
-"""The connection to the hub: kept up without end, bounded both ways, and honest about what was sent.
+"""The connection to the hub: made again without end, with bounded queues, and exact about which requests were sent.
 
-    away         a server of the list answers, the key is accepted   -> connected; every subscription is made anew
-    connected    it is closed, or has not answered for SILENT_AFTER_S -> away; open requests end as ReplyLost
+    away         a server of the list answers and accepts the key     -> connected; every subscription is made anew
+    connected    it is closed, or has not answered for SILENT_AFTER_S -> away; open requests end with ReplyLost
     away         FIRST_PAUSE_S, doubling to LONGEST_PAUSE_S           -> the next server of the list
 
-Each connection is a new client of nats-py. Its own reconnecting is not used, because it keeps what was published while
-the hub was away and sends it afterwards: an order must never arrive late. So nothing is kept here: what cannot be
-sent now is refused (`request`) or dropped and counted (`publish`).
+Each connection is a new client of nats-py. The reconnecting of nats-py is not used, because it keeps messages that are
+published while the hub is away and sends them later, but an order must never arrive late. Nothing is kept here: a
+message that cannot be sent now is refused (`request`) or dropped and counted (`publish`).
 
-A hub that does not speak TLS although its address begins with tls:// gets no signature: whoever stood between could
-use it to act as this station at the real hub.
+A hub that does not use TLS although its address begins with tls:// gets no signature: an attacker on the way could use
+the signature to act as this station at the real hub.
 """
 
 from __future__ import annotations
@@ -44,42 +44,46 @@ if TYPE_CHECKING:
     from nats.js.object_store import ObjectStore
 
 CONNECT_WITHIN_S = 2.0
-"""TCP, TLS and the key's signature, from one continent to another on a busy computer."""
+"""Time limit of a connection: TCP, TLS and the key's signature, between continents and on a busy computer."""
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 0.5
-"""Between attempts to connect, doubling, with a quarter of chance so that sites do not all come at once. A hub that is
-back is found within LONGEST_PAUSE_S, a network that is whole again within two seconds."""
+"""Pauses between attempts to connect, doubling; up to a quarter is left off at random so that stations do not all
+connect at once. A hub that is back is found within LONGEST_PAUSE_S, a restored network within two seconds."""
 
 PING_EVERY_S = 0.5
+"""Period of the pings to the hub."""
+
 SILENT_AFTER_S = 2.0
-"""A connection that does not answer for so long is given up: TCP itself would take minutes, and repeat ever more
-slowly, so that a network that is whole again would be used late. Less than the TTL of a lease."""
+"""A connection without an answer for this time is given up. TCP would need minutes, and its growing pauses would delay
+the use of a network that is restored. Less than the TTL of a lease."""
 
 STOOD_STILL_S = 0.1
-"""After a time limit, for what came while this process itself stood still: a loop runs its timers first, and reads
-then."""
+"""Further wait after that limit, for an answer that arrived while this process was stopped: after a stop the loop runs
+its timers before it reads its sockets."""
 
 WRITTEN_EVERY_S = 0.001
+"""Pause while nats-py writes: it has no signal for the end of that."""
 
 MAX_DENIED = 32
-"""Subjects of one connection that are reported as denied; all are counted."""
+"""Denied subjects that are reported for one connection; all are counted."""
 
 MAX_REASONS = 32
-"""Of one time without a connection that are reported."""
+"""Reasons that are reported for one time without a connection."""
 
 CLOSE_WITHIN_S = 0.5
+"""Time limit for closing a connection in order."""
 
 MAX_PENDING_BYTES = 4 << 20
-"""Not yet taken by the hub. More is dropped: states are outdated by then."""
+"""Bytes that the hub has not taken yet. Beyond, messages are dropped or refused: states would be outdated by then."""
 
 MAX_WAITING_MESSAGES = 1000
-"""Of one subscription; further ones are dropped and counted."""
+"""Messages of one subscription that wait to be handled; further ones are dropped and counted."""
 
 MAX_REQUESTS = 2048
-"""In progress at once: an emergency stop for a thousand vehicles, and the questions for their outcomes."""
+"""Requests in progress: an emergency stop for a thousand vehicles, and the questions for their outcomes."""
 
 MAX_ANSWERING = 64
-"""Requests that one `serve` answers at once, if it does not say otherwise."""
+"""Default number of requests that one `serve` answers at the same time."""
 
 _DENIED = re.compile(r'permissions violation for (publish|subscription) to "([^"]{1,256})"', re.IGNORECASE)
 
@@ -89,8 +93,8 @@ OnRequest = Callable[["Message"], Awaitable[bytes | None]]
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What came in on a subscription. ``sender``: of an order, the public key of the station that sent it, which is the
-    last word of the subject on the hub: nobody may send with another's."""
+    """A received message. ``sender``: for an order, the public key of the station that sent it. The key is the last
+    token of the subject on the hub, which permits each station its own key only; "" for other messages."""
 
     subject: str
     data: bytes
@@ -99,28 +103,29 @@ class Message:
 
 @dataclass(slots=True)
 class BusCounters:
-    """Since the process began."""
+    """Counts since the process began."""
 
     connections: int = 0
     sent: int = 0
     received: int = 0
     not_sent: int = 0
-    """Published while the hub was away or took nothing; dropped."""
+    """Messages dropped because the hub was away or took nothing."""
     dropped: int = 0
-    """Came faster than they were read."""
+    """Received messages dropped because they came faster than they were handled."""
     too_long: int = 0
+    """Received messages dropped because of their length."""
     denied: int = 0
-    """The hub does not permit the subject to this station."""
+    """Errors of the hub: it does not permit the subject to this station."""
     busy: int = 0
-    """Requests not answered, as MAX_ANSWERING were being answered."""
+    """Requests not answered because the limit of `Bus.serve` was reached."""
     bad_reply_to: int = 0
-    """Requests not answered, as their answer was wanted on a subject that is no inbox."""
+    """Requests not answered because their reply subject is no inbox."""
     faults: int = 0
-    """Handlers that raised."""
+    """Messages whose handler raised an error."""
 
 
 class Subscription:
-    """One subject, over all connections until `close`."""
+    """A subscription to one subject, kept over all connections until `close`."""
 
     def __init__(self, bus: Bus, subject: str, on_message: Callable[[Msg], None]) -> None:
         self.subject = subject
@@ -130,7 +135,7 @@ class Subscription:
         self._made: NatsSubscription | None = None
 
     async def attach(self, client: NatsClient) -> None:
-        """Make it on this connection, once."""
+        """Subscribe on this connection. Idempotent."""
         if self._client is client:
             return
         self._client = client
@@ -146,7 +151,7 @@ class Subscription:
         )
 
     async def close(self) -> None:
-        """No further messages. Idempotent."""
+        """End the subscription: no further messages. Idempotent."""
         self._bus.forget(self)
         made, self._made = self._made, None
         if made is not None and self._client is not None and self._client.is_connected:
@@ -155,15 +160,15 @@ class Subscription:
 
 
 class _Client(NatsClient):
-    """A client of nats-py that signs nothing on a connection without TLS if ``needs_tls``.
+    """A client of nats-py that, if ``needs_tls``, signs nothing on a connection without TLS.
 
-    nats-py begins TLS only where the hub's first line asks for it, whatever the address says.
+    nats-py itself begins TLS only if the hub's first line requires it, even for an address with tls://.
     """
 
     needs_tls = False
     checked = False
     failure: Exception | None = None
-    """Why the server could not be reached: what `connect` raises does not say so."""
+    """Why the server could not be reached: the error that `connect` raises does not contain it."""
 
     def _connect_command(self) -> bytes:
         if self.needs_tls and not self._server_info.get("tls_required"):
@@ -174,19 +179,20 @@ class _Client(NatsClient):
 
 @dataclass(frozen=True, slots=True)
 class BusOptions:
-    """How the hub is reached and how this station is known there."""
+    """The hub's addresses and this station's identity there."""
 
     servers: tuple[str, ...]
     seed: str = field(repr=False)
-    """Of the station's key."""
+    """Secret seed of the station's key."""
     public_key: str = ""
     tls: ssl.SSLContext | None = None
     name: str = "skygcs"
-    """As the hub's monitoring shows it."""
+    """Name of the connection in the hub's monitoring."""
 
 
 class Bus:
-    """Run `run` in a task. ``connected`` and ``text`` say how it stands, since ``since`` (the loop's clock)."""
+    """The connection to the hub. Run `run` in a task. ``connected`` and ``text`` are its state since ``since`` (the
+    loop's clock)."""
 
     def __init__(self, options: BusOptions, loop: asyncio.AbstractEventLoop, report: Callable[[Event], None]) -> None:
         self.options = options
@@ -195,9 +201,9 @@ class Bus:
         self.text = "not connected yet"
         self.since = loop.time()
         self.server = ""
-        """The one that it is or was connected to."""
+        """Address of the present or last connection."""
         self.server_info: dict[str, Any] = {}
-        """Of the hub: server_id, version, …"""
+        """The hub's information about itself: server_id, version, …"""
         self.round_trip_s: float | None = None
         self._loop = loop
         self._report = report
@@ -205,25 +211,25 @@ class Bus:
         self._lost: asyncio.Future[str] | None = None
         self._subscriptions: list[Subscription] = []
         self._requests: dict[str, set[asyncio.Future[None]]] = {}
-        """By subject in small letters, as nats-py gives the server's errors, those in progress: the future is set when
-        the hub denies the subject, which it does by the site's name alone."""
+        """Requests in progress, by subject in lower case, as nats-py returns the server's errors. The future is set
+        when the hub denies the subject."""
         self._open_requests = 0
         self._answering: set[asyncio.Task[None]] = set()
         self._pings: set[asyncio.Task[float]] = set()
         self._observers: list[Callable[[], None]] = []
         self._reasons: set[str] = set()
-        """Why there is no connection, as it was reported since the last one."""
+        """Reasons for having no connection that were reported since the last connection."""
         self._why = ""
         self._denied: set[str] = set()
         """Subjects that were reported as denied on this connection."""
         self._version = ""
-        """The one that was warned of."""
+        """Last warning about the server's version."""
 
     # -- sending
 
     async def publish(self, subject: str, data: bytes) -> bool:
-        """Send it now; False if it was dropped (and counted): the hub is away, or takes less than is published. Never
-        waits. Raises BusError for a message that is too long for any hub."""
+        """Send a message now; False if it was dropped (and counted) because the hub is away or takes too little. Never
+        waits. Raises BusError for a message that is longer than the hub accepts."""
         client = self._client
         if len(data) > self._longest(client):
             raise BusError(subject, f"{len(data)} bytes are more than the {self._longest(client)} that the hub takes")
@@ -239,8 +245,8 @@ class Bus:
         return True
 
     async def request(self, subject: str, data: bytes, timeout_s: float) -> bytes:
-        """The answer. Raises HubAway, NobodyThere and NotPermitted, after which it is certain that nobody has the
-        request, and ReplyLost, after which that is unknown."""
+        """Send a request and return the answer. Raises HubAway, NobodyThere and NotPermitted if the request was
+        certainly not delivered, and ReplyLost if that is unknown."""
         client, lost = self._client, self._lost
         if client is None or lost is None or not self.connected:
             raise HubAway(subject, f"not sent: {self.text}")
@@ -298,8 +304,8 @@ class Bus:
     # -- receiving
 
     async def subscribe(self, subject: str, on_message: OnMessage) -> Subscription:
-        """Have ``on_message`` called for each message of the subject, over all connections, until the subscription is
-        closed. It must not block; what it raises is counted, reported and goes no further."""
+        """Call ``on_message`` for each message of the subject, over all connections, until the subscription is closed.
+        It must not block; an error that it raises is counted and reported here."""
 
         def received(message: Msg) -> None:
             if self._takes(message):
@@ -308,8 +314,8 @@ class Bus:
         return await self._subscribed(subject, received)
 
     async def serve(self, subject: str, on_request: OnRequest, *, at_once: int = MAX_ANSWERING) -> Subscription:
-        """As `subscribe` for requests: what ``on_request`` returns is the answer; None: another station answers.
-        ``at_once`` run at a time; further requests are not answered, and counted."""
+        """Like `subscribe`, for requests: the result of ``on_request`` is the answer; None: no answer, since another
+        station answers. At most ``at_once`` run at the same time; further requests are counted and not answered."""
         answering: set[asyncio.Task[None]] = set()
 
         def received(message: Msg) -> None:
@@ -335,7 +341,7 @@ class Bus:
             return
         if answer is None:
             return
-        with contextlib.suppress(BusError):  # too long: counted by whom it concerns, who gets no answer
+        with contextlib.suppress(BusError):  # too long: the sender of the request gets no answer
             await self.publish(message.reply, answer)
 
     async def _subscribed(self, subject: str, received: Callable[[Msg], None]) -> Subscription:
@@ -348,7 +354,7 @@ class Bus:
         return made
 
     def forget(self, subscription: Subscription) -> None:
-        """For `Subscription.close`."""
+        """Remove a subscription; called by `Subscription.close` only."""
         with contextlib.suppress(ValueError):
             self._subscriptions.remove(subscription)
 
@@ -374,18 +380,18 @@ class Bus:
     # -- stores of the hub
 
     async def key_value(self, bucket: str) -> KeyValue:
-        """The hub's key-value store of this name, for this connection alone: get it anew after each. Its calls raise
-        errors of nats-py, which `store_errors` translates. Raises HubAway, BusError if the hub does not have it."""
+        """The hub's key-value store of this name, for the present connection only. Its calls raise errors of nats-py,
+        which `store_errors` translates. Raises HubAway, and BusError if the hub has no such store."""
         with store_errors(bucket):
             return await self.jetstream().key_value(bucket)
 
     async def object_store(self, bucket: str) -> ObjectStore:
-        """As `key_value`, for files."""
+        """Like `key_value`, for the store of files."""
         with store_errors(bucket):
             return await self.jetstream().object_store(bucket)
 
     def jetstream(self) -> JetStreamContext:
-        """Of this connection. Raises HubAway."""
+        """The JetStream context of the present connection. Raises HubAway."""
         if self._client is None or not self.connected:
             raise HubAway("", f"not sent: {self.text}")
         return self._client.jetstream(timeout=STORE_WITHIN_S)
@@ -393,13 +399,13 @@ class Bus:
     # -- life
 
     def on_change(self, observer: Callable[[], None]) -> None:
-        """Have it called after each change of ``connected``."""
+        """Call ``observer`` after each change of ``connected``."""
         self._observers.append(observer)
 
     async def run(self) -> None:
-        """Connect, and again whenever the connection is lost, until it is cancelled."""
+        """Keep the station connected until it is cancelled."""
         pause_s = FIRST_PAUSE_S
-        logging.getLogger("nats").setLevel(logging.CRITICAL)  # it logs tracebacks of what a broken hub sends
+        logging.getLogger("nats").setLevel(logging.CRITICAL)  # it logs a traceback for each message of a broken hub
         try:
             for server in itertools.cycle(self.options.servers):
                 if await self._connection(server):
@@ -412,7 +418,7 @@ class Bus:
                 task.cancel()
 
     async def _connection(self, server: str) -> bool:
-        """One connection, until it is lost. False if there was none."""
+        """Make one connection and return when it is lost. False if none was made."""
         client = _Client()
         lost: asyncio.Future[str] = self._loop.create_future()
         was, orderly = False, True
@@ -432,7 +438,7 @@ class Bus:
             self._warn_of_version()
             await self._watch(client, lost)
             reason, orderly = lost.result(), False
-        except Exception as error:  # nats-py raises anything for the greeting of what is no hub
+        except Exception as error:  # nats-py raises errors of any class if the server is no hub
             reason, orderly = _reason(error, client), False
         finally:
             self._client = self._lost = self.round_trip_s = None
@@ -475,8 +481,8 @@ class Bus:
             raise nats.errors.SecureConnFailedError
 
     def _ping(self, client: _Client) -> asyncio.Task[float]:
-        """Done when it is answered, and cancelled with the connection: nats-py stops reading at the answer to a ping
-        that was cancelled."""
+        """A task that ends with the answer to a ping. It is cancelled only with the connection: nats-py stops reading
+        at the answer to a cancelled ping."""
         ping: asyncio.Task[float] = self._loop.create_task(client.rtt(timeout=3600), name="ping the hub")
         self._pings.add(ping)
         ping.add_done_callback(self._pinged)
@@ -485,10 +491,10 @@ class Bus:
     def _pinged(self, ping: asyncio.Task[float]) -> None:
         self._pings.discard(ping)
         if not ping.cancelled():
-            ping.exception()  # of a connection that was lost meanwhile: reported once, by `_watch`
+            ping.exception()  # mark it as retrieved: `_watch` reports the lost connection
 
     async def _settled(self, client: _Client) -> None:
-        """Return when the hub has what was sent until now: whoever asks from then on is answered."""
+        """Return when the hub has processed everything sent until now, such as a new subscription."""
         lost = self._lost
         while lost is not None and client.pending_data_size and not lost.done():  # noqa: ASYNC110 - it signals nothing
             await asyncio.sleep(WRITTEN_EVERY_S)  # nats-py sends a ping past what waits to be written
@@ -511,7 +517,7 @@ class Bus:
             await asyncio.wait({lost}, timeout=max(0.0, began + PING_EVERY_S - self._loop.time()))
 
     def _on_error(self, error: Exception) -> None:
-        """What nats-py reports beside its calls."""
+        """Handle an error that nats-py reports through its callback."""
         if isinstance(error, nats.errors.SlowConsumerError):
             self.counters.dropped += 1
             return
@@ -531,7 +537,7 @@ class Bus:
             self._report(Event("federation", None, None, text, {"change": "denied", "subject": subject}))
 
     def _change(self, connected: bool, text: str) -> None:
-        """Report every connection, and each reason of being away once, not each attempt."""
+        """Report every connection, and each reason for having none once, not at each attempt."""
         was, first = self.connected, not self._reasons and not self.connected
         self.connected, self.text = connected, text
         if connected:
@@ -574,13 +580,13 @@ class Bus:
 
 
 STORE_WITHIN_S = 1.0
-"""For the hub's answer about a key or a part of a file."""
+"""Time limit of the hub's answer about a key or a part of a file."""
 
 
 @contextlib.contextmanager
 def store_errors(what: str) -> Iterator[None]:
-    """Raise errors of nats-py's stores in the body as BusError; nats.js.errors.KeyNotFoundError and
-    KeyWrongLastSequenceError, which are answers, pass."""
+    """Raise errors of nats-py's stores in the body as BusError, except nats.js.errors.KeyNotFoundError and
+    KeyWrongLastSequenceError, which are regular answers. ``what``: name of the store, for texts."""
     try:
         yield
     except (nats.js.errors.KeyNotFoundError, nats.js.errors.KeyWrongLastSequenceError):
@@ -637,17 +643,17 @@ def _reason(error: Exception, client: _Client) -> str:
 
 
 def _end_if_cancelled() -> None:
-    """Raise CancelledError if this task was cancelled and went on all the same: asyncio.wait_for, which nats-py
-    connects with, returns a result that comes together with a cancellation in Python 3.11 (CPython issue 86296), and
-    the connection would never end."""
+    """Raise CancelledError if this task was cancelled and the cancellation was lost. In Python 3.11 asyncio.wait_for,
+    which nats-py uses to connect, returns a result that arrives together with a cancellation (CPython issue 86296);
+    without this check `run` would not end."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
 
 
 async def _dispose(client: NatsClient, *, orderly: bool) -> None:
-    """Close a connection in whatever state it is, also one that was never made. Unless ``orderly``, what is not written
-    yet is thrown away: a network that is whole again would carry it late."""
+    """Close a connection in any state, also one that was never made. Unless ``orderly``, data that are not written yet
+    are discarded: a restored network would deliver them late."""
     writer = getattr(client._transport, "_io_writer", None)
     if not orderly and writer is not None:
         client._pending, client._pending_data_size = [], 0

@@ -1,10 +1,12 @@
-"""The home site's bridge as a client of its daemon: passes orders of other stations on, each at most once.
+"""The home site's bridge as a client of its daemon: passes the orders of other stations on, each at most once.
 
-    orders    one connection, for orders that begin or go on with a flight
-    ending    orders that end a flight: nothing is in front of them; further connections are opened as they are needed
+    orders    one connection, for orders that begin or continue a flight
+    ending    connections for orders that end a flight, so that these never wait behind others; more are opened when
+              they are needed
 
-None of them counts for operator_timeout_s by itself (operator.relay); each order that is carried out does, since
-a person gave it (operator.active). A connection that is lost is made again; an order is never sent again.
+These connections do not count as the presence of an operator for operator_timeout_s (operator.relay); each order that
+is carried out does, since a person gave it (operator.active). A lost connection is made again; an order is never sent
+again.
 """
 
 from __future__ import annotations
@@ -24,30 +26,29 @@ from skygcs.core.federation.order_gate import MAX_ENDING, MAX_RUNNING
 from skygcs.core.federation.order_messages import ENDS_FLIGHT, STOP, Json, Status, status_of
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.daemon_clock import DaemonClock
+from skygcs.rpc.error_codes import INTERNAL_ERROR
 
 ALIVE_EVERY_S = 1.0
-"""Daemon.info is asked so often: it shows that the daemon is there, and compares the clocks."""
+"""Period of daemon.info, which shows that the daemon answers and compares the clocks."""
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
-"""Between attempts to connect, doubling: orders go on within 2 s of the daemon's return."""
+"""Pauses between attempts to connect, doubling: orders are possible again within 2 s of the daemon's return."""
 
 ANSWERED_S = 0.2
-"""A daemon that has answered so lately is not asked again: orders to many vehicles come at once."""
+"""A daemon that has answered within this time is not asked again: orders to many vehicles come together."""
 
 ANSWERS_WITHIN_S = 0.3
-"""A daemon that does not answer by then is stopped or overloaded: an order to it is refused while that is certain. An
-emergency stop is sent to it all the same."""
+"""A daemon that does not answer by then is stopped or overloaded: the order is refused, and it is certain that nothing
+was sent. An emergency stop is sent all the same."""
 
 IN_FLIGHT = MAX_RUNNING
-"""Requests on one connection; the daemon takes 64."""
-
-INTERNAL_ERROR = -32603
+"""Requests in progress on one connection; the daemon takes 64."""
 
 _log = structlog.get_logger(__name__)
 
 
 class DaemonClient(Protocol):
-    """What is used of `skygcs.rpc.client.Client`."""
+    """The part of `skygcs.rpc.client.Client` that is used here."""
 
     @property
     def connected(self) -> bool: ...
@@ -59,7 +60,7 @@ class DaemonClient(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """What became of an order at the daemon."""
+    """The result of an order at the daemon."""
 
     status: Status
     text: str
@@ -73,7 +74,8 @@ class _Connection:
 
 
 class DaemonOrders:
-    """Run `run` in a task; `order` gives one order. ``connect`` makes a client that is not open yet."""
+    """The connections to the daemon. Run `run` in a task; call `order` for each order. ``connect``: returns a new
+    client that is not open yet."""
 
     def __init__(
         self,
@@ -81,7 +83,7 @@ class DaemonOrders:
         loop: asyncio.AbstractEventLoop,
         is_vehicle: Callable[[str], bool] = lambda _: False,
     ) -> None:
-        """``is_vehicle``: True for a name that is known to be a vehicle's; of others the daemon is asked."""
+        """``is_vehicle``: returns True for the name of a known vehicle; about other names the daemon is asked."""
         self.connected = False
         self.text = "not connected to the daemon yet"
         self.counters: Counter[str] = Counter()
@@ -122,9 +124,10 @@ class DaemonOrders:
             self._change("not connected to the daemon any more")
 
     async def order(self, vehicle: str, method: str, params: Json, deadline: float) -> Carried:
-        """Give one order to one vehicle; ``deadline`` on this process' loop. Never raises for what the daemon says.
+        """Give one order to one vehicle and return its result. ``deadline``: by this process's loop. Does not raise for
+        an error of the daemon.
 
-        Cancelled, it is no longer waited for; the daemon may carry it out.
+        After a cancellation the daemon may still carry the order out.
         """
         ends_flight = method in ENDS_FLIGHT
         connection: _Connection | None = None
@@ -158,7 +161,7 @@ class DaemonOrders:
             return Carried(status, str(error))
         return _carried(answer, vehicle)
 
-    # -- the inside
+    # -- private
 
     async def _free(self, ends_flight: bool) -> _Connection | None:
         """A connection for one more request; None if all are in use. Raises DaemonUnreachable."""
@@ -176,8 +179,8 @@ class DaemonOrders:
             return pool[-1]
 
     async def _answers(self) -> bool:
-        """Whether the daemon answers now; an order would wait in the socket of one that is stopped. Counts as the
-        presence of an operator. Raises DaemonUnreachable."""
+        """True if the daemon answers now; in the socket of a stopped daemon an order would wait. The request counts as
+        the presence of an operator. Raises DaemonUnreachable."""
         asking = self._begin_asking()
         if asking is None:
             return True
@@ -189,7 +192,7 @@ class DaemonOrders:
         return bool(done)
 
     def _begin_asking(self) -> asyncio.Task[None] | None:
-        """The question that is under way; None if the daemon has just answered one."""
+        """The task of the request operator.active; None if the daemon has answered within ANSWERED_S."""
         if self._loop.time() - self._answered_at <= ANSWERED_S:
             return None
         if self._asking is None or self._asking.done():
@@ -204,7 +207,8 @@ class DaemonOrders:
         self._answered_at = self._loop.time()
 
     async def _problem(self, client: DaemonClient, vehicle: str) -> str | None:
-        """Why the daemon has no vehicle of this name: a number, a group and "all" are names of none."""
+        """Why ``vehicle`` is not the name of a vehicle of the daemon, None if it is. A number, a group and "all" are
+        not names."""
         if self._is_vehicle(vehicle):
             return None
         try:
@@ -216,7 +220,7 @@ class DaemonOrders:
         return None if state.get("name") == vehicle else f"{vehicle!r} is not the name of a vehicle here"
 
     async def _opened(self) -> _Connection:
-        """Raises DaemonUnreachable, RpcError."""
+        """A new open connection. Raises DaemonUnreachable, RpcError."""
         client = self._connect()
         await client.open()
         try:
@@ -241,7 +245,7 @@ class DaemonOrders:
                 await connection.client.close()
 
     async def _keep_ending(self) -> None:
-        """An idle connection would lose its place when the daemon's are all taken."""
+        """Use each connection for ending orders: the daemon closes idle ones when all its places are taken."""
         for connection in list(self._ending):
             try:
                 await connection.client.call("daemon.info")
@@ -249,8 +253,8 @@ class DaemonOrders:
                 self._lost(error.reason, connection)
 
     def _lost(self, reason: str, connection: _Connection | None) -> None:
-        """An order found its connection closed. A further one is left out; without the first one all are made again,
-        at the next sign of life at the latest."""
+        """An order found its connection closed. A connection for ending orders is dropped while the first connection is
+        open; else all connections are made again."""
         self.counters["lost"] += 1
         if connection in self._ending and self._orders and self._orders[0].client.connected:
             self._ending.remove(connection)

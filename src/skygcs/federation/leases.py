@@ -1,12 +1,12 @@
-"""Holds the leases of the vehicles that several sites may command, and grants the daemon what they allow.
+"""Holds the leases of the vehicles that several sites may command, and grants the daemon the right to send to them.
 
     core.federation.lease      decides, for each vehicle
-    the hub's store            is read and written as that says; nothing is watched, the hub permits it to nobody
-    authority.grant / revoke   pass it on to the daemon, which judges by its own clock at the moment of sending
+    the hub's store            is read and written as decided; no key is watched, the hub permits that to no station
+    authority.grant / revoke   pass the result to the daemon, which compares its own clock before each frame
 
-A daemon that does not answer for DAEMON_SILENT_S has its leases run out: another site can take over from a daemon that
-hangs, and its grants end by themselves. The machines are made anew for each run of the daemon, so that a lease of the
-run before is another's.
+While a grant has waited for the daemon's answer longer than DAEMON_SILENT_S the leases are not renewed, so that another
+site can take over from a daemon that hangs; its grants end by themselves. Each run of the daemon gets new `Lease`
+objects, so that a lease of an earlier run counts as another site's.
 """
 
 from __future__ import annotations
@@ -52,46 +52,57 @@ if TYPE_CHECKING:
     from skygcs.federation.station import Station
 
 TICK_S = 0.1
+"""Period of `Lease.tick`."""
+
 STORE_RETRY_S = 0.25
+"""Pause between attempts to open the hub's store."""
+
 ASK_WITHIN_S = 1.0
+"""Time limit for the holder's answer to a request for its lease."""
+
 BUSY_WITHIN_S = 0.5
+"""Time limit for the daemon's answer to what it does with a vehicle."""
+
 DAEMON_SILENT_S = 1.5
-"""A grant that waits so long for its answer: the daemon is stopped, or its loop hangs."""
+"""A daemon that has not answered a grant for this time is stopped, or its loop hangs."""
 
 TAKE_WITHIN_S = 12.0
-"""For the outcome of a person's order: a new hub's wait, an expiry and some retries."""
+"""Time limit for the result of a person's request: the wait at a new hub, an expiry and some retries."""
 
 RELEASE_WITHIN_S = 1.0
+"""Time limit for releasing the leases when the bridge ends."""
 
 FLYING = frozenset({"engaging", "flying"})
 """States of control in which a vehicle is not given away without force."""
 
 
 def boot_s() -> float:
-    """The clock of leases and grants: it runs while the machine sleeps, and the daemon reads the same."""
+    """The clock of leases and grants, in seconds: it runs while the machine sleeps, and the daemon reads the same."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Leases:
-    """A part of the bridge: `run` in a task. ``lease_of`` and ``not_held`` answer for other parts."""
+    """A part of the bridge. Run `run` in a task. Other parts ask `lease_of` and `not_held`."""
 
     def __init__(self, station: Station, link: DaemonLink, clock: Callable[[], float] = boot_s) -> None:
-        """``link``: of this part alone."""
+        """``link``: used by this part only, and run here."""
         self._station = station
         self._bus = station.bus
         self._link = link
         self._clock = clock
         self._configs = station.config.vehicles
         self._leases: dict[str, Lease] = {}
-        """Empty while there is no daemon."""
+        """By vehicle; empty while the daemon is away."""
         self._since_s: dict[str, float] = {}
+        """By vehicle, unix seconds since this site holds or wants the lease."""
         self._store: KeyValue | None = None
         self._hub = ""
         self._looking: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._to_daemon: dict[str, Grant | Revoke] = {}
-        """By vehicle, the newest that the daemon does not know yet."""
-        self._told: dict[str, Grant | Revoke] = {}
+        """By vehicle, the newest grant or revocation that is not sent to the daemon yet."""
+        self._confirmed: dict[str, Grant | Revoke] = {}
+        """By vehicle, the last one that the daemon has confirmed."""
         self._for_daemon = asyncio.Event()
         self._changed = asyncio.Event()
         self._daemon_silent = False
@@ -105,7 +116,7 @@ class Leases:
     # -- for other parts
 
     def lease_of(self, vehicle: str) -> RowLease | None:
-        """For the state batches: the lease of a vehicle of ours, None if nobody is known to hold one."""
+        """The lease of an own vehicle, for the state batches; None if no holder is known."""
         lease = self._leases.get(vehicle)
         if lease is None or (holder := lease.holder) is None:
             return None
@@ -125,7 +136,7 @@ class Leases:
         return f"{vehicle} is not commanded by {self._station.name} now{by}"
 
     def status(self) -> dict[str, Any]:
-        """For federation.status."""
+        """For federation.status: JSON-able."""
         now = self._clock()
         return {
             "problem": self.problem,
@@ -136,7 +147,7 @@ class Leases:
     # -- life
 
     async def run(self) -> None:
-        """Until it is cancelled; what it holds is given back then."""
+        """Hold the leases until it is cancelled; they are released then."""
         homes = sorted({config.home for config in self._configs.values()})
         served = [await self._bus.serve(f"lease.{home}.*.request", self._on_request) for home in homes]
         running = [
@@ -163,7 +174,7 @@ class Leases:
                 await subscription.close()
 
     async def _give_back(self) -> None:
-        """An orderly end: the daemon stops first, then the store shows it."""
+        """Release all leases in order: the daemon stops sending first, then the store shows the release."""
         for name, lease in self._leases.items():
             self._carry_out(name, lease, lease.release(self._clock()))
         with contextlib.suppress(TimeoutError):
@@ -182,7 +193,7 @@ class Leases:
                 self._carry_out(name, lease, lease.hub_down(self._clock()))
 
     async def _keep_store(self) -> None:
-        """Find the store after each connection."""
+        """Open the store after each new connection to the hub."""
         while True:
             if self._bus.connected and self._store is None:
                 try:
@@ -208,12 +219,12 @@ class Leases:
     def _on_daemon(self) -> None:
         self._leases, self._daemon_silent = {}, False
         self._to_daemon.clear()
-        self._told.clear()
+        self._confirmed.clear()
         if self._link.client is not None:
             self._start(self._meet_daemon(), "what the daemon holds")
 
     async def _meet_daemon(self) -> None:
-        """Make the machines for this run of the daemon; what it holds from an earlier bridge goes on."""
+        """Make the leases for this run of the daemon, and continue grants that it has from an earlier bridge."""
         try:
             found = await self._link.call("authority.status")
         except RpcError as error:
@@ -245,9 +256,10 @@ class Leases:
             while self._to_daemon:
                 name, action = next(iter(self._to_daemon.items()))
                 del self._to_daemon[name]
-                await self._tell_daemon(name, action)
+                await self._send_to_daemon(name, action)
 
-    async def _tell_daemon(self, name: str, action: Grant | Revoke) -> None:
+    async def _send_to_daemon(self, name: str, action: Grant | Revoke) -> None:
+        """Send one grant or revocation, and wait for the daemon's answer."""
         lease = self._leases.get(name)
         common = {"vehicle": name, "token": action.token, "hub": action.hub}
         asked: Awaitable[Any]
@@ -269,13 +281,13 @@ class Leases:
             self._daemon_silent = False
             call.cancel()
         if isinstance(action, Revoke) or answer["result"] == "granted":
-            self._told[name] = action
+            self._confirmed[name] = action
         elif answer["result"] == "fenced":
             self.problem = f"the daemon refused a grant for {name}: a newer token came before"
         if isinstance(action, Revoke) and lease is not None and lease is self._leases.get(name):
             lease.revoked(action.number)
 
-    # -- what the machines want
+    # -- the actions of the leases
 
     def _carry_out(self, name: str, lease: Lease, actions: Actions) -> None:
         for action in actions:
@@ -293,8 +305,9 @@ class Leases:
                     self._queue(name, lease, action)
 
     def _queue(self, name: str, lease: Lease, action: Grant | Revoke) -> None:
-        said = name not in self._to_daemon and self._told.get(name) == action
-        if said and isinstance(action, Revoke) and lease.state is not State.RELEASING:
+        """Queue a grant or revocation for the daemon; a revocation that it has confirmed is not repeated."""
+        confirmed = name not in self._to_daemon and self._confirmed.get(name) == action
+        if confirmed and isinstance(action, Revoke) and lease.state is not State.RELEASING:
             return
         self._to_daemon[name] = action
         self._for_daemon.set()
@@ -338,7 +351,7 @@ class Leases:
             self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.seen(entry, self._clock())))
 
     def _if_current(self, name: str, lease: Lease, call: Callable[[], Actions]) -> Actions:
-        """Nothing for the machine of a daemon that is gone."""
+        """The actions of ``call``; none if the daemon has been restarted, and with it the lease replaced."""
         return call() if self._leases.get(name) is lease else []
 
     def _key(self, name: str) -> str:
@@ -358,7 +371,7 @@ class Leases:
         self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.asked(text, self._clock())))
 
     async def _on_request(self, message: Message) -> bytes | None:
-        """Another site asks for a vehicle; answered by the holder alone."""
+        """Another site asks for a vehicle. Only the holder answers; None: this site does not."""
         try:
             asked = from_json(message.data)
             _, home, name, _ = message.subject.split(".")
@@ -376,7 +389,7 @@ class Leases:
         return to_json({"refusal": refusal})
 
     async def _busy(self, name: str) -> str | None:
-        """What this site does with a vehicle now."""
+        """What this site does with a vehicle now; None for nothing, or if the daemon does not answer."""
         try:
             async with asyncio.timeout(BUSY_WITHIN_S):
                 state = await self._link.call("vehicles.get", target=name)
@@ -385,7 +398,7 @@ class Leases:
         control = state.get("control") or {}
         return f"it is flown by setpoints of {self._station.name}" if control.get("state") in FLYING else None
 
-    # -- what people ask over the station socket
+    # -- methods of the station socket
 
     async def _take(self, params: dict[str, Any]) -> dict[str, Any]:
         """Command a vehicle from this site: its holder is asked for the lease. Answered once that is decided."""
@@ -396,7 +409,9 @@ class Leases:
             raise RpcError(error_codes.REFUSED, f"{name}: {refusal}")
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(TAKE_WITHIN_S):
-                while lease.state is State.WANTED or (lease.state in VALID and self._told_of(name) is not Grant):
+                while lease.state is State.WANTED or (
+                    lease.state in VALID and not isinstance(self._confirmed.get(name), Grant)
+                ):
                     await self._changed.wait()
         if lease.state not in VALID:
             holder = f"{lease.holder} has it" if lease.holder else "nobody has it"
@@ -405,10 +420,6 @@ class Leases:
             last = next((e.text for e in reversed(self._station.report.recent) if e.vehicle == name), holder)
             raise RpcError(error_codes.REFUSED, f"{name} was not taken: {last}" + (alone if not lease.holder else ""))
         return lease.status(self._clock())
-
-    def _told_of(self, name: str) -> type[Grant] | type[Revoke] | None:
-        told = self._told.get(name)
-        return None if told is None else type(told)
 
     async def _release(self, params: dict[str, Any]) -> dict[str, Any]:
         """Give a vehicle's lease up, for another site to take; control by setpoints ends without an order."""
@@ -426,8 +437,9 @@ class Leases:
         return [lease.status(now) for lease in self._leases.values()]
 
     def _named(self, params: dict[str, Any]) -> tuple[str, Lease]:
+        """The vehicle that a request names, and its lease. Raises RpcError."""
         name = params.get("vehicle")
-        if isinstance(name, str) and "/" in name:  # as other sites' vehicles are named: home/alpha
+        if isinstance(name, str) and "/" in name:  # the form for vehicles of other sites: home/alpha
             home, _, rest = name.partition("/")
             name = rest if rest in self._configs and self._configs[rest].home == home else name
         if not isinstance(name, str) or name not in self._configs:
@@ -438,7 +450,7 @@ class Leases:
             raise RpcError(error_codes.REFUSED, f"{name}: {self.problem or 'the daemon of this site is away'}")
         return name, lease
 
-    # -- the inside
+    # -- private
 
     def _start(self, work: Any, name: str) -> None:
         task = asyncio.create_task(work, name=f"leases: {name}")

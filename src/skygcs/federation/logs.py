@@ -1,23 +1,23 @@
-"""Logs of other sites: what a site offers, and how a station collects it.
+"""Logs of other sites: `SiteLogs` offers those of a site, `LogCollector` collects them at another station.
 
 The files go through the object store of the hub, a part at a time:
 
     the station asks log.<site>                        the site answers
     ------------------------------------------------   ---------------------------------------------------------------
     {"list": {"since_unix_s"}}                         {"files": [{name, bytes, modified_unix_s}], "more"}
-    {"part": {"name", "offset"}}                       {"object", "bytes"}: PART_BYTES of the file from there on are in
-                                                       the store under this name, with their SHA-256
-    {"sum": {"name", "bytes"}}                         {"sha256"} of the first so many bytes of the file
+    {"part": {"name", "offset"}}                       {"object", "bytes"}: up to PART_BYTES of the file, from the
+                                                       offset, are in the store under this name, with their SHA-256
+    {"sum": {"name", "bytes"}}                         {"sha256"} of the first ``bytes`` bytes of the file
 
-    a file here                  and at the site       is
+    the file at this station     at the site           result
     --------------------------   -------------------   ---------------------------------------------------------------
     of the same length           there                 left as it is
     shorter, or NAME.part        there                 continued where it ends
-    complete                     of another SHA-256    thrown away, and reported; the next collection begins anew
+    complete                     of another SHA-256    deleted and reported; the next collection begins anew
     longer than at the site      there                 left as it is, and reported
 
-One part of a site is on its way at a time, so that states and orders have room; the store forgets it after an hour. A
-log that is still written is collected as long as it was when it was listed; a later collection continues it.
+A site offers one part at a time, so that states and orders are not delayed; the store deletes it after an hour. A log
+that is still being written is collected up to its length in the list; a later collection continues it.
 """
 
 from __future__ import annotations
@@ -45,20 +45,22 @@ from skygcs.federation.bus import Bus, Message, store_errors
 from skygcs.federation.hub_config import LOGS
 
 PART_BYTES = 2 << 20
-"""16 messages of the store; on 10 Mbit/s two seconds. What was not collected when a connection is lost is less."""
+"""Size of a part: 16 messages of the store, two seconds at 10 Mbit/s. A lost connection loses at most one part."""
 
 MAX_FILES = 1000
-"""Of one list, the newest ones."""
+"""Files of one list; the oldest are left out."""
 
 MAX_FILE_BYTES = 1 << 40
+"""Largest length of a file that is accepted from a list."""
 
 MAX_WAITING = 4
-"""Requests that wait for the one that is carried out; further ones are refused."""
+"""Requests that wait while another one is carried out; further ones are refused."""
 
 LIST_WITHIN_S, PART_WITHIN_S, SUM_WITHIN_S = 10.0, 60.0, 300.0
+"""Time limits of the answers to the three requests."""
 
 RETRIES, RETRY_AFTER_S = 5, 2.0
-"""After an answer that did not come, or a part that is not as it was sent."""
+"""Attempts for one part, and the pause between them, after a lost answer or a damaged part."""
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.tlog", re.ASCII)
 
@@ -66,7 +68,7 @@ STREAM = f"OBJ_{LOGS}"
 
 
 class SiteLogs:
-    """A part of the bridge: offers the logs of this folder. `run` in a task."""
+    """A part of the bridge: offers the logs of ``folder``. Run `run` in a task."""
 
     def __init__(self, bus: Bus, site: str, run_id: str, folder: Path) -> None:
         self.counters: Counter[str] = Counter()
@@ -90,7 +92,7 @@ class SiteLogs:
         return {"folder": str(self._folder), "waiting": self._waiting, **self.counters}
 
     async def _answer(self, message: Message) -> bytes:
-        """Never raises for what is asked."""
+        """The answer to one request as JSON; a request that fails is answered with {"error"}."""
         if self._waiting > MAX_WAITING:
             self.counters["refused"] += 1
             return to_json({"error": "busy: others collect logs; ask again"})
@@ -119,7 +121,7 @@ class SiteLogs:
         raise ValueError("what is asked for is no list, part or sum")
 
     async def _offer(self, path: Path, offset: int) -> dict[str, Any]:
-        """Put a part of a file into the store. Its name was never used: nothing has to be removed for it."""
+        """Put a part of a file into the store, under a name that was never used before."""
         data = await asyncio.to_thread(read_part, path, offset)
         self.counters["parts"] += 1
         self.counters["bytes"] += len(data)
@@ -130,14 +132,14 @@ class SiteLogs:
         return {"object": name, "bytes": len(data)}
 
     def _path(self, name: str) -> Path:
-        """Raises ValueError for what is no name of a log: nothing else of the computer can be asked for."""
+        """The path of a log. Raises ValueError for any other name, so that no other file can be requested."""
         if FILE_NAME.fullmatch(name) is None:
             raise ValueError(f"{name[:80]!r} is no name of a log")
         return self._folder / name
 
 
 def list_files(folder: Path, since_unix_s: float) -> list[dict[str, Any]]:
-    """The logs of a folder that were written since then, the newest first."""
+    """Name, length and time of the logs of a folder that were modified since then, the newest first."""
     found = []
     with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:
         for entry in entries:
@@ -150,7 +152,7 @@ def list_files(folder: Path, since_unix_s: float) -> list[dict[str, Any]]:
 
 
 def read_part(path: Path, offset: int) -> bytes:
-    """Raises OSError, and ValueError for an offset that the file does not have."""
+    """The part of a log from ``offset``. Raises OSError, and ValueError for an offset beyond its end."""
     with open_regular(path) as file:
         if not 0 <= offset <= os.fstat(file.fileno()).st_size:
             raise ValueError(f"{path.name} has no byte {offset}")
@@ -159,7 +161,7 @@ def read_part(path: Path, offset: int) -> bytes:
 
 
 def sha256_of(path: Path, length: int) -> str:
-    """Of the first ``length`` bytes. Raises OSError, and ValueError for a file that is shorter."""
+    """The SHA-256 of the first ``length`` bytes. Raises OSError, and ValueError for a file that is shorter."""
     digest = hashlib.sha256()
     with open_regular(path) as file:
         left = length
@@ -177,25 +179,25 @@ def sha256_of(path: Path, length: int) -> str:
 
 @dataclass(slots=True)
 class Collected:
-    """What became of one collection."""
+    """The result of one collection."""
 
     files: list[Path] = field(default_factory=list)
-    """Those that are complete here now, and were listed."""
+    """Listed files that are complete at this station now."""
     fetched_bytes: int = 0
     problems: list[str] = field(default_factory=list)
 
 
 class LogCollector:
-    """Collects logs of other sites into FOLDER/SITE/. ``tell`` gets a line for each file."""
+    """Collects logs of other sites into FOLDER/SITE/. ``show``: called with a line of text for each file."""
 
-    def __init__(self, bus: Bus, folder: Path, tell: Callable[[str], None]) -> None:
+    def __init__(self, bus: Bus, folder: Path, show: Callable[[str], None]) -> None:
         self._bus = bus
         self._folder = folder
-        self._tell = tell
+        self._show = show
         self._done = Collected()
 
     async def collect(self, sites: Sequence[str], since_unix_s: float = 0.0) -> Collected:
-        """From one site after the other; what fails at one does not stop the others."""
+        """Collect from one site after the other; a problem of one site does not stop the others."""
         for site in sites:
             try:
                 await self._collect_site(site, since_unix_s)
@@ -208,7 +210,7 @@ class LogCollector:
         files = list(_listed(answer))
         if answer.get("more"):
             self._done.problems.append(f"{site} has more than {MAX_FILES} logs: the oldest are left out (--since)")
-        self._tell(f"{site}: {len(files)} logs")
+        self._show(f"{site}: {len(files)} logs")
         for name, size, modified_unix_s in files:
             try:
                 await self._collect_file(site, name, size, modified_unix_s)
@@ -235,10 +237,10 @@ class LogCollector:
         os.utime(part, (modified_unix_s, modified_unix_s))
         part.replace(target)
         self._done.files.append(target)
-        self._tell(f"{site}/{name}  {size / 1e6:.1f} MB")
+        self._show(f"{site}/{name}  {size / 1e6:.1f} MB")
 
     async def _fetch(self, site: str, name: str, size: int, part: Path) -> None:
-        """Append what is missing."""
+        """Append the missing parts of a file."""
         offset = await asyncio.to_thread(length_to_continue, part, size)
         while offset < size:
             data = (await self._part(site, name, offset))[: size - offset]
@@ -260,8 +262,8 @@ class LogCollector:
         raise AssertionError("not reached")
 
     async def _read_object(self, name: str) -> bytes:
-        """An object of the store. Not by ObjectStore.get, which needs a consumer: a right to have messages sent to any
-        subject, which no station has. Raises BusError, also for what is not as it was put there."""
+        """The content of an object of the store. ObjectStore.get is not used, because it needs a consumer, which the
+        hub permits to no station. Raises BusError, also for content whose SHA-256 is wrong."""
         store: ObjectStore = await self._bus.object_store(LOGS)
         jetstream = self._bus.jetstream()
         with store_errors(LOGS):
@@ -296,7 +298,8 @@ class LogCollector:
 
 
 def length_to_continue(part: Path, size: int) -> int:
-    """Of what is there of a file of this size; what is longer is of another one, and removed. Raises OSError."""
+    """The length of a partial file of a log of this size, which is made if it does not exist. A longer one belongs to
+    another log and is emptied. Raises OSError."""
     have = part.stat().st_size if part.exists() else 0
     if have <= size:
         part.touch()
@@ -306,13 +309,13 @@ def length_to_continue(part: Path, size: int) -> int:
 
 
 def append(part: Path, data: bytes) -> None:
-    """Raises OSError."""
+    """Append data to a partial file. Raises OSError."""
     with open(part, "ab") as file:
         file.write(data)
 
 
 def _listed(answer: dict[str, Any]) -> Iterator[tuple[str, int, float]]:
-    """Name, length and time of each file; what could be the name of anything else is left out."""
+    """Name, length and time of each listed file; entries that are not valid are left out."""
     files = answer.get("files")
     for file in files[:MAX_FILES] if isinstance(files, list) else ():
         match file:

@@ -1,18 +1,20 @@
 """Gives orders to vehicles of other sites: one request for each vehicle, sent once, and one outcome for each.
 
+    an order is    event                                                                  status that is shown
+    ------------   --------------------------------------------------------------------   ------------------------------
     not sent       no connection to the hub, or the site does not answer a ping           refused
-    sent           an answer within FIRST_ANSWER_S of the beginning                       that status
-                   none, or the hub finds nobody who takes it                             unknown
-    running        the site is asked for the outcome, again and again                     that outcome
+    sent           an answer within FIRST_ANSWER_S of the beginning                       the one of the answer
+                   no answer, or the hub finds no subscriber                              unknown
+    running        the site is asked for the outcome until the order has ended            the outcome
                    no answer for SILENT_S                                                 unknown
 
-The deadline of an order is the moment at which this station stops waiting for the first answer, on the site's clock:
-what is shown as unknown begins no more, except an emergency stop, which the site takes 5 s longer. Nothing is ever
-sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site refuses an order that comes
-after that question.
+The deadline of an order is the moment at which this station stops waiting for the first answer, converted to the
+site's clock: an order that is shown as unknown is not begun after that, except an emergency stop, which the site
+accepts 5 s longer. No order is sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site
+refuses an order that arrives after that question.
 
-Each order begins with a ping, which compares the clocks. When the hub finds no subscriber for an order itself, that
-says little: a copy of it may still be on its way when the site is back.
+Each order begins with a ping, which compares the clocks. If the hub finds no subscriber for the order itself, the
+status is unknown and not refused, because a copy may still be delivered when the site is back.
 """
 
 from __future__ import annotations
@@ -48,64 +50,65 @@ from skygcs.core.vehicle import stop
 from skygcs.errors import BusError, NobodyThere, RefusedError, ReplyLost, TargetError
 
 FIRST_ANSWER_S = 0.8
-"""From the order's beginning, the comparison of the clocks included: a site or hub that is away shows within 1 s."""
+"""Time limit of the first answer, from the beginning of the order, the comparison of the clocks included: the loss of
+a site or of the hub shows within 1 s."""
 
 EACH_FURTHER_S = 0.005
-"""Of an order to many vehicles, for each: what both bridges need for a request on a busy computer."""
+"""Added to that limit for each further vehicle of an order: time of both bridges for a request on a busy computer."""
 
 CLOCKS_S = 0.4
-"""Of these, for the comparison of the clocks."""
+"""Part of that limit for the comparison of the clocks."""
 
 CLOCK_AGE_S = 1.0
-"""The site is pinged again when the last answer is older."""
+"""The site is pinged again when its last answer is older."""
 
 MAX_CLOCK_ERROR_S = 0.17
-"""With a longer way to the site the time for an answer is used up on it."""
+"""Largest error of the comparison, half the round trip: with a longer one too little is left of FIRST_ANSWER_S."""
 
 ASK_WAIT_S = 0.8
-"""The site holds a question back so long for the order's end ..."""
+"""How long the site may delay the answer to a question until the order has ended."""
 
 ASK_TIMEOUT_S = 1.3
-"""... and has to answer by then."""
+"""Time limit of that answer."""
 
 ASK_PAUSE_S = 0.2
-"""After a question that was not answered."""
+"""Pause after a question without an answer."""
 
 ASKS_PER_S = 200.0
-"""Questions of this station, with the many vehicles of one order."""
+"""Largest rate of questions of this station, for an order to many vehicles."""
 
 SILENT_S = 3.0
-"""A hub that is started again is back within 2 s."""
+"""Time without an answer after which a running order is unknown. A hub that is restarted is back within 2 s."""
 
 LONGEST_S = 150.0
-"""No order without wait_s takes longer: a command that reports its progress has 120 s."""
+"""Longest time for which a running order is followed: a command that reports its progress may take 120 s."""
 
 MAX_SENT = 1024
-"""Orders that are remembered for `outcome`, the oldest makes room."""
+"""Orders that are kept for `outcome`; beyond, the oldest is dropped."""
 
 MAX_AT_ONCE = 1000
 """Vehicles of one order."""
 
 MAX_SITES = 64
+"""Sites whose clocks are kept; beyond, the oldest is dropped."""
 
 Json = dict[str, Any]
 
-
 UNCERTAIN = (ReplyLost, NobodyThere)
-"""Errors of an order after which it may have been carried out, or may yet be."""
+"""Errors after which an order may have been carried out, or may still be."""
 
 
 class Requests(Protocol):
-    """`federation.bus.Bus`."""
+    """The part of `federation.bus.Bus` that is used here."""
 
     async def request(self, subject: str, data: bytes, timeout_s: float) -> bytes:
-        """The answer. Raises BusError."""
+        """Send a request and return the answer. Raises BusError."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteVehicle:
-    """A vehicle of another site by its names there."""
+    """A vehicle of another site: the site's name, and the vehicle's name there."""
 
     site: str
     name: str
@@ -116,7 +119,7 @@ class RemoteVehicle:
 
 @dataclass(slots=True)
 class _Sent:
-    """An order that has left."""
+    """An order that was sent, with its present reply."""
 
     request: OrderRequest
     site: str
@@ -124,11 +127,11 @@ class _Sent:
 
 
 class OrdersSent:
-    """Of one station. ``station``: its name, ``role``: its role, for the record of the home site. ``sites``: what is
-    known of the others."""
+    """The orders of one station to vehicles of other sites. ``station`` and ``role``: its name and role, for the record
+    of the home site. ``sites``: the other sites with their vehicles."""
 
     methods = METHODS
-    """Methods that travel."""
+    """Methods that may be sent to other sites."""
 
     def __init__(
         self,
@@ -141,7 +144,7 @@ class OrdersSent:
         new_key: Callable[[], str] = lambda: secrets.token_hex(16),
     ) -> None:
         self.counters: Counter[str] = Counter()
-        """Orders by their status."""
+        """Number of orders by status."""
         self._station = station
         self._role = role
         self._bus = bus
@@ -150,13 +153,13 @@ class OrdersSent:
         self._new_key = new_key
         self._run = new_key()[:8]
         self._following = 0
-        """Orders whose outcome is asked for."""
+        """Number of running orders whose outcome is asked for."""
         self._seq = 0
         self._clocks: OrderedDict[str, _SiteClock] = OrderedDict()
         self._sent: OrderedDict[str, _Sent] = OrderedDict()
 
     async def run(self) -> None:
-        """Nothing happens by itself: each order is in the task of its caller."""
+        """Wait until it is cancelled: each order runs in the task of its caller."""
         await asyncio.Event().wait()
 
     def status(self) -> dict[str, Any]:
@@ -166,16 +169,18 @@ class OrdersSent:
     def check(
         self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], own: Sequence[str] = ()
     ) -> None:
-        """Raises SkygcsError for an order that does not travel, or without the word of confirmation that it needs.
-        ``targets``: by site. ``own``: vehicles of this station that are to get the same order."""
+        """Check an order without sending it. Raises SkygcsError for an order that may not be sent to other sites, or
+        whose word of confirmation is missing or wrong. ``targets``: by site. ``own``: vehicles of this station that get
+        the same order."""
         vehicles, _ = self._vehicles(targets)
         self._check(method, params, [*own, *map(str, vehicles)])
 
     async def give(
         self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
     ) -> dict[str, Json]:
-        """Give one order to vehicles of other sites; the outcomes by "site/name". ``own``: how many vehicles of this
-        station get it, too, after `check` with them. Raises SkygcsError before anything is sent."""
+        """Give one order to vehicles of other sites and return the outcomes by "site/name". ``by``: the user. ``own``:
+        number of vehicles of this station that get it, too; then `check` must have been called with them. Raises
+        SkygcsError before anything is sent."""
         vehicles, empty = self._vehicles(targets)
         if not own:
             self._check(method, params, [str(vehicle) for vehicle in vehicles])
@@ -185,7 +190,7 @@ class OrdersSent:
     async def order(
         self, method: str, params: Mapping[str, Any], vehicles: Sequence[RemoteVehicle], user: str
     ) -> dict[str, Json]:
-        """As `give`, to these vehicles, which need not be known here. Raises RefusedError."""
+        """Like `give`, for vehicles that need not be known here. Raises RefusedError."""
         self._check(method, params, [str(vehicle) for vehicle in vehicles])
         return await self._order(method, params, vehicles, user, several=len(vehicles) > 1)
 
@@ -196,8 +201,8 @@ class OrdersSent:
         return await self.outcome(str(params["id"]))
 
     async def outcome(self, text: str) -> Json:
-        """What became of the order ``text``, "site/id" as shown with it, or "id" for one of this station. The site is
-        asked. Raises TargetError."""
+        """The status of the order ``text``: "site/id" as its outcome showed, or "id" for an order of this station. The
+        site is asked. Raises TargetError for a text that names no order."""
         site, _, key = text.rpartition("/")
         sent = self._sent.get(key)
         if not is_key(key) or not (sent if not site else SITE_NAME.fullmatch(site)):
@@ -224,10 +229,10 @@ class OrdersSent:
             "answered": heard,
         }
 
-    # -- the inside
+    # -- private
 
     def _vehicles(self, targets: Mapping[str, Sequence[str]]) -> tuple[list[RemoteVehicle], dict[str, Json]]:
-        """The vehicles that are meant, and a line for each site that shares none. Raises TargetError."""
+        """The vehicles that the targets name, and an outcome for each site that shares none. Raises TargetError."""
         vehicles: list[RemoteVehicle] = []
         empty: dict[str, Json] = {}
         for site, parts in targets.items():
@@ -243,7 +248,7 @@ class OrdersSent:
         given = dict(params)
         given.pop("targets", None)
         if several and method == STOP and given.get("action") == "kill":
-            given["confirm"] = "kill-1"  # the word for all was right; each site gets the one for its vehicle
+            given["confirm"] = "kill-1"  # the word for all vehicles was right; each request is for one vehicle
         began = self._loop.time()
         self._seq += 1
         seq = self._seq
@@ -258,7 +263,7 @@ class OrdersSent:
         return {str(v): self._outcome(v, reply, took_s) for v, reply in zip(vehicles, replies, strict=True)}
 
     def _check(self, method: str, params: Mapping[str, Any], names: Sequence[str]) -> None:
-        """Raises RefusedError for what does not travel, and without the word of confirmation that it needs."""
+        """Raises RefusedError for an order that may not be sent to other sites, or lacks its word of confirmation."""
         if self._role not in ORDERING_ROLES:
             raise RefusedError(f"this station is an {self._role}: it gives no orders to other sites")
         if method not in METHODS:
@@ -278,7 +283,7 @@ class OrdersSent:
                 )
         if method == STOP:
             confirm = params.get("confirm")
-            if len(names) > 1 or confirm is None:  # of one vehicle, its site knows whether it counts twice
+            if len(names) > 1 or confirm is None:  # the word for a single vehicle is checked by its site
                 stop.require_confirmed(str(params.get("action")), dict.fromkeys(names), confirm)
 
     async def _given(
@@ -291,13 +296,14 @@ class OrdersSent:
         until: float,
         offset: ClockOffset | str,
     ) -> OrderReply:
-        """One order to one vehicle, to its end. ``until``: its deadline, on this loop."""
+        """Give one order to one vehicle and return the reply at its end. ``until``: deadline by this loop's clock.
+        ``offset``: of the site's clock, or why it is not known."""
         key = self._new_key()
         if isinstance(offset, str):
             if method != STOP:
                 self.counters["not sent"] += 1
                 return OrderReply(key, "refused", f"{offset}; nothing was sent")
-            # not to try would be worse: the last comparison may do, or both wall clocks may be right
+            # a stop is sent all the same: an older comparison, or the two wall clocks, may be right
             best = self._clocks[vehicle.site].best() if vehicle.site in self._clocks else None
             deadline_s = until + (time.time() - self._loop.time() if best is None else best.offset_s)
         else:
@@ -329,7 +335,7 @@ class OrdersSent:
         return _read(site, request.key, payload)
 
     async def _followed(self, sent: _Sent) -> OrderReply:
-        """Ask for the outcome of an order that is being carried out until it has ended."""
+        """Ask for the outcome of a running order until it has ended."""
         key, began = sent.request.key, self._loop.time()
         failing_since: float | None = None
         while True:
@@ -354,13 +360,13 @@ class OrdersSent:
                 return OrderReply(key, "unknown", f"{sent.site} still carries it out after {LONGEST_S:.0f} s")
 
     async def _ask(self, site: str, key: str, wait_s: float, sent: _Sent | None) -> OrderReply:
-        """Raises BusError."""
+        """Ask the site once for the outcome of an order. Raises BusError."""
         question = OutcomeQuestion(key, wait_s, None if sent is None else sent.request.deadline_s)
         payload = await self._bus.request(f"cmd.{site}.{OUTCOME_SUBJECT}", question.encoded(), ASK_TIMEOUT_S)
         return _read(site, key, payload)
 
     async def _offset(self, site: str) -> ClockOffset | str:
-        """The site's clock against this loop's, or why it is not known."""
+        """The offset of the site's clock from this loop's, or why it is not known."""
         clock = self._clocks.get(site)
         if clock is None:
             clock = self._clocks[site] = _SiteClock(site, self._bus, self._loop)
@@ -374,7 +380,7 @@ class OrdersSent:
             self._sent.popitem(last=False)
 
     def _outcome(self, vehicle: RemoteVehicle, reply: OrderReply, took_s: float) -> Json:
-        """As the daemon's outcomes are, with the order's id."""
+        """The outcome in the form of the daemon's outcomes, with the order's id."""
         ident = f"{vehicle.site}/{reply.key}"
         if reply.outcome is not None and reply.status in ("done", "failed", "refused"):
             return {**reply.outcome, "id": ident}
@@ -389,7 +395,7 @@ class OrdersSent:
 
 
 def _plain_outcome(ok: bool, result: str, message: str, took_s: float = 0.0) -> Json:
-    """As the daemon's, of an order that no daemon has answered."""
+    """An outcome in the daemon's form for an order that no daemon has answered."""
     return {
         "ok": ok,
         "result": result,
@@ -401,7 +407,7 @@ def _plain_outcome(ok: bool, result: str, message: str, took_s: float = 0.0) -> 
 
 
 class _SiteClock:
-    """The clock of one site, compared with this loop's when it is needed: one question for all orders at a time."""
+    """The clock of one site, compared with this loop's when an order needs it; simultaneous orders share one ping."""
 
     def __init__(self, site: str, bus: Requests, loop: asyncio.AbstractEventLoop) -> None:
         self._site = site
@@ -413,7 +419,7 @@ class _SiteClock:
         self._asking: asyncio.Task[str | None] | None = None
 
     async def offset(self) -> ClockOffset | str:
-        """Why it is not known, if it is not."""
+        """The offset of the site's clock from this loop's, or why it is not known."""
         if self._loop.time() - self._compared_at > CLOCK_AGE_S:
             if self._asking is None:
                 self._asking = self._loop.create_task(self._ask(), name=f"clock of {self._site}")
@@ -429,14 +435,14 @@ class _SiteClock:
         return best
 
     def best(self) -> ClockOffset | None:
-        """The best comparison of the last minute."""
+        """The best comparison of the last minute; None without one."""
         return self._comparison.best(self._loop.time())
 
     def _asked(self, _: object) -> None:
         self._asking = None
 
     async def _ask(self) -> str | None:
-        """Compare the clocks once; why it did not work."""
+        """Compare the clocks once. Returns why it failed, None if it did not."""
         sent = self._loop.time()
         try:
             payload = await self._bus.request(f"here.{self._site}", to_json({"t0_s": sent}), CLOCKS_S)

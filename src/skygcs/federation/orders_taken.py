@@ -1,10 +1,10 @@
-"""Takes orders of other stations at the home site: the one subscriber of cmd.<site>.*.
+"""Takes the orders of other stations at the home site: the only subscriber of cmd.<site>.*.
 
-    message             core.federation.order_gate decides; what it lets through goes to the daemon once
-    answer              the outcome, if it is there within ANSWER_S; else "running": the station then asks for it
+    message             core.federation.order_gate decides; an admitted order is passed to the daemon once
+    answer              the outcome, if it is known within ANSWER_S; else "running": the station then asks for it
     record              before the order begins and when it has ended: in a file here, and on audit.<site>
 
-An order goes on to its outcome when the station that gave it is gone, as the hub may be.
+An order is carried out to its outcome even if the station that gave it, or the hub, is lost meanwhile.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import Carried
 
 ANSWER_S = 0.1
-"""An order that has not ended by then is answered with "running": the station waits 0.8 s in all for a first answer."""
+"""An order that has not ended by then is answered with "running"; the station waits 0.8 s for the first answer."""
 
 MAX_QUESTION_WAIT_S = 0.8
-"""A question waits so long for the order's end; the station takes the site for away after 3 s without an answer."""
+"""Longest time that the answer to a question waits for the order's end; the station gives up after 3 s."""
 
 MAX_MESSAGES = 1024
-"""Messages that are answered at a time: a stop for every vehicle of a full site, and as many questions."""
+"""Messages answered at the same time: a stop for every vehicle of a full site, and as many questions, with room."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Daemon(Protocol):
-    """`federation.daemon_orders.DaemonOrders`."""
+    """The part of `federation.daemon_orders.DaemonOrders` that is used here."""
 
     async def order(self, vehicle: str, method: str, params: dict[str, object], deadline: float) -> Carried: ...
 
 
 class OrdersTaken:
-    """`answer` for each message of cmd.<site>.*; `close` at the end.
+    """The orders that this site takes. Call `answer` for each message of cmd.<site>.*, and `close` at the end.
 
-    ``clock``: the home site's clock, which never goes back. ``publish``: sends a payload to a subject, or drops and
-    counts it. ``not_held``: why this site does not command a vehicle; None if it does.
+    ``clock``: returns the home site's clock in seconds, which never goes back. ``publish``: sends a payload to a
+    subject, or drops and counts it. ``not_held``: returns why this site does not command a vehicle; None if it does.
     """
 
     def __init__(
@@ -78,15 +78,15 @@ class OrdersTaken:
         self.gate = self._restored()
 
     async def answer(self, subject: str, payload: bytes, sender: str = "") -> bytes:
-        """The answer to one message of the station with this key, within MAX_QUESTION_WAIT_S. Never raises for what is
-        in it."""
+        """The answer to one message of the station with the key ``sender``, within MAX_QUESTION_WAIT_S. Never raises,
+        whatever the message contains."""
         token = subject.rpartition(".")[2]
         if token == OUTCOME_SUBJECT:
             return (await self._answer_question(payload)).encoded()
         return (await self._answer_order(token, payload, sender)).encoded()
 
     async def close(self) -> None:
-        """Wait no longer for orders that run: what becomes of them is not known here."""
+        """Stop waiting for running orders: their outcome stays unknown."""
         tasks = list(self._running.values())
         for task in tasks:
             task.cancel()
@@ -103,7 +103,7 @@ class OrdersTaken:
             "file": {"path": str(self._file.path), **self._file.counters},
         }
 
-    # -- the inside
+    # -- private
 
     def _restored(self) -> OrderGate:
         now_s = self._clock()
@@ -148,8 +148,8 @@ class OrdersTaken:
         return OrderReply("", "refused", text)
 
     def _begin(self, request: OrderRequest, now_s: float) -> None:
-        """Start to carry it out. The record comes first: without it a copy that comes after a restart would be carried
-        out again, so that an order that does not end a flight is then refused."""
+        """Start to carry an order out. The record is written first: without it a copy that arrives after a restart
+        would be carried out again. If it cannot be written, only orders that end a flight are carried out."""
         running = OrderReply(request.key, "running", "")
         problem = self._note(request, running, now_s)
         if problem is not None and request.method not in ENDS_FLIGHT:
@@ -168,7 +168,7 @@ class OrdersTaken:
         return reply
 
     async def _carry_out(self, request: OrderRequest, deadline: float) -> OrderReply:
-        """Give the order to the daemon, once, and note what became of it."""
+        """Pass the order to the daemon, once, and record its outcome."""
         try:
             carried = await self._daemon.order(request.vehicle, request.method, request.params, deadline)
         except asyncio.CancelledError:
@@ -187,7 +187,7 @@ class OrdersTaken:
         return reply
 
     async def _after(self, key: str, wait_s: float) -> OrderReply:
-        """What is known of an order that runs, at its end or after this time."""
+        """The reply about a running order, at its end or after ``wait_s``."""
         task = self._running.get(key)
         if task is not None:
             done, _ = await asyncio.wait({task}, timeout=wait_s)
@@ -196,7 +196,7 @@ class OrdersTaken:
         return self.gate.known(key) or OrderReply(key, "running", "still being carried out")
 
     def _note(self, request: OrderRequest, reply: OrderReply, now_s: float) -> str | None:
-        """The record of an order, here and on the bus; why it could not be written here."""
+        """Record an order in the file and on the hub. Returns why the file could not be written, None if it was."""
         entry = record(request, reply, now_s)
         problem = self._file.append(entry)
         if problem is not None and self._file.counters["failed"] == 1:

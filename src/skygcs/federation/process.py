@@ -1,6 +1,6 @@
-"""`skygcs federation run`: composition of the bridge, its life and its signals.
+"""`skygcs federation run`: makes the parts of the bridge, runs them, and handles signals.
 
-Each part runs in a task of its own. One that fails is reported and run again after a pause; the others go on.
+Each part runs in a task of its own. A part that fails is reported and run again after a pause; the others go on.
 """
 
 from __future__ import annotations
@@ -36,29 +36,30 @@ if TYPE_CHECKING:  # each is imported by the stations that have it
 
 RUN_ID_BYTES = 8
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-"""Before a part that failed is run again, doubling."""
+"""Pause before a part that failed is run again, doubling."""
 
 STEADY_S = 30.0
-"""A part that ran for so long begins with FIRST_PAUSE_S again."""
+"""After a part has run for this time its pause begins with FIRST_PAUSE_S again."""
 
 CANCEL_AGAIN_S = 0.5
+"""Pause before a task that did not end is cancelled again."""
 
 
 @dataclass(frozen=True, slots=True)
 class FederationOptions:
-    """How the process was asked to run."""
+    """Options of the process."""
 
     daemon_address: str
-    """Of the station's daemon; the station socket stands beside it."""
+    """Address of the station's daemon; the station socket is in the same folder."""
     daemon_token: str | None = None
     with_daemon: bool = True
-    """False: a station that has none, as an observer's laptop."""
+    """False for a station without a daemon, such as an observer's laptop."""
     supervised: bool = False
-    """Started by a daemon: it ends when its standard input ends."""
+    """True if a daemon started it: the process ends when its standard input ends."""
 
 
 class FederationProcess:
-    """Everything of the process. `run` until `stop`."""
+    """The bridge. `run` returns after `stop`."""
 
     def __init__(self, fleet: FleetConfig, options: FederationOptions) -> None:
         if fleet.federation is None:
@@ -104,7 +105,7 @@ class FederationProcess:
         }
 
     async def run(self, on_ready: Callable[[FederationProcess], None] | None = None) -> None:
-        """Until `stop`."""
+        """Run all parts until `stop`. ``on_ready``: called once when they have been started."""
         tasks = [asyncio.create_task(self._part(name, part), name=name) for name, part in self.parts.items()]
         tasks.append(asyncio.create_task(self.bus.run(), name="hub"))
         stopping = asyncio.create_task(self._stopping.wait(), name="stop")
@@ -117,11 +118,11 @@ class FederationProcess:
                     task.result()
         finally:
             stopping.cancel()
-            await cancelled(tasks[:-1])  # leases are given back while the hub is there
+            await cancelled(tasks[:-1])  # the parts first: leases are released while the hub is connected
             await cancelled(tasks[-1:])
 
     async def _part(self, name: str, part: Part) -> None:
-        """Run one part for ever."""
+        """Run one part without end."""
         pause_s = FIRST_PAUSE_S
         while True:
             began = self.station.now()
@@ -145,9 +146,9 @@ class FederationProcess:
 
 
 async def cancelled(tasks: Sequence[asyncio.Task[Any]]) -> None:
-    """Cancel tasks until all have ended. One cancellation can be lost: a group of tasks that fails at that moment, as
-    when the daemon goes that ends this process, raises its tasks' errors instead, which are handled, and goes on; so
-    does nats-py's connecting when an answer comes."""
+    """Cancel tasks until all have ended. A single cancellation can be lost: a TaskGroup that fails at that moment, for
+    example because the daemon ends, raises the errors of its tasks instead, and nats-py returns the answer that arrives
+    while it connects."""
     waiting = set(tasks)
     while waiting:
         for task in waiting:
@@ -156,10 +157,11 @@ async def cancelled(tasks: Sequence[asyncio.Task[Any]]) -> None:
 
 
 def make_parts(station: Station) -> dict[str, Part]:
-    """The parts of this station in the order in which they are started, by name. Each is imported by the stations that
-    have it.
+    """The parts of this station by name, in the order in which they are started. A part is imported only by stations
+    that have it.
 
-    A site with a daemon has all of them; an operator and an observer only those that read other sites and ask them.
+    A site with a daemon has all parts; an operator and an observer only those that read other sites and send requests
+    to them.
     """
     from skygcs.core.federation.remote_sites import RemoteSites
     from skygcs.federation.orders_sent import OrdersSent
@@ -200,7 +202,7 @@ def make_parts(station: Station) -> dict[str, Part]:
 
 
 def _metrics(config: FederationMetricsConfig, station: Station, sites: RemoteSites, parts: dict[str, Part]) -> Part:
-    """Numbers for Prometheus. Raises ConfigError if its library is missing."""
+    """The part that serves metrics for Prometheus. Raises ConfigError if prometheus-client is not installed."""
     try:
         from skygcs.federation.metrics import FederationMetrics
     except ModuleNotFoundError:
@@ -211,7 +213,7 @@ def _metrics(config: FederationMetricsConfig, station: Station, sites: RemoteSit
 def _conflict_watch(
     station: Station, states: OwnStates, sites: RemoteSites, view: StationView, publisher: Publisher
 ) -> Part:
-    """Our vehicles against those of other sites."""
+    """The part that watches our vehicles against those of other sites."""
     from skygcs.federation.conflict_watch import ConflictWatch
 
     async def send(event: Event, record: Mapping[str, Any]) -> None:
@@ -225,14 +227,14 @@ def _conflict_watch(
 
 
 def bus_options(config: FederationConfig, name: str) -> BusOptions:
-    """How this station reaches the hub. Raises ConfigError."""
+    """The options of the connection to the hub. Raises ConfigError, also for the key file."""
     key = read_seed(config.nkey)
     return BusOptions(config.servers, key.seed, key.public_key, tls_context(config), f"skygcs {config.role} {name}")
 
 
 def tls_context(config: FederationConfig) -> ssl.SSLContext | None:
-    """Of the connections to the hub; None if no server of the list has TLS. Raises ConfigError for files that cannot be
-    used."""
+    """The TLS context of the connections to the hub; None if no server of the list uses TLS. Raises ConfigError for
+    files that cannot be used."""
     if not config.uses_tls:
         return None
     try:
@@ -276,13 +278,14 @@ async def serve_federation(fleet: FleetConfig, options: FederationOptions) -> No
 
 
 def _freeze(_: FederationProcess) -> None:
-    """The modules' objects stay until the end: a full collection would visit them for 25 ms each time."""
+    """Exclude the objects of the modules, which stay until the end, from garbage collection: a full one would take
+    25 ms longer each time."""
     gc.collect()
     gc.freeze()
 
 
 def _on_input(loop: asyncio.AbstractEventLoop, process: FederationProcess) -> None:
-    """Standard input is closed when the daemon ends, also when it is killed: stop."""
+    """Stop when standard input is closed: the daemon has ended or was killed."""
     if not os.read(sys.stdin.fileno(), 4096):
         loop.remove_reader(sys.stdin)
         process.stop()

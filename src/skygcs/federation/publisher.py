@@ -1,18 +1,18 @@
-"""What this site sends: a batch of its vehicles' states each period, its events, and answers to those that ask.
+"""Publishes this site: a batch of its vehicles' states each period, its events, and answers to requests.
 
-state.<site>.fast           after each round of the daemon's states (rate_hz), or after LATE_PERIODS without one:
-                            the states are then as old as they are
-state.<site>.slow           the same bytes, each SLOW_S
+state.<site>.fast           after each round of the daemon's states (rate_hz), or after LATE_PERIODS without one, then
+                            with growing ages
+state.<site>.slow           the same bytes, once in SLOW_S
 state.<site>.full.<vehicle> request-reply: the daemon's whole state of one vehicle
-here.<site>                 request-reply: the site's clock, for the offset of clocks
+here.<site>                 request-reply: the site's clock, for the comparison of clocks
 event.<site>                the daemon's events, each with a sequence number
 
 the daemon                  the site
 --------------------------  ------------------------------------------------------------------------------------------
 sends rounds                sends a batch after each
-stands still                sends batches with growing ages
-goes                        the same, with "daemon": false; connects again after a pause
-comes back                  forgets what it had, and sends the new daemon's states
+is stopped                  sends batches with growing ages
+ends                        the same, with "daemon": false; connects again after a pause
+is back                     drops the old states and sends those of the new daemon
 """
 
 from __future__ import annotations
@@ -41,27 +41,28 @@ SLOW_S = 0.5
 """Period of the slow batches: 2 Hz."""
 
 LATE_PERIODS = 2.0
+"""Periods without a round after which a batch is sent without one."""
 
 REFUSED_PAUSE_S = 1.0
-"""Before a daemon that refused a subscription is asked again."""
+"""Pause before a daemon that refused a subscription is asked again."""
 
 STOOD_STILL_S = 0.4
-"""Between two rounds of the daemon, at least, before it is asked whether what comes is new."""
+"""Least silence of the daemon after which the next states may be old ones from the socket (`_catch_up`)."""
 
 MAX_FULL_AT_ONCE = 8
-"""Whole states that are asked of the daemon at the same time; further requests are refused."""
+"""Whole states that are requested from the daemon at the same time; further requests are refused."""
 
 FULL_WITHIN_S = 0.8
-"""An asking station waits for 1 s."""
+"""Time limit of the daemon's answer; the asking station waits for 1 s."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Publisher:
-    """`run` in a task, until it is cancelled. ``lease_of`` may be set by the part that has the leases."""
+    """A part of the bridge. Run `run` in a task. ``lease_of`` may be set by the part that holds the leases."""
 
     def __init__(self, bus: Bus, link: DaemonLink, clock: SiteClock, states: OwnStates, rate_hz: float) -> None:
-        """``link`` is run here, and nowhere else."""
+        """``link``: used by this part only, and run here."""
         self.counters: Counter[str] = Counter()
         self.last_bytes = 0
         self.lease_of: LeaseOf = no_lease
@@ -76,15 +77,15 @@ class Publisher:
         self._round_over = asyncio.Event()
         self._slow_at = -math.inf
         self._came_at = 0.0
-        """When states of the daemon came last."""
+        """Time of the daemon's last states."""
         self._waited_s = 0.0
-        """How much older than they say the states may be that come now."""
+        """How much older than their ages the states may be that are received now."""
         self._event_seq = 0
         self._full = asyncio.Semaphore(MAX_FULL_AT_ONCE)
         link.on_change(self._changed.set)
 
     async def run(self) -> None:
-        """Answer and send until it is cancelled."""
+        """Publish and answer until it is cancelled."""
         async with contextlib.AsyncExitStack() as stack:
             for subject, answer in ((f"here.{self._site}", self._ping), (f"state.{self._site}.full.*", self._whole)):
                 stack.push_async_callback((await self._bus.serve(subject, answer)).close)
@@ -146,7 +147,7 @@ class Publisher:
                     group.create_task(self._own.follow(), name="origin")
             except* RpcError as errors:
                 _log.warning("daemon lost", site=self._site, reason=str(errors.exceptions[0]))
-            if self._link.client is client:  # it refused something: not at once again
+            if self._link.client is client:  # it refused a subscription: pause before the next attempt
                 await asyncio.sleep(REFUSED_PAUSE_S)
 
     async def _take_rounds(self, client: Client) -> None:
@@ -174,9 +175,9 @@ class Publisher:
             self._round_over.set()
 
     async def _catch_up(self, client: Client) -> None:
-        """After a silence: this process may have stood still, with states of before in the socket, which have no time
-        of their own. They are taken for as old as the silence until the daemon has answered a request of now: what
-        comes after that answer is new."""
+        """After a silence this process may have been stopped, with older states waiting in the socket; states have no
+        time of their own. They count as older by the silence until the daemon has answered a request: states after that
+        answer are new."""
         with contextlib.suppress(RpcError):
             await client.call("daemon.info")
             self._waited_s = 0.0
@@ -188,7 +189,7 @@ class Publisher:
             await self.send_event(event)
 
     async def send_event(self, event: Mapping[str, Any]) -> None:
-        """An event of this site, the daemon's or the bridge's own, to all stations."""
+        """Publish an event of the daemon or of this bridge to all stations."""
         self._event_seq += 1
         sent = {"v": 1, "site": self._site, "run": self._states.run, "seq": self._event_seq, "event": event}
         if not await self._bus.publish(f"event.{self._site}", to_json(sent, inf_nan_mode="null")):

@@ -1,8 +1,8 @@
-"""What other sites send, as this station takes it: batches, events, and answers to pings for the offset of clocks.
+"""Reads what other sites publish: batches, events, and answers to the pings that compare the clocks.
 
-Of each site the newest batch waits to be read, no more: a station that is slow reads fewer, not older ones, and a site
-that floods the hub has one batch read each LEAST_APART_S, and EVENTS_PER_S events. A site is pinged at its first batch,
-each QUICK_S until QUICK_PINGS are answered, as the quickest answer counts, and then each PING_EVERY_S.
+Only the newest batch of each site waits to be read: a slow station reads fewer batches, not older ones. Of a site that
+floods the hub one batch is read per LEAST_APART_S, and EVENTS_PER_S events. A site is pinged at its first batch, then
+each QUICK_S until QUICK_PINGS are answered, since the quickest answer is the best, and then each PING_EVERY_S.
 """
 
 from __future__ import annotations
@@ -30,17 +30,21 @@ FAST_HZ = 10
 """``subscribe_hz`` from which a station reads the fast batches."""
 
 LEAST_APART_S = 0.03
-"""Between two batches of a site that are read. Those of the highest rate come 50 ms apart."""
+"""Least time between two batches of a site that are read. At the highest rate they are 50 ms apart."""
 
 EVENTS_PER_S, EVENT_BURST = 50.0, 500.0
-"""Of a site; further ones are counted. A whole fleet that takes off has a few hundred at once."""
+"""Events of a site, in the long run and at once; further ones are dropped and counted. The takeoff of a whole fleet has
+a few hundred at once."""
 
 PING_EVERY_S = 2.0
 QUICK_S = 0.25
 QUICK_PINGS = 8
 PING_WITHIN_S = 1.0
+"""Time limit of the answer to a ping."""
 
 MAX_EVENT_BYTES = 16_384
+"""Longest event; longer ones are dropped and counted."""
+
 MAX_EVENTS = 500
 """Events of other sites that are kept for events.recent."""
 
@@ -48,7 +52,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Readers:
-    """`run` in a task, until it is cancelled."""
+    """A part of the bridge. Run `run` in a task."""
 
     def __init__(
         self,
@@ -68,16 +72,16 @@ class Readers:
         self._own_site = own_site
         self._series = "fast" if subscribe_hz >= FAST_HZ else "slow"
         self.on_batch: list[Callable[[str], None]] = []
-        """Called with the site after each batch that was taken."""
+        """Called with the site's name after each new batch."""
         self.on_event: list[Callable[[str, Mapping[str, Any]], None]] = []
-        """Called with the site and each of its events."""
+        """Called with the site's name and the event."""
         self._waiting: dict[str, bytes] = {}
         self._read_at: dict[str, float] = {}
         self._event_rates: dict[str, TokenBucket] = {}
         self._event_at: dict[str, tuple[str, int]] = {}
         self._pinged_at: dict[str, float] = {}
         self._answered: Counter[str] = Counter()
-        """Pings by site."""
+        """Number of answered pings by site."""
         self._pings: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
@@ -96,8 +100,8 @@ class Readers:
     # -- states
 
     def _on_state(self, message: Message) -> None:
-        """Keep the newest of the site, and read it at the end of this turn of the loop, or LEAST_APART_S after the last
-        one."""
+        """Keep the newest batch of the site, and read it at the end of this turn of the loop, or LEAST_APART_S after
+        the last one."""
         site = _site_of(message.subject)
         if site is None or (site not in self._read_at and len(self._read_at) >= 2 * MAX_SITES):
             self.counters["batches_bad"] += 1
@@ -143,9 +147,9 @@ class Readers:
         try:
             if len(message.data) > MAX_EVENT_BYTES:
                 raise ValueError("too long")
-            told = from_json(message.data, allow_inf_nan=False)
-            run, seq, event = told["run"], told["seq"], told["event"]
-            if told["site"] != site or not isinstance(run, str) or not isinstance(seq, int):
+            found = from_json(message.data, allow_inf_nan=False)
+            run, seq, event = found["run"], found["seq"], found["event"]
+            if found["site"] != site or not isinstance(run, str) or not isinstance(seq, int):
                 raise ValueError("no event")
             if not isinstance(event, dict) or not isinstance(event.get("text"), str):
                 raise ValueError("no event")
@@ -190,13 +194,13 @@ class Readers:
         sent = self._clock.now_s()
         try:
             data = await self._bus.request(f"here.{site}", to_json({"t0_s": sent}), PING_WITHIN_S)
-        except BusError:  # away, nobody there, not permitted: the site's age is not known, and shown so
+        except BusError:  # the site's age stays unknown, and is shown as unknown
             self.counters["pings_unanswered"] += 1
             return
         received = self._clock.now_s()
         try:
-            told = from_json(data, allow_inf_nan=False)
-            t0_s, site_s, run = told["t0_s"], told["site_s"], told["run"]
+            answer = from_json(data, allow_inf_nan=False)
+            t0_s, site_s, run = answer["t0_s"], answer["site_s"], answer["run"]
         except (ValueError, KeyError, TypeError):
             t0_s = site_s = run = None
         if t0_s != sent or not isinstance(run, str) or isinstance(site_s, bool) or not isinstance(site_s, int | float):
@@ -208,6 +212,6 @@ class Readers:
 
 
 def _site_of(subject: str) -> str | None:
-    """The second token of a subject, if it is a site's name."""
+    """The second token of a subject; None if it is no name of a site."""
     tokens = subject.split(".")
     return tokens[1] if len(tokens) > 1 and SITE_NAME.fullmatch(tokens[1]) else None

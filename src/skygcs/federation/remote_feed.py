@@ -1,8 +1,9 @@
 """Notifications about vehicles of other sites for the clients of the station socket: states and events.
 
-    a batch of a site comes       its states go to each subscription that names it, at most rate_hz times a second
-    a site is silent              its states go once in RESEND_S, with ages that grow: a screen turns them grey
-    a client does not read        it gets nothing, and the newest when it reads again; events it missed are counted
+    a batch of a site arrives     its states are sent to each subscription that names it, at most rate_hz times a second
+    a site is silent              its states are sent once in RESEND_S, with growing ages: a screen shows them grey
+    a client does not read        it is sent nothing, and the newest states when it reads again; missed events are
+                                  counted
 
 States are encoded once for all subscriptions that ask for the same keys.
 """
@@ -25,24 +26,24 @@ DEFAULT_RATE_HZ = 2.0
 """As the daemon's."""
 
 RESEND_S = 1.0
-"""A page forgets vehicles of which no state came for 3 s."""
+"""Period of repeated states. A page removes vehicles without a state for 3 s."""
 
 EARLY = 0.5
-"""Share of a period by which states may go early, the next ones being due accordingly later: batches jitter, and one
-left out costs a whole period of age."""
+"""Fraction of a period by which states may be sent early; the next ones are due later by as much. Batches jitter, and
+leaving one out would cost a whole period of age."""
 
 SHARED_S = 0.02
-"""Encoded states are used again for so long: their ages are of that moment."""
+"""How long encoded states are used again; their ages are those of the encoding."""
 
 MAX_ENCODED = 256
-"""Pairs of a site and the keys that are asked for."""
+"""Encoded sites that are kept, one for each set of keys; beyond, all are dropped."""
 
 ALWAYS = frozenset({"name", "sysid", "site", "age_s"})
 """Keys that every state has."""
 
 
 class Reader(Protocol):
-    """A client, as the feed sees it."""
+    """The part of a client that the feed uses."""
 
     writable: bool
 
@@ -50,7 +51,7 @@ class Reader(Protocol):
 
 
 class RemoteSubscription:
-    """One subscription's part about other sites. ``number`` is set before `RemoteFeed.add`."""
+    """The part of a subscription about other sites. ``number`` is set before `RemoteFeed.add`."""
 
     def __init__(self, reader: Reader, params: SubscribeParams, targets: SiteTargets) -> None:
         self.reader = reader
@@ -66,21 +67,22 @@ class RemoteSubscription:
         self._every = targets.every
 
     def parts_at(self, site: str) -> Sequence[str]:
-        """What it wants of a site; () for nothing."""
+        """The targets of this subscription at a site; () for none."""
         return ("all",) if self._every else self._parts.get(site, ())
 
     def wants(self, site: str, event: Mapping[str, Any], vehicle: str | None) -> bool:
-        """Whether an event of a site belongs to it; ``vehicle``: the name there."""
+        """True if the subscription includes an event of a site. ``vehicle``: the vehicle's name there."""
         if not self.parts_at(site) or (self.names and event.get("kind") not in self.names):
             return False
         return "all" in self.parts_at(site) or vehicle in self.parts_at(site)
 
 
 class RemoteFeed:
-    """`on_batch` and `on_event` after each; `close` at the end."""
+    """The notifications about other sites. Call `on_batch` and `on_event` after each, and `close` at the end."""
 
     def __init__(self, sites: RemoteSites, clock: Callable[[], float], ours: Callable[[], Origin | None]) -> None:
-        """``clock``: the one of ``sites``. ``ours``: the origin of the own world frame now."""
+        """``clock``: the clock of ``sites``, in seconds. ``ours``: returns the present origin of the own world
+        frame."""
         self._sites = sites
         self._clock = clock
         self._ours = ours
@@ -93,7 +95,7 @@ class RemoteFeed:
         return RemoteSubscription(reader, SubscribeParams.model_validate(dict(params)), targets)
 
     def add(self, subscription: RemoteSubscription) -> None:
-        """Begins with the newest state of each vehicle."""
+        """Begin a subscription with the newest state of each vehicle."""
         self._subscriptions[subscription] = None
         self.resume(subscription)
         if self._timer is None:
@@ -112,19 +114,19 @@ class RemoteFeed:
             self._timer = None
 
     def resume(self, subscription: RemoteSubscription) -> None:
-        """The client takes data again."""
+        """The client reads again: send the newest states."""
         for site in self._sites.names:
             self._send(subscription, site)
 
     def on_batch(self, site: str) -> None:
-        """A newer batch of this site was taken."""
+        """A newer batch of this site has been taken in: send its states."""
         for names in {subscription.names for subscription in self._subscriptions}:
             self._encoded.pop((site, names), None)
         for subscription in list(self._subscriptions):
             self._send(subscription, site)
 
     def on_event(self, site: str, event: Mapping[str, Any]) -> None:
-        """An event of another site, as its daemon wrote it."""
+        """Send an event of another site. ``event``: as its daemon wrote it."""
         vehicle = event.get("vehicle")
         vehicle = vehicle if isinstance(vehicle, str) else None
         named = {**event, "site": site, "vehicle": None if vehicle is None else qualified(site, vehicle)}
@@ -150,7 +152,7 @@ class RemoteFeed:
                     self._send(subscription, site)
 
     def _send(self, subscription: RemoteSubscription, site: str) -> None:
-        """Send a site's states, if they are due and the client takes them."""
+        """Send a site's states if they are due and the client reads."""
         now = self._clock()
         due_at, early_s = subscription.due_at.get(site, now), EARLY * subscription.period_s
         if subscription.topic != "telemetry" or not subscription.reader.writable or now < due_at - early_s:
@@ -173,7 +175,7 @@ class RemoteFeed:
             subscription.reader.write(tail.join(states.values()) + last_tail)
 
     def _states(self, site: str, names: frozenset[str], now: float) -> dict[str, bytes]:
-        """The beginning of each vehicle's notification by its name at the site."""
+        """The notification of each vehicle without its end, by the vehicle's name at the site."""
         found = self._encoded.get((site, names))
         if found is not None and now - found[0] < SHARED_S:
             return found[1]

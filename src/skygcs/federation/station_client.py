@@ -9,17 +9,17 @@
     any request with targets own-site/…                        the daemon, which gets the plain targets
     another method with targets of other sites                 an error
     rpc.discover                                               both
-    everything else                                            the daemon, as it came
+    everything else                                            the daemon, which gets the line unchanged
 
-A batch (a JSON array) goes to the daemon as it is, or is refused if it names other sites.
+A batch (a JSON array) goes to the daemon unchanged, or is refused if it names other sites.
 
     the daemon                 its clients here
     -------------------------  -----------------------------------------------------------------------------------------
     answers                    as above
-    is not there when a        get what this process knows: other sites, an empty list of own vehicles; orders to own
-    client comes               vehicles are refused
-    goes while a client is     are closed, as the daemon's own clients are, and connect again
-    there
+    is away when a client      get the answers of this process: other sites, an empty list of own vehicles; orders to
+    connects                   own vehicles are refused
+    ends while a client is     are closed, like the daemon's own clients, and connect again
+    connected
 
 A client that does not read is not read from; it gets fewer states, and is closed beyond MAX_OUTPUT_BYTES.
 """
@@ -40,6 +40,7 @@ import structlog
 from pydantic import ValidationError
 from pydantic_core import to_json
 
+from skygcs.core.federation.order_messages import ENDS_FLIGHT, STOP
 from skygcs.core.federation.site_names import SiteTargets, split_by_site
 from skygcs.errors import RefusedError, RpcError, SkygcsError, TargetError
 from skygcs.federation.relayed_daemon import RelayedDaemon
@@ -55,33 +56,31 @@ MAX_LINE_BYTES = 1 << 20
 MAX_IN_FLIGHT = 64
 HIGH_WATER_BYTES = 256 * 1024
 MAX_OUTPUT_BYTES = 8 << 20
-"""As the daemon's."""
+"""Limits of one client: length of a line, requests in progress, output above which the client is not read, and output
+above which it is closed. They are the daemon's."""
 
 MAX_HELD_BYTES = 4 * MAX_LINE_BYTES
-"""Of lines that came before the daemon was reached; beyond, the client is not read."""
+"""Lines that wait until the daemon is reached; beyond, the client is not read."""
 
 MAX_LASTING = 256
-"""Orders that end a flight and go on without their client; further ones end with it. As at the daemon."""
+"""Orders that end a flight and outlive their client, as at the daemon; further ones are cancelled with it."""
 
 RESERVE_S = 2.0
-"""How long a client beyond the places stays."""
+"""How long a client beyond the places stays connected."""
 
 ONLY_OTHERS = ("site", "age_s", "lease")
 """Keys of states of other sites that a daemon's state does not have."""
 
 OWN_NUMBERS = 1_000_000
-"""First number of a subscription that the daemon has no part in; its own begin with 1."""
+"""First number of subscriptions without a part at the daemon, whose own numbers begin with 1."""
 
 MAX_SUBSCRIPTIONS = 32
+"""Subscriptions of one client with vehicles of other sites."""
 
 LIST = "vehicles.list"
-ENDS_FLIGHT = frozenset(f"vehicles.{order}" for order in ("land", "rtl", "hold", "stop", "disarm"))
-"""Orders that go on without their client, as at the daemon."""
-
-STOP = "vehicles.stop"
 
 _MARKS = (b"/", b"*", b"federation.", b"all sites", b"rpc.discover", b"\\")
-"""A line without any of these concerns no other site: it is not read here."""
+"""A line without any of these cannot concern another site: it is passed to the daemon without parsing."""
 
 _TOO_MANY = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
 
@@ -89,20 +88,20 @@ _log = structlog.get_logger(__name__)
 
 
 class Station(Protocol):
-    """The socket, as its clients see it."""
+    """The part of `StationSocket` that its clients use."""
 
     services: StationServices
     counters: Counter[str]
     clients: dict[StationClient, None]
     methods: dict[str, Method[StationClient]]
-    """Those of federation.*."""
+    """The methods federation.*."""
     dispatcher: Dispatcher[StationClient]
     lasting: set[asyncio.Task[Any]]
-    """Orders that end a flight: they go on without the client that gave them."""
+    """Orders that end a flight; they outlive their client."""
     full_text: str
 
     def admit(self, client: StationClient) -> bool:
-        """Whether a new client has a place; one without has been answered."""
+        """True if a new client has a place; if not, it has been sent an error."""
         ...
 
 
@@ -114,19 +113,19 @@ class StationClient(asyncio.Protocol):
         self.services = station.services
         self.writable = True
         self.restricted = False
-        """Whether it came when all places were taken."""
+        """True if it connected when all places were taken."""
         self.used_at = asyncio.get_running_loop().time()
-        """When something last came or went."""
+        """Time of the last line in either direction."""
         self._transport: asyncio.Transport | None = None
         self._buffer = bytearray()
         self._skipping = False
         self.daemon = RelayedDaemon(self, station.services.daemon_address, station.services.daemon_token)
         self._reached = False
-        """Whether it is known if there is a daemon: lines wait until then."""
+        """True when it is known whether the daemon answers; lines wait until then."""
         self._eof = self._eof_passed_on = False
         self._tasks: set[asyncio.Task[None]] = set()
         self._lasting: set[asyncio.Task[None]] = set()
-        """Those of `Station.lasting` that are of this client."""
+        """The tasks of `Station.lasting` that belong to this client."""
         self._subscriptions: dict[int, RemoteSubscription] = {}
         self._next_number = OWN_NUMBERS
 
@@ -149,8 +148,8 @@ class StationClient(asyncio.Protocol):
         self._pace()
 
     def eof_received(self) -> bool:
-        """The client sends no more. One that is still there gets its answers; what one that is gone waits for is
-        cancelled, unless it outlives it."""
+        """The client sends no more. A client that still reads gets its answers; the requests of one that has gone are
+        cancelled, except those that outlive it."""
         if self._transport is None or not still_reads(self._transport):
             return False
         self._eof = True
@@ -164,7 +163,7 @@ class StationClient(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._reached or not self._buffer:
             self.end()
-        else:  # what it sent is carried out as far as it outlives it, as at the daemon
+        else:  # its lines are still read: an order that outlives its client is carried out, as at the daemon
             self._eof = True
 
     def pause_writing(self) -> None:
@@ -192,18 +191,18 @@ class StationClient(asyncio.Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether it waits for an answer of other sites."""
+        """True while a request with other sites has no answer yet."""
         return bool(self._tasks or self._lasting)
 
     def _end_reserve(self) -> None:
         if self._transport is not None and not self.busy:
             self._hang_up()
 
-    # -- what methods and subscriptions use
+    # -- for methods and subscriptions
 
     @property
     def user(self) -> str:
-        """The user of the program at the other end."""
+        """The name of the user that runs the client, "unknown" if the kernel does not report it."""
         sock = self._transport.get_extra_info("socket") if self._transport is not None else None
         if sock is None:
             return "unknown"
@@ -213,7 +212,7 @@ class StationClient(asyncio.Protocol):
         return "unknown"
 
     def write(self, data: bytes) -> None:
-        """Whole lines."""
+        """Send whole lines; a client that has not read MAX_OUTPUT_BYTES is closed."""
         transport = self._transport
         if transport is None or transport.is_closing():
             return
@@ -303,7 +302,7 @@ class StationClient(asyncio.Protocol):
             self.reply(otherwise)
 
     def _on_request(self, request: Any, line: bytes) -> None:
-        """Raises SkygcsError."""
+        """Handle one request. Raises SkygcsError and ValidationError, which the caller answers."""
         if isinstance(request, list):
             if self.restricted or any(self._concerns_others(one) for one in request):
                 text = "a batch cannot name other sites; send these requests one by one"
@@ -359,7 +358,7 @@ class StationClient(asyncio.Protocol):
             return split_by_site(expression, self.services.site, self.services.site_names())
         except TargetError as error:
             if "/" not in str(expression) and "*" not in str(expression):
-                return None  # the daemon says it in its own words
+                return None  # the daemon reports the error itself
             problem = self.services.hub_problem()
             raise TargetError(str(error) if problem is None else f"{error}; {problem}") from None
 
@@ -375,7 +374,8 @@ class StationClient(asyncio.Protocol):
     # -- answers
 
     def _own(self, request: dict[str, Any], line: bytes | None, method: str) -> None:
-        """A request that is the daemon's alone."""
+        """Pass a request to the daemon, or answer it here while the daemon is away. ``line``: the request as received;
+        None: it was changed."""
         if self.daemon.write(to_json(request) + b"\n" if line is None else line):
             return
         result = self._result_without_daemon(method, request.get("params"))
@@ -387,7 +387,7 @@ class StationClient(asyncio.Protocol):
             self.reply(result_reply(_id(request), method, result))
 
     def _result_without_daemon(self, method: str, params: Any) -> Any:
-        """What a page or `skygcs-cli status` asks of any daemon; None: an error."""
+        """The result of a request that a page or `skygcs-cli status` sends to any daemon; None for other requests."""
         match method:
             case "daemon.info":
                 return self.services.info()
@@ -405,7 +405,7 @@ class StationClient(asyncio.Protocol):
         return None
 
     def _answer_here(self, request: dict[str, Any]) -> None:
-        """One of the station's own methods."""
+        """Answer one of the methods federation.*."""
         if len(self._tasks) >= MAX_IN_FLIGHT:
             self.reply(error_reply(_id(request), error_codes.LIMIT_EXCEEDED, _TOO_MANY))
             return
@@ -422,7 +422,8 @@ class StationClient(asyncio.Protocol):
     def _answer(
         self, request: dict[str, Any], work: Coroutine[Any, Any, Any], what: str, *, lasting: bool = False
     ) -> None:
-        """Reply with the result of ``work``, which is an `Encoded` or JSON-able; in the order in which they end."""
+        """Reply with the result of ``work``, an `Encoded` or JSON-able, when it ends. ``lasting``: it outlives the
+        client."""
         request_id, method = _id(request), str(request.get("method"))
         if len(self._tasks) + len(self._lasting) >= MAX_IN_FLIGHT:
             work.close()
@@ -447,7 +448,8 @@ class StationClient(asyncio.Protocol):
         *,
         lasting: bool = False,
     ) -> None:
-        """``inner``: awaited by ``work``."""
+        """Run ``work`` in a task of this client. ``inner``: a coroutine that ``work`` awaits, closed if the task never
+        begins."""
         task = asyncio.get_running_loop().create_task(work, name=f"station {what}")
         if lasting and len(self.station.lasting) < MAX_LASTING:
             self.station.lasting.add(task)
@@ -493,7 +495,8 @@ class StationClient(asyncio.Protocol):
     async def _order(
         self, method: str, params: Mapping[str, Any], targets: SiteTargets, members: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """The outcomes of both parts. An error of one part is the outcome of its targets: the other part is done."""
+        """Carry out both parts and return their outcomes. An error of one part becomes the outcome of its targets,
+        since the other part has been carried out."""
         orders = self.services.orders
         assert orders is not None
         self._check_deadline(members)
@@ -512,7 +515,7 @@ class StationClient(asyncio.Protocol):
             parts[name] = orders.give(method, params, targets.others, self.user, len(own))
         if own:
             parts[", ".join(targets.own)] = self._order_own(method, own_params, own, members)
-        elif targets.own and self.services.daemon_address is not None:  # a daemon of ours that is not there
+        elif targets.own and self.services.daemon_address is not None:  # our daemon is away: an error as its outcome
             parts[", ".join(targets.own)] = self._order_own(method, own_params, targets.own, members)
         answers = await asyncio.gather(*parts.values(), return_exceptions=True)
         if errors := [answer for answer in answers if isinstance(answer, BaseException)]:
@@ -525,7 +528,8 @@ class StationClient(asyncio.Protocol):
         return {"outcomes": outcomes}
 
     def _check_deadline(self, members: Mapping[str, Any]) -> None:
-        """Raises RefusedError for a request that was read too late; over a Unix socket the daemon has our clock."""
+        """Raises RefusedError for a request that was read after its deadline. A deadline refers to the daemon's clock,
+        which is that of this process only on the same computer: with a daemon over TCP it is not checked here."""
         deadline_s = members.get("deadline_s")
         if deadline_s is None or tcp_address(self.services.daemon_address or "") is not None:
             return
@@ -547,7 +551,8 @@ class StationClient(asyncio.Protocol):
         return self._next_number
 
     def _subscribe(self, request: dict[str, Any], targets: SiteTargets) -> None:
-        """The answer goes out before the first notification. Raises SkygcsError and ValidationError."""
+        """Subscribe at the daemon, at the other sites, or both; the answer is sent before the first notification.
+        Raises SkygcsError and ValidationError."""
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             raise dispatch.LimitExceeded(f"at most {MAX_SUBSCRIPTIONS} subscriptions per client; unsubscribe some")
         params = request["params"]
@@ -584,7 +589,7 @@ class StationClient(asyncio.Protocol):
     # -- the end
 
     def _close_if_done(self) -> None:
-        """After the client's end of file: the daemon gets it, too, and closes when it has answered."""
+        """After the client's end of file: pass it to the daemon, which closes when it has answered everything."""
         if not self._eof or self.busy or self._transport is None or self._buffer or not self._reached:
             return
         if self.daemon.connected:
@@ -595,17 +600,18 @@ class StationClient(asyncio.Protocol):
             self._hang_up()
 
     def _hang_up(self) -> None:
-        """Close after what was written has gone out."""
+        """Close after everything written has been sent."""
         transport = self._transport
         if transport is not None:
             transport.close()
         self.end()
 
     def end(self) -> None:
-        """Forget everything of this client but orders that end a flight; closes what is open. Idempotent."""
+        """End this client: close its connections and cancel its requests, except orders that end a flight.
+        Idempotent."""
         transport, self._transport = self._transport, None
         self.station.clients.pop(self, None)
-        if not self._lasting:  # whose own part goes over that connection
+        if not self._lasting:  # their part for own vehicles uses that connection
             self.daemon.close()
         for subscription in self._subscriptions.values():
             self.services.feed.remove(subscription)
@@ -627,7 +633,7 @@ def _plain(parts: Sequence[str]) -> str | list[str]:
 
 
 def _failed(error: BaseException) -> dict[str, Any]:
-    """The outcome of targets whose part of an order was answered with an error."""
+    """The outcome of targets for which an order ended with this error."""
     return {
         "ok": False,
         "result": "refused",
