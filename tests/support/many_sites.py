@@ -3,7 +3,8 @@
     python -m support.many_sites SOCKET [--sites 4] [--vehicles 250]
 
 The vehicles of the first site are the station's own; all fly circles. Orders are accepted, and written beside the
-socket (.orders), one JSON object a line.
+socket (.orders), one JSON object a line; questions for their outcomes, too. The answer of v13 of another site to hold
+is lost: the site is still busy with the order when it is asked for the first time, and then has carried it out.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import asyncio
 import json
 import math
+import secrets
 import time
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,17 @@ CIRCLE_M, SPEED_MPS = 12.0, 4.0
 SPACING_M = 20.0
 LAT_DEG, LON_DEG, METRES_PER_DEG = 43.7806, -79.4653, 111_200.0
 SLICE = 50
+UNANSWERED = ("vehicles.hold", "/v13")
+
+
+ACCEPTED = {"ok": True, "result": "accepted", "message": "accepted"}
+
+
+def _lost(name: str) -> dict[str, Any]:
+    """As `orders_sent` says it."""
+    ident = f"{name.partition('/')[0]}/{secrets.token_hex(16)}"
+    text = f"outcome unknown: no reply came; ask: skygcs-cli federation outcome {ident}"
+    return {"ok": False, "result": "unknown", "message": text, "id": ident}
 
 
 class ManySites:
@@ -35,6 +48,7 @@ class ManySites:
         ]
         self.orders = orders
         self._began = time.monotonic()
+        self._asked: set[str] = set()
 
     def state(self, site: str, name: str, n: int) -> dict[str, Any]:
         t = time.monotonic() - self._began
@@ -91,13 +105,26 @@ class ManySites:
                 return next(self.state(*each) for each in self.names if each[1] == params["target"])
             case "operator.relay" | "operator.active" | "unsubscribe":
                 return None
+        if method == "federation.outcome":
+            self._keep(method, params)
+            return self._outcome(params["id"])
         if method.startswith("vehicles."):
-            with self.orders.open("a") as file:
-                file.write(json.dumps({"method": method, **params}) + "\n")
+            self._keep(method, params)
             targets = params["targets"]
             names = targets if isinstance(targets, list) else [name for _, name, _ in self.names]
-            return {"outcomes": {name: {"ok": True, "result": "accepted", "message": "accepted"} for name in names}}
+            lost = [name for name in names if method == UNANSWERED[0] and name.endswith(UNANSWERED[1])]
+            return {"outcomes": {name: _lost(name) if name in lost else ACCEPTED for name in names}}
         return {}
+
+    def _keep(self, method: str, params: dict[str, Any]) -> None:
+        with self.orders.open("a") as file:
+            file.write(json.dumps({"method": method, **params}) + "\n")
+
+    def _outcome(self, ident: str) -> dict[str, Any]:
+        done = ident in self._asked
+        self._asked.add(ident)
+        status, text = ("done", "") if done else ("running", "still being carried out")
+        return {"id": ident, "status": status, "text": text, "outcome": ACCEPTED if done else None, "answered": True}
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         feeding: set[asyncio.Task[None]] = set()

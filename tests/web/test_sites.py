@@ -132,3 +132,30 @@ def test_stop_reaches_our_vehicles_by_an_order_of_their_own(many: WebStation, pa
     until(page, "skygcs.store.state.orders.filter((order) => order.state === 'done').length === 2")
     sent = [order["targets"] for order in orders(many)[before:]]
     assert sorted(sent) == ["*/all", "all"]
+
+
+def test_an_outcome_that_is_not_known_is_asked_for_by_keyboard_until_it_is(
+    many: WebStation, page: Page, shot: Shot
+) -> None:
+    page.get_by_role("searchbox").fill("south/v13")
+    page.locator("tr.row[data-name='south/v13']").click()
+    page.keyboard.press("h")
+    card = page.locator(".toast", has_text="south/v13")
+    expect(card.locator(".outcome")).to_contain_text("outcome unknown: no reply came")
+    expect(card.get_by_role("img", name="not known")).to_be_visible()
+    expect(card).not_to_contain_text("skygcs-cli")
+    shot(page, "sites-outcome-unknown")
+    ask = card.get_by_role("button", name="Ask for the outcome: Hold, south/v13")
+    before = len(orders(many))
+    ask.focus()
+    page.keyboard.press("Enter")
+    expect(card.locator(".outcome")).to_contain_text("still being carried out")
+    expect(ask).to_be_focused()
+    page.keyboard.press("Enter")
+    until(page, "skygcs.store.state.orders[0].state === 'done'")
+    expect(ask).to_have_count(0)
+    asked = orders(many)[before:]
+    assert [order["method"] for order in asked] == 2 * ["federation.outcome"], "nothing is ordered by it"
+    assert len({order["id"] for order in asked}) == 1 and asked[0]["id"].startswith("south/")
+    assert page.errors == []  # type: ignore[attr-defined]
+    page.get_by_role("searchbox").fill("")

@@ -134,6 +134,10 @@ ORDERS = frozenset(
 )
 """What changes something, sends something to a vehicle or occupies the daemon for long."""
 
+STATION_ORDERS = frozenset({"federation.outcome"})
+"""Of the station socket's own methods. An order that has not come to its site is refused there once it was asked for:
+no question of someone who only looks."""
+
 NOT_PASSED_ON = frozenset(
     {
         *("auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"),
@@ -151,7 +155,7 @@ def access(method: str) -> Access:
         return "read"
     if method in ENDS_FLIGHT:
         return "ends flight"
-    return "order" if method in ORDERS else "refused"
+    return "order" if method in ORDERS or method in STATION_ORDERS else "refused"
 
 
 def may(role: Role, method: str) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from skygcs.federation.station_methods import DESCRIBED
 from skygcs.rpc.methods import METHODS
-from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, ORDERS, READ, access, may
+from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, ORDERS, READ, STATION_ORDERS, access, may
 
 
 def test_every_method_of_the_daemon_stands_in_one_list() -> None:
@@ -23,3 +24,9 @@ def test_the_role_view_may_read_only() -> None:
     assert {name for name in names if may("view", name)} == READ
     assert {name for name in names if may("command", name)} == READ | ENDS_FLIGHT | ORDERS
     assert access("no.such") == "refused"
+
+
+def test_of_the_station_only_the_outcome_of_an_order_may_be_asked_for_and_not_by_who_only_looks() -> None:
+    assert set(DESCRIBED) >= STATION_ORDERS == {"federation.outcome"}
+    assert {name for name in DESCRIBED if may("command", name)} == STATION_ORDERS
+    assert not any(may("view", name) for name in DESCRIBED)

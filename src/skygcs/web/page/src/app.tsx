@@ -56,7 +56,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
         <Fleet hidden={open !== undefined} sides={panels.filter((panel) => panel.place === "side")} {...props} />
         {open !== undefined && <section class="page" aria-label={open.title}><LazyPanel key={open.id} panel={open} {...props} /></section>}
       </main>
-      <OrderList store={store} />
+      <OrderList store={store} connection={connection} />
     </div>
   );
 }

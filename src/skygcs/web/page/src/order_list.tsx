@@ -1,7 +1,10 @@
 // What became of orders, per vehicle, in the daemon's own words.
 
+import { useState } from "preact/hooks";
+import type { Connection } from "./connection.ts";
 import { ageText, namesText } from "./format.ts";
 import { useStore, useTick } from "./hooks.ts";
+import { askOutcomes } from "./orders.ts";
 import { groupOutcomes } from "./outcomes.ts";
 import type { OrderRun, Store } from "./store.ts";
 
@@ -9,21 +12,26 @@ const SHOWN = 3;
 /** What went well goes away by itself; what did not stays until a person dismisses it. */
 const DONE_SHOWN_MS = 6_000;
 
+interface ListProps {
+  store: Store;
+  connection: Connection;
+}
+
 /** The newest orders, above everything else. */
-export function OrderList({ store }: { store: Store }) {
+export function OrderList({ store, connection }: ListProps) {
   const orders = useStore(store, (state) => state.orders);
   useTick(500);
   const now = performance.now();
   const shown = orders.filter((order) => order.dismissed !== true && !(order.state === "done" && now - (order.endedMs ?? now) > DONE_SHOWN_MS)).slice(0, SHOWN);
   return (
     <div class="toasts" role="log" aria-label="Orders" aria-live="polite">
-      {shown.map((order) => <OrderCard key={order.id} order={order} store={store} />)}
+      {shown.map((order) => <OrderCard key={order.id} order={order} store={store} connection={connection} />)}
     </div>
   );
 }
 
 /** All orders of this page. */
-export function OrderHistory({ store }: { store: Store }) {
+export function OrderHistory({ store, connection }: ListProps) {
   const orders = useStore(store, (state) => state.orders);
   if (orders.length === 0) return null;
   return (
@@ -33,7 +41,7 @@ export function OrderHistory({ store }: { store: Store }) {
         {orders.map((order) => (
           <li key={order.id} data-state={order.state}>
             <b>{order.label}</b> <span class="muted">{namesText(order.targets)}</span>
-            <OutcomeList order={order} />
+            <OutcomeList order={order} store={store} connection={connection} />
           </li>
         ))}
       </ul>
@@ -41,7 +49,11 @@ export function OrderHistory({ store }: { store: Store }) {
   );
 }
 
-function OrderCard({ order, store }: { order: OrderRun; store: Store }) {
+interface OrderProps extends ListProps {
+  order: OrderRun;
+}
+
+function OrderCard({ order, store, connection }: OrderProps) {
   return (
     <div class="toast" data-state={order.state}>
       <div class="toasthead">
@@ -52,7 +64,7 @@ function OrderCard({ order, store }: { order: OrderRun; store: Store }) {
           <button type="button" class="quiet close" aria-label="Dismiss" onClick={() => store.dispatch({ type: "orderDismissed", id: order.id })}>×</button>
         )}
       </div>
-      <OutcomeList order={order} />
+      <OutcomeList order={order} store={store} connection={connection} />
     </div>
   );
 }
@@ -63,14 +75,35 @@ function StateMark({ order }: { order: OrderRun }) {
   return <span class="mark" role="img" aria-label={name}>{text}</span>;
 }
 
-function OutcomeList({ order }: { order: OrderRun }) {
+function OutcomeList({ order, store, connection }: OrderProps) {
   if (order.error !== null) return <p class="outcome bad">{order.error}</p>;
   if (order.state === "pending") return <p class="outcome muted">sent {ageText((performance.now() - order.startedMs) / 1000)} ago</p>;
   return (
     <ul class="outcomes">
-      {groupOutcomes(order.outcomes).map(({ ok, text, names }) => (
-        <li key={text} class={ok ? "outcome" : "outcome bad"}><span class="who">{ok ? namesText(names) : names.join(", ")}</span> {text}</li>
+      {groupOutcomes(order.outcomes).map(({ ok, unknown, text, names }) => (
+        <li key={names[0]} class={ok ? "outcome" : unknown ? "outcome open" : "outcome bad"}>
+          <span class="who">{ok ? namesText(names) : names.join(", ")}</span> {text}
+          {unknown && <AskButton order={order} names={names} store={store} connection={connection} />}
+        </li>
       ))}
     </ul>
+  );
+}
+
+/** The order is not sent again by it: the site only says what became of it. */
+function AskButton({ order, names, store, connection }: OrderProps & { names: readonly string[] }) {
+  const [asking, setAsking] = useState(false);
+  const ask = async (): Promise<void> => {
+    if (asking) return;
+    setAsking(true);
+    await askOutcomes(store, connection, order, names);
+    setAsking(false);
+  };
+  return (
+    <button type="button" class="ask" aria-disabled={asking} aria-label={`${asking ? "Asking for" : "Ask for"} the outcome: ${order.label}, ${namesText(names)}`}
+      title="Asks the site what became of the order. Nothing is sent to the vehicle; an order that has not come there is refused from then on."
+      onClick={() => void ask()}>
+      {asking ? "Asking…" : "Ask for the outcome"}
+    </button>
   );
 }

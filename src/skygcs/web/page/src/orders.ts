@@ -2,8 +2,9 @@
 
 import { ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S, type Connection } from "./connection.ts";
 import { siteOf } from "./levels.ts";
-import type { OrderState, Store } from "./store.ts";
-import type { Outcome } from "./types.ts";
+import { isUnknown, lost, outcomeOf, stateOf } from "./outcomes.ts";
+import type { OrderRun, OrderState, Store } from "./store.ts";
+import type { Outcome, SiteAnswer } from "./types.ts";
 
 export interface OrderRequest {
   /** As a person reads it: "Take off to 10 m". */
@@ -17,10 +18,16 @@ export interface OrderRequest {
   withinS?: number;
 }
 
+type OrderStore = Pick<Store, "state" | "dispatch">;
+type Sender = Pick<Connection, "order">;
+
 let nextId = 1;
 
+/** Questions at once: a page has 16 requests without an answer, and other parts of it ask, too. */
+const ASKED_AT_ONCE = 4;
+
 /** Sends an order and keeps its course in the store. Never rejects: what went wrong is the order's state. */
-export async function sendOrder(store: Store, connection: Connection, request: OrderRequest): Promise<OrderState> {
+export async function sendOrder(store: OrderStore, connection: Sender, request: OrderRequest): Promise<OrderState> {
   const id = nextId++;
   const targets = request.targets ?? store.state.names;
   store.dispatch({
@@ -49,7 +56,7 @@ export async function sendOrder(store: Store, connection: Connection, request: O
       request.withinS ?? ORDER_DEADLINE_S,
     );
     const outcomes = answer?.outcomes ?? {};
-    return end(Object.values(outcomes).every((outcome) => outcome.ok) ? "done" : "failed", outcomes, null);
+    return end(stateOf(outcomes), outcomes, null);
   } catch (error) {
     const state = error instanceof ConnectionLost ? "unknown" : "failed";
     return end(state, {}, refusalText(error));
@@ -65,6 +72,28 @@ export function sendStop(store: Store, connection: Connection): void {
   const ours = others.length === 0 ? null : names.filter((name) => siteOf(name) === "");
   if (ours === null || ours.length > 0) void sendOrder(store, connection, { ...stop, label: "STOP all", targets: ours, to: "all" });
   if (others.length > 0) void sendOrder(store, connection, { ...stop, label: `STOP all of ${sites.filter(Boolean).join(", ")}`, targets: others, to: "*/all" });
+}
+
+/** Asks the sites of these vehicles what became of an order whose answers were lost, and keeps it with the order. Nothing
+ *  is ordered by it. Never rejects: what went wrong is said with the outcome, which can be asked for again. */
+export async function askOutcomes(store: OrderStore, connection: Sender, order: OrderRun, names: readonly string[]): Promise<void> {
+  const waiting = names.flatMap((name) => {
+    const outcome = order.outcomes[name];
+    return outcome !== undefined && isUnknown(outcome) && outcome.id !== undefined ? [[name, outcome.id] as const] : [];
+  });
+  const found: Record<string, Outcome> = {};
+  const askInTurn = async (): Promise<void> => {
+    for (let next = waiting.shift(); next !== undefined; next = waiting.shift()) {
+      const [name, id] = next;
+      try {
+        found[name] = outcomeOf(await connection.order<SiteAnswer>("federation.outcome", { id }));
+      } catch (error) {
+        found[name] = lost(id, `outcome unknown, and not asked for: ${refusalText(error)}`);
+      }
+    }
+  };
+  await Promise.all(Array.from({ length: ASKED_AT_ONCE }, askInTurn));
+  store.dispatch({ type: "outcomesFound", id: order.id, atMs: performance.now(), outcomes: found });
 }
 
 export function refusalText(error: unknown): string {

@@ -31,7 +31,7 @@ export function OrdersPanel(props: PanelProps) {
     <div class="orders">
       <Targets {...props} targets={targets} />
       <OrderButtons {...props} targets={targets} enabled={enabled} send={send} />
-      <OrderHistory store={store} />
+      <OrderHistory store={store} connection={connection} />
     </div>
   );
 }

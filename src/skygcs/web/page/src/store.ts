@@ -2,6 +2,7 @@
 
 import type { ClockSample, Phase } from "./connection.ts";
 import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
+import { stateOf } from "./outcomes.ts";
 import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, SiteCounts, StateBatch, Vec3, VehicleState } from "./types.ts";
 import { Trails } from "./trails.ts";
 
@@ -121,6 +122,7 @@ export type Action =
       outcomes: Readonly<Record<string, Outcome>>;
       error: string | null;
     }
+  | { type: "outcomesFound"; id: number; atMs: number; outcomes: Readonly<Record<string, Outcome>> }
   | { type: "orderDismissed"; id: number };
 
 export function reduce(state: State, action: Action): State {
@@ -165,6 +167,8 @@ export function reduce(state: State, action: Action): State {
       };
     case "orderEnded":
       return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
+    case "outcomesFound":
+      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withOutcomes(order, action) : order)) };
     case "orderDismissed":
       return {
         ...state,
@@ -254,6 +258,11 @@ function addEvents(state: State, events: readonly FleetEvent[]): State {
 
 function endOrder(order: OrderRun, end: Extract<Action, { type: "orderEnded" }>): OrderRun {
   return { ...order, state: end.state, outcomes: end.outcomes, error: end.error, endedMs: end.atMs };
+}
+
+function withOutcomes(order: OrderRun, found: Extract<Action, { type: "outcomesFound" }>): OrderRun {
+  const outcomes = { ...order.outcomes, ...found.outcomes };
+  return { ...order, outcomes, state: stateOf(outcomes), endedMs: found.atMs };
 }
 
 /** The server's clock at a moment of the page's own; 0 before it was heard. */

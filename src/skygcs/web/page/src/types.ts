@@ -232,6 +232,17 @@ export interface Outcome {
   attempts?: number;
   elapsed_s?: number;
   status_texts?: readonly string[];
+  /** Of an order to a vehicle of another site: its site can be asked by it. */
+  id?: string;
+}
+
+/** The answer of federation.outcome. */
+export interface SiteAnswer {
+  id: string;
+  status: "done" | "failed" | "refused" | "late" | "running" | "unknown" | "never came";
+  text: string;
+  /** Of the vehicle, if the daemon of its site answered. */
+  outcome: Outcome | null;
 }
 
 /** The answer of plan.status; web.plan brings each change. */

@@ -104,8 +104,8 @@ test("outcomes: the same words together, failures first", () => {
     c: { ok: true, result: "accepted", message: "armed" },
   });
   assert.deepEqual(groups, [
-    { ok: false, text: "Arm: Need Position Estimate", names: ["b"] },
-    { ok: true, text: "armed", names: ["a", "c"] },
+    { ok: false, unknown: false, text: "Arm: Need Position Estimate", names: ["b"] },
+    { ok: true, unknown: false, text: "armed", names: ["a", "c"] },
   ]);
 });
 

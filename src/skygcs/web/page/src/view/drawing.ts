@@ -2,6 +2,7 @@
 
 import type { Camera } from "./camera.ts";
 import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera.ts";
+import { ringAt, spacingPx, type Ring } from "./crowding.ts";
 import type { Frame } from "./frame.ts";
 import type { Box } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
@@ -19,6 +20,11 @@ const GLYPH_PX = 9;
 /** How far the pictures of a vehicle and of a home reach from their middles. */
 const BODY_PX = 14;
 const HOME_PX = 8;
+/** Around a vehicle; a dot's are half as large. */
+const SELECTED: Ring = { radiusPx: 15, widthPx: 2 };
+const FAILSAFE: Ring = { radiusPx: 19, widthPx: 2.5 };
+/** So small may the ring of many selected vehicles become: a little of it still shows beside the vehicle. */
+const LEAST_RING = 0.6;
 
 export function drawGrid(pen: Pen, camera: Camera, palette: Palette): void {
   const major = niceLengthM(camera.pxPerM, GRID_PX * 2);
@@ -441,7 +447,7 @@ export function drawBodies(
   colourOf: (body: Body) => string,
   sprites: Sprites,
 ): void {
-  rings(pen, camera, palette, bodies);
+  selectionRings(pen, camera, palette, bodies);
   for (const filled of [true, false]) {
     for (const body of bodies) {
       if ((body.armed && body.heard) !== filled) continue;
@@ -453,11 +459,12 @@ export function drawBodies(
       });
     }
   }
+  failsafeRings(pen, camera, palette, bodies);
 }
 
 /** Many vehicles, from afar: dots, smaller of what is on the ground. */
 export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], colourOf: (body: Body) => string): void {
-  rings(pen, camera, palette, bodies, 0.5);
+  selectionRings(pen, camera, palette, bodies, 0.5);
   const byColour = new Map<string, Path2D>();
   for (const body of bodies) {
     const colour = colourOf(body);
@@ -470,6 +477,7 @@ export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: rea
     pen.fillStyle = colour;
     pen.fill(path);
   }
+  failsafeRings(pen, camera, palette, bodies, 0.5);
 }
 
 function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
@@ -485,23 +493,31 @@ function drawBody(pen: Pen, palette: Palette, direction: number, colour: string,
   if (!filled) pen.stroke();
 }
 
-function rings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
-  const circles = (wanted: (body: Body) => boolean, radius: number, width: number, colour: string): void => {
-    const ringed = bodies.filter(wanted);
-    if (ringed.length === 0) return;
-    pen.beginPath();
-    for (const body of ringed) {
-      const x = toScreenX(camera, body.x);
-      const y = toScreenY(camera, body.y);
-      pen.moveTo(x + radius, y);
-      pen.arc(x, y, radius, 0, 7);
-    }
-    pen.strokeStyle = colour;
-    pen.lineWidth = width;
-    pen.stroke();
-  };
-  circles((body) => body.selected, 15 * scale, 2, palette.selection);
-  circles((body) => body.failsafe && body.heard, 19 * scale, 2.5, palette.danger);
+/** Beneath the vehicles, and the smaller the closer together they are: the rings of a dense fleet would hide it. */
+function selectionRings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
+  const selected = bodies.filter((body) => body.selected);
+  const ring = ringAt(SELECTED, spacingPx(selected, camera.pxPerM) / scale, LEAST_RING);
+  circles(pen, camera, selected, ring.radiusPx * scale, ring.widthPx, palette.selection);
+}
+
+/** Above the vehicles, and of full size however many there are: they need a person. */
+function failsafeRings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
+  const failing = bodies.filter((body) => body.failsafe && body.heard);
+  circles(pen, camera, failing, FAILSAFE.radiusPx * scale, FAILSAFE.widthPx, palette.danger);
+}
+
+function circles(pen: Pen, camera: Camera, bodies: readonly Body[], radius: number, width: number, colour: string): void {
+  if (bodies.length === 0) return;
+  pen.beginPath();
+  for (const body of bodies) {
+    const x = toScreenX(camera, body.x);
+    const y = toScreenY(camera, body.y);
+    pen.moveTo(x + radius, y);
+    pen.arc(x, y, radius, 0, 7);
+  }
+  pen.strokeStyle = colour;
+  pen.lineWidth = width;
+  pen.stroke();
 }
 
 function dart(path: Path2D | Pen, x: number, y: number, yawRad: number, size: number): void {
