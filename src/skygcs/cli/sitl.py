@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
+from skygcs.child_process import start_process
 from skygcs.cli.process import EXIT_FAILED, EXIT_OK, run_loop
 from skygcs.config.dialects import load_dialect
 from skygcs.config.firmware import ArduCopter, Px4, find_arducopter, find_px4
@@ -328,7 +329,7 @@ class _Sitl:
         process.started = time.monotonic()
         try:
             with process.log.open("ab") as log:
-                process.child = await asyncio.create_subprocess_exec(
+                process.child = await start_process(
                     *launch.argv,
                     cwd=process.folder,
                     env=environment,

@@ -21,6 +21,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from skygcs.child_process import start_process
 from skygcs.config.mocap import MocapConfig
 from skygcs.core.mocap.recording import MAX_LINE_BYTES, CaptureFrameData, CaptureState, parse_line
 from skygcs.events import Event
@@ -120,7 +121,7 @@ class MocapChild:
         self._heard_at = self._loop.time()
         pipe = asyncio.subprocess.PIPE
         try:
-            process = await asyncio.create_subprocess_exec(
+            process = await start_process(
                 *self._command, stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe, limit=2 * MAX_LINE_BYTES
             )
         except OSError as error:

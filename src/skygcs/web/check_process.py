@@ -13,6 +13,7 @@ import resource
 import sys
 from typing import Any
 
+from skygcs.child_process import start_process
 from skygcs.errors import RefusedError, SkygcsError
 from skygcs.web.sign_in import Role
 
@@ -46,7 +47,7 @@ class CheckRunner:
 
 
 async def _run(name: str, params: dict[str, Any]) -> Any:
-    process = await asyncio.create_subprocess_exec(
+    process = await start_process(
         sys.executable,
         "-m",
         "skygcs.web.check_process",

@@ -161,9 +161,13 @@ async def test_encoded_telemetry_is_passed_on_as_it_came_and_a_round_has_an_end(
 async def test_who_iterates_slowly_gets_the_newest_state_only(served: Served, gcs: Client) -> None:
     states = gcs.telemetry("alpha", rate_hz=20, groups=["mode"])
     await anext(states)
+    alpha = served.daemon.vehicle("alpha")
     for i in range(10):
-        served.daemon.vehicle("alpha").mode = f"MODE{i}"
-        await asyncio.sleep(0.06)
+        alpha.mode = f"MODE{i}"
+        made = alpha.states_made
+        while alpha.states_made < made + 2:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+    await gcs.call("daemon.info")  # its answer comes behind the states
     assert (await anext(states))["mode"] == "MODE9"
     states.close()
 

@@ -127,11 +127,10 @@ async def test_playing_moves_on_and_ends(monkeypatch: pytest.MonkeyPatch) -> Non
         await bench.call("replay.speed", speed=100)
         await bench.call("replay.play")
         await bench.until(lambda: bench.source.ended)
-        await asyncio.sleep(0.3)
+        wanted = {"web.state", "replay.position"}
+        await bench.until(lambda: wanted <= {message["method"] for message in bench.socket.sent})
         status = bench.source.status()
         assert status["playing"] is False and abs(status["position_s"] - duration_s) < 0.01
-        methods = {message["method"] for message in bench.socket.sent}
-        assert {"web.state", "replay.position"} <= methods
         batches = [m["params"] for m in bench.socket.sent if m["method"] == "web.state" and m["params"]["vehicles"]]
         assert batches[0]["vehicles"][0]["replayed"] is True
         await bench.call("replay.play")  # from the beginning again

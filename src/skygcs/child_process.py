@@ -1,0 +1,27 @@
+"""Starts a process so that a task that is cancelled meanwhile leaves none behind."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+
+async def start_process(*line: str, **options: Any) -> asyncio.subprocess.Process:
+    """As `asyncio.create_subprocess_exec`. Cancelled: the process is killed and waited for. Raises OSError."""
+    # uvloop only kills it: it is waited for by nobody, and the loop may be closed before its end
+    starting = asyncio.create_task(asyncio.create_subprocess_exec(*line, **options), name=f"start of {line[0]}")
+    try:
+        return await asyncio.shield(starting)
+    except asyncio.CancelledError:
+        with contextlib.suppress(OSError):
+            await _end(await starting)
+        raise
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        process.kill()
+    if process.stdin is not None:
+        process.stdin.close()
+    await process.communicate()  # up to the end of what it wrote: its pipes are closed only then
