@@ -220,22 +220,3 @@ async def typed(station: Site, *words: str) -> tuple[int, str]:
     process = await asyncio.create_subprocess_exec(*line, stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe)
     out, err = await process.communicate()
     return process.returncode or 0, (out + err).decode()
-
-
-async def test_two_bridges_of_one_name_take_no_orders(hub: Hub, tmp_path: Path) -> None:
-    """Both would carry each of them out."""
-    south, twin = FakeDaemon(1), FakeDaemon(1)
-    (tmp_path / "twin").mkdir()
-    async with (
-        site(hub, "south", tmp_path, daemon=south) as first,
-        site(hub, "boss", tmp_path, role="operator") as c,
-        c.client() as boss,
-    ):
-        await hears(boss, "south/alpha")
-        assert (await boss.land("south/alpha"))["south/alpha"]["ok"]
-        async with site(hub, "south", tmp_path / "twin", daemon=twin) as second:
-            sites = [station.process.parts["readers"]._sites for station in (first, second)]  # type: ignore[attr-defined]
-            await until(lambda: all(s.own_contested_at > 0.0 for s in sites), "both have noticed")
-            outcome = (await boss.rtl("south/alpha"))["south/alpha"]
-            assert not outcome["ok"] and "two bridges" in outcome["message"], outcome
-    assert given(south, "alpha") == ["land"] and given(twin, "alpha") == []

@@ -18,7 +18,7 @@ STREAMS = ("KV_skygcs_leases", "OBJ_skygcs_logs")
 
 SUBJECTS = [
     *(f"state.{site}.{what}" for site in SITES for what in ("fast", "slow", "full.alpha", "other")),
-    *(f"{what}.{site}" for site in SITES for what in ("event", "audit", "here", "log")),
+    *(f"{what}.{site}" for site in SITES for what in ("event", "audit", "here", "log", "bridge")),
     *(f"cmd.{site}.{what}" for site in SITES for what in ("alpha", "outcome", "alpha.more")),
     *(f"cmd.{site}.{what}.{key}" for site in SITES for what in ("alpha", "outcome") for key in ("OWN", "NORTH", "*")),
     *(f"lease.{site}.alpha.request" for site in SITES),
@@ -60,7 +60,7 @@ def orders(sites: str) -> str:
 
 
 def of_site(name: str, ordered: str) -> str:
-    own = rf"(state\.{name}\.(fast|slow)|(event|audit)\.{name}|lease\.{name}\.alpha\.request)"
+    own = rf"(state\.{name}\.(fast|slow)|(event|audit|bridge)\.{name}|lease\.{name}\.alpha\.request)"
     leases = rf"\$KV\.skygcs_leases\.({'|'.join(filter(None, (name, ordered)))})\.alpha"
     kept = r"\$JS\.API\.STREAM\.(INFO|MSG\.GET)\.KV_skygcs_leases|\$O\.skygcs_logs\.[CM]\.x"
     return "|".join((ASKS, FILES_READ, own, leases, kept, *([orders(ordered)] if ordered else [])))
@@ -84,7 +84,7 @@ SUBSCRIBE = {
     "visitor": rf"{READ}|{OWN_INBOX}",
     "boss": rf"{READ}|{OWN_INBOX}",
     "clerk": rf"{READ}|{OWN_INBOX}",
-    "north": rf"{READ}|{OWN_INBOX}|here\.north|state\.north\.full\.(\*|alpha)|cmd\.north\.(\*|alpha)\.\*|log\.north"
+    "north": rf"{READ}|{OWN_INBOX}|(here|bridge|log)\.north|state\.north\.full\.(\*|alpha)|cmd\.north\.(\*|alpha)\.\*"
     r"|lease\.(north|south)\.(\*|alpha)\.request",
     "east": rf"{READ}|{OWN_INBOX}|lease\.east\.\*\.request",
     "keeper": OWN_INBOX,
@@ -93,7 +93,19 @@ WANTED = [
     *(">", "*", "*.>", "*.*", "*.*.*", "*.north.*", "_INBOX.>", "_INBOX_.>", "_INBOX_NORTH.>", "_INBOX_NORTH.x"),
     *("_INBOX_OWN.>", "_INBOX_OWN.x", "_INBOX_OWN.*", "state.>", "state.*.*", "state.*.fast", "state.*.slow"),
     *("state.north.fast", "state.*.full.*", "state.north.full.*", "state.north.full.alpha", "event.>", "event.*"),
-    *("event.north", "audit.*", "audit.north", "here.*", "here.north", "cmd.>", "cmd.*.*", "cmd.north.*"),
+    *(
+        "event.north",
+        "bridge.*",
+        "bridge.north",
+        "bridge.>",
+        "audit.*",
+        "audit.north",
+        "here.*",
+        "here.north",
+        "cmd.>",
+        "cmd.*.*",
+        "cmd.north.*",
+    ),
     *(
         "cmd.north.alpha",
         "cmd.north.*.*",

@@ -19,13 +19,11 @@ from typing import Any, NoReturn
 import typer
 
 from skygcs.cli.render import outcome_lines, print_json, print_lines, screen_width, wrapped
+from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, client_token, tcp_address
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.error_codes import INVALID_PARAMS, METHOD_NOT_FOUND, NOT_AUTHENTICATED
-
-STATION_SUFFIX = ".federation"
-"""Behind the path of the daemon's socket: the station socket."""
 
 ALL_SITES = "all sites"
 EVERY_SITE = "*/all"
@@ -78,7 +76,7 @@ def run_on_sites(targets: str, command: Callable[[Client, str], Awaitable[int | 
 
     address = client_address()
     named = names_other_sites(targets)
-    there = address.endswith(STATION_SUFFIX) or os.path.exists(station_socket(address))
+    there = address == station_socket(address) or os.path.exists(station_socket(address))
 
     async def connected() -> int:
         async with contextlib.AsyncExitStack() as stack:
@@ -160,11 +158,6 @@ def client(socket: str | None = None, *, station: bool = False) -> Client:
         if not os.path.exists(socket):
             raise DaemonUnreachable(socket, "other sites are reached through a fleet file with [federation]")
     return connect(socket, token=client_token())
-
-
-def station_socket(address: str) -> str:
-    """The path of the station socket, for that of the daemon's socket or its own."""
-    return address if address.endswith(STATION_SUFFIX) else address + STATION_SUFFIX
 
 
 def names_other_sites(targets: object) -> bool:

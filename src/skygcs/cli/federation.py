@@ -55,8 +55,7 @@ def _site_lines(answer: dict[str, Any]) -> Iterator[str]:
         yield f"{who}  HUB AWAY for {duration(hub['since_s'])}: {hub['text']}"
     if hub["denied"]:
         yield f"  the hub has refused {plural(hub['denied'], 'message')} that its inventory does not permit"
-    if answer["contested"]:
-        yield f"  ANOTHER BRIDGE sends as {answer['site']}: end one of the two"
+    yield from _bridge_lines(answer)
     if not answer["sites"]:
         yield "no other site was heard"
     for site in answer["sites"]:
@@ -66,6 +65,19 @@ def _site_lines(answer: dict[str, Any]) -> Iterator[str]:
     for conflict in answer["conflicts"]:
         ours, other = conflict["vehicles"]
         yield f"{conflict['level'].upper()}  {ours} and {other}: {_approach(conflict)}"
+
+
+def _bridge_lines(answer: dict[str, Any]) -> Iterator[str]:
+    """Another bridge of this site."""
+    bridge = answer["bridge"]
+    other = None if bridge is None else bridge["other"]
+    if other is not None:
+        who = f"ANOTHER BRIDGE runs as {answer['site']} (host {other['host']}, process {other['pid']})"
+        end = "end one of the two, or give its computer a site name and key of its own"
+        does = "this one stands by" if bridge["state"] == "standby" else f"this one is {bridge['state']}"
+        yield f"  {who}; {does}: {end}"
+    elif answer["contested"]:
+        yield f"  ANOTHER BRIDGE sends as {answer['site']}: end one of the two"
 
 
 def _one_site_lines(site: dict[str, Any]) -> Iterator[str]:

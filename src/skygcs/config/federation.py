@@ -27,9 +27,6 @@ SiteName = Annotated[str, Field(pattern=SITE_PATTERN)]
 ANY_SITE = "*"
 """In lists of sites: all of them."""
 
-STATION_SUFFIX = ".federation"
-"""The station socket stands beside the daemon's."""
-
 MAX_SERVERS = 16
 MAX_SHARED = 1000
 

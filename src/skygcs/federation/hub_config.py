@@ -9,7 +9,8 @@ Who may do what, by role. Everything that is not in a list is refused by the ser
     site S     reads    as an observer; here, full states, orders and logs that are asked of S; requests for leases of
                         its own vehicles and of those of the sites in `orders`
                asks     as an operator
-               sends    state.S, event.S, audit.S; answers to what it was asked, once each
+               sends    state.S, event.S, audit.S, bridge.S (read by S alone: two bridges of one name find each other);
+                        answers to what it was asked, once each
                stores   leases of its own vehicles and of those of the sites in `orders`; its logs
     keeper     makes    the two stores; nothing else
 
@@ -80,9 +81,10 @@ def permissions(inventory: HubInventory, name: str) -> Permissions:
     asks += [subject for site in ordered for subject in (f"{ORDERS}{site}.*.{user.nkey}", f"lease.{site}.*.request")]
     if user.role == "operator":
         return Permissions(asks, reads, False)
-    asked = [f"here.{name}", f"state.{name}.full.*", f"{ORDERS}{name}.*.*", f"log.{name}"]
+    asked = [f"bridge.{name}", f"here.{name}", f"state.{name}.full.*", f"{ORDERS}{name}.*.*", f"log.{name}"]
     asked += [f"lease.{site}.*.request" for site in (name, *ordered)]
-    sends = [f"state.{name}.fast", f"state.{name}.slow", f"event.{name}", f"audit.{name}", f"lease.{name}.*.request"]
+    sends = [f"state.{name}.fast", f"state.{name}.slow", f"event.{name}", f"audit.{name}", f"bridge.{name}"]
+    sends.append(f"lease.{name}.*.request")
     leases = [f"$KV.{LEASES}.{site}.*" for site in (name, *ordered)]
     kept = [f"$JS.API.STREAM.INFO.KV_{LEASES}", f"$JS.API.STREAM.MSG.GET.KV_{LEASES}"]
     files = [f"$O.{LOGS}.C.*", f"$O.{LOGS}.M.*"]

@@ -36,6 +36,8 @@ class OrdersTakenPart:
         """``states``: of this site's vehicles, as they are shared. ``sites``: shows if another bridge sends under this
         site's name."""
         self.not_held: NotHeld = held
+        self.others_took_orders: Callable[[], bool] = lambda: False
+        """Whether another bridge has acted as this site since this one began: its orders are not in the record here."""
         self._station = station
         self._records: asyncio.Queue[tuple[str, bytes]] = asyncio.Queue(MAX_WAITING_RECORDS)
         self._records_lost = 0
@@ -54,6 +56,8 @@ class OrdersTakenPart:
 
     async def run(self) -> None:
         """Take orders until it is cancelled."""
+        if self.others_took_orders():
+            self._taken.gate.forget_before(self._station.clock.site_s())
 
         async def answer(message: Message) -> bytes:
             return await self._taken.answer(message.subject, message.data, message.sender)

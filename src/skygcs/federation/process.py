@@ -20,12 +20,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skygcs import __version__
-from skygcs.config.federation import STATION_SUFFIX, FederationConfig, FederationMetricsConfig
+from skygcs.config.federation import FederationConfig, FederationMetricsConfig
 from skygcs.config.models import FleetConfig
+from skygcs.config.station_path import station_socket
+from skygcs.core.federation.bridge_election import BridgeElection, BridgeState
 from skygcs.errors import ConfigError, SkygcsError
 from skygcs.events import Event
 from skygcs.federation.bus import Bus, BusOptions
 from skygcs.federation.nkeys_files import read_seed
+from skygcs.federation.one_bridge import OneBridge
 from skygcs.federation.station import Part, Reports, Station
 
 if TYPE_CHECKING:  # each is imported by the stations that have it
@@ -37,6 +40,13 @@ if TYPE_CHECKING:  # each is imported by the stations that have it
 RUN_ID_BYTES = 8
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a part that failed is run again, doubling."""
+
+ONE_BRIDGE = "one bridge"
+SITE_PARTS = frozenset({"publisher", "conflicts", "orders of other stations", "logs"})
+"""They act under the site's name: they run while this is the site's active bridge."""
+
+LEASES = "leases"
+"""It goes on without a hub, also before one was there; so it runs unless another bridge is active."""
 
 STEADY_S = 30.0
 """After a part has run for this time its pause begins with FIRST_PAUSE_S again."""
@@ -85,6 +95,8 @@ class FederationProcess:
         self.station.methods["federation.status"] = self._status
         self.parts = make_parts(self.station)
         self._stopping = asyncio.Event()
+        self._acting: dict[str, asyncio.Task[None]] = {}
+        """Parts that act under the site's name, while they run."""
 
     async def _status(self, _: dict[str, Any]) -> dict[str, Any]:
         """This bridge: version, names, the connection to the hub, and the counters of each of its parts."""
@@ -106,7 +118,9 @@ class FederationProcess:
 
     async def run(self, on_ready: Callable[[FederationProcess], None] | None = None) -> None:
         """Run all parts until `stop`. ``on_ready``: called once when they have been started."""
-        tasks = [asyncio.create_task(self._part(name, part), name=name) for name, part in self.parts.items()]
+        parts = {name: part for name, part in self.parts.items() if not self._acts_as_site(name)}
+        tasks = [asyncio.create_task(self._part(name, part), name=name) for name, part in parts.items()]
+        tasks.append(asyncio.create_task(self._act_as_site(), name="acting as the site"))
         tasks.append(asyncio.create_task(self.bus.run(), name="hub"))
         stopping = asyncio.create_task(self._stopping.wait(), name="stop")
         try:
@@ -118,8 +132,35 @@ class FederationProcess:
                     task.result()
         finally:
             stopping.cancel()
-            await cancelled(tasks[:-1])  # the parts first: leases are released while the hub is connected
+            # the parts first: leases are released while the hub is connected
+            await cancelled([*tasks[:-1], *self._acting.values()])
             await cancelled(tasks[-1:])
+
+    def _acts_as_site(self, name: str) -> bool:
+        return ONE_BRIDGE in self.parts and (name in SITE_PARTS or name == LEASES)
+
+    async def _act_as_site(self) -> None:
+        """Run the parts that act under the site's name as long as no other bridge does."""
+        one = self.parts.get(ONE_BRIDGE)
+        if not isinstance(one, OneBridge):
+            await asyncio.Event().wait()
+            return
+        changed = asyncio.Event()
+        one.on_change = changed.set
+        while True:
+            changed.clear()
+            wanted = set()
+            if one.state is BridgeState.ACTIVE:
+                wanted = {name for name in self.parts if self._acts_as_site(name)}
+            elif one.state is BridgeState.ASKING and LEASES in self.parts:
+                wanted = {LEASES}
+            unwanted = set(self._acting) - wanted
+            await cancelled([self._acting[name] for name in unwanted])
+            for name in unwanted:
+                del self._acting[name]
+            for name in wanted - set(self._acting):
+                self._acting[name] = asyncio.create_task(self._part(name, self.parts[name]), name=name)
+            await changed.wait()
 
     async def _part(self, name: str, part: Part) -> None:
         """Run one part without end."""
@@ -186,14 +227,18 @@ def make_parts(station: Station) -> dict[str, Part]:
 
         rate_hz, share = station.config.rate_hz, station.config.share
         states = OwnStates(station.site, station.run_id, 1.0 / rate_hz, share)
+        election = BridgeElection(station.run_id, socket.gethostname(), os.getpid())
+        parts[ONE_BRIDGE] = one = OneBridge(station.bus, station.site, election, station.clock.now_s, station.report)
+        view.one_bridge = one.status
         parts["publisher"] = publisher = Publisher(station.bus, link, station.clock, states, rate_hz)
         if station.fleet.monitor.mode != "off":
             parts["conflicts"] = _conflict_watch(station, states, sites, view, publisher)
         taken = parts["orders of other stations"] = OrdersTakenPart(station, station.site, link.address, states, sites)
+        taken.others_took_orders = lambda: one.stood_by
         if station.config.vehicles and (daemon := station.daemon_link("leases")) is not None:
             from skygcs.federation.leases import Leases
 
-            leases = parts["leases"] = Leases(station, daemon)
+            leases = parts[LEASES] = Leases(station, daemon)
             publisher.lease_of, taken.not_held = leases.lease_of, leases.not_held
         parts["logs"] = SiteLogs(station.bus, station.site, station.run_id, station.fleet.daemon.log_dir)
     if station.config.metrics is not None:
@@ -257,8 +302,7 @@ def _file_reason(error: OSError) -> str:
 def _station_socket(daemon_address: str) -> Path:
     from skygcs.rpc.address import default_socket_path
 
-    base = default_socket_path() if "://" in daemon_address else Path(daemon_address)
-    return base.with_name(base.name + STATION_SUFFIX)
+    return Path(station_socket(str(default_socket_path()) if "://" in daemon_address else daemon_address))
 
 
 async def serve_federation(fleet: FleetConfig, options: FederationOptions) -> None:

@@ -71,6 +71,10 @@ class SitesResult(Result):
     role: str
     hub: dict[str, Any] = Field(description="connected, text, since_s, round_trip_s and counters.")
     contested: bool = Field(description="Another bridge sends under this site's name.")
+    bridge: dict[str, Any] | None = Field(
+        description="state of this bridge: asking, active or standby (another one acts as this site), and the other "
+        "bridge of the site if one is heard: state, host, pid. null: this station is no site."
+    )
     sites: list[OtherSite]
     conflicts: list[dict[str, Any]] = Field(
         description="Of our vehicles with those of other sites, the most urgent first: vehicles, site, level, "

@@ -42,6 +42,8 @@ class StationView:
         """Of the part that gives orders to other sites."""
         self.conflicts: Callable[[], list[dict[str, Any]]] = list
         """Of our vehicles with those of other sites; of the part that watches them."""
+        self.one_bridge: Callable[[], dict[str, Any] | None] = _no_site
+        """Which bridge of this site this one is; of the part that lets one act."""
         self._station = station
         self._bus: Bus = station.bus
         self._sites = sites
@@ -168,9 +170,14 @@ class StationView:
             "role": station.config.role,
             "hub": self._bus.status(),
             "contested": now - self._sites.own_contested_at < CONTESTED_S,
+            "bridge": self.one_bridge(),
             "sites": self._sites.sites(now),
             "conflicts": self.conflicts(),
         }
+
+
+def _no_site() -> None:
+    """Of a station that is no site."""
 
 
 def _older(value: Any, seconds: float | None) -> Any:

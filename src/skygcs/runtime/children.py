@@ -7,7 +7,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from skygcs.config.federation import STATION_SUFFIX, FederationConfig
+from skygcs.config.federation import FederationConfig
+from skygcs.config.station_path import station_socket
 from skygcs.config.web import WebConfig
 from skygcs.events import Event
 from skygcs.runtime.supervised_child import SupervisedChild
@@ -51,5 +52,5 @@ def federation_child(
 ) -> SupervisedChild:
     """`skygcs federation run` for this fleet file. It reads the file itself, and ends if that cannot be read."""
     line = ["federation", "run", "--supervised", "--socket", os.fspath(socket_path), fleet_file]
-    more = {"site": config.site, "role": config.role, "socket": f"{socket_path}{STATION_SUFFIX}"}
+    more = {"site": config.site, "role": config.role, "socket": station_socket(str(socket_path))}
     return SupervisedChild("the bridge to other stations", "federation", line, loop, on_event, more=more)

@@ -38,7 +38,7 @@ from typing import Any, Protocol
 
 import structlog
 
-from skygcs.config.federation import STATION_SUFFIX
+from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
@@ -153,7 +153,7 @@ class DaemonConnection:
         """What of the station is missing, although it is connected; for people."""
         self.site: str | None = None
         """The name of this station's site, where there are others."""
-        self._station_path = f"{default_socket_path() if '://' in address else address}{STATION_SUFFIX}"
+        self._station_path = station_socket(str(default_socket_path()) if "://" in address else address)
         self._by_station = False
         self._missing: str | None = None
         """The socket to look for."""

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli.connection import client, names_other_sites, station_socket
+from skygcs.cli.connection import client, names_other_sites
+from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.address import SOCKET_VARIABLE
 

@@ -160,6 +160,11 @@ class OrderGate:
             oldest_s = min((known.noted_s for known in self._known.values()), default=math.inf)
             self._remembers_since_s = min(self._remembers_since_s, oldest_s)
 
+    def forget_before(self, now_s: float) -> None:
+        """What came before is not known in full: another bridge took orders of this site. No question for an order of
+        that time is answered with "never came"."""
+        self._remembers_since_s = max(self._remembers_since_s, now_s)
+
     def admit(self, request: OrderRequest, now_s: float, *, not_held: str | None = None) -> Decision:
         """Decide about an order. ``not_held``: why this site does not command the vehicle; None if it does."""
         known = self._known.get(request.key)
