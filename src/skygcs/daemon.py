@@ -221,14 +221,14 @@ class Daemon:
     def _observe(self) -> None:
         """Give frames and events to what reads them."""
         known = set(self.dialect.messages)
-        self.hub.add_observer({RADIO_STATUS, RADIO} & known, None, self.link_watch.on_radio)
-        self.hub.add_observer(set(WATCHED) & known, None, self.leftover_streams.on_frame)
+        self.hub.observers.add({RADIO_STATUS, RADIO} & known, None, self.link_watch.on_radio)
+        self.hub.observers.add(set(WATCHED) & known, None, self.leftover_streams.on_frame)
         if self.operator_watchdog.watching:
-            self.hub.add_observer({HEARTBEAT}, None, self.operator_watchdog.on_frame)
+            self.hub.observers.add({HEARTBEAT}, None, self.operator_watchdog.on_frame)
         self.event_log.on("reboot", self.hub.on_reboot)
         self.event_log.on("reboot", self.leftover_streams.on_reboot)
         if self.ground_orders is not None:
-            self.hub.add_observer({HEARTBEAT}, None, self.ground_orders.on_heartbeat)
+            self.hub.observers.add({HEARTBEAT}, None, self.ground_orders.on_heartbeat)
         if self.mocap is not None:
             mocap = self.mocap
             self.event_log.on("reboot", mocap.on_reboot)

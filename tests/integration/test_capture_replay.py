@@ -101,7 +101,7 @@ async def test_counters_of_the_capture_equal_an_independent_count(tmp_path: Path
         [link] = flown.daemon.links.status()
         assert link["state"] == "finished"
         assert flown.daemon.hub.faults == 0
-        stats = flown.daemon.hub.router_stats()["counters"]
+        stats = flown.daemon.hub.statistics.router_stats()["counters"]
         assert sum(stats.values()) == 8144, "every record of the capture was routed"
 
 
@@ -126,7 +126,10 @@ async def test_a_flight_that_lost_nothing_shows_no_loss(name: str, tmp_path: Pat
     quality: dict[str, dict[str, Any]] = {}
     for _ in range(45):
         await asyncio.sleep(1.0)
-        now = {actor.name: daemon.hub.link_quality(key).get("capture") for key, actor in daemon.fleet.vehicles.items()}
+        now = {
+            actor.name: daemon.hub.statistics.link_quality(key).get("capture")
+            for key, actor in daemon.fleet.vehicles.items()
+        }
         quality |= {vehicle: of for vehicle, of in now.items() if of is not None}
     daemon.stop()
     await running

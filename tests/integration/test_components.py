@@ -277,7 +277,7 @@ async def test_the_fast_path_notes_and_shows_what_companions_send(
             wires["vehicle"].send(companion.pack(vision(number)))
 
         def count() -> int:
-            gcs.daemon.hub.after_fast_path()
+            gcs.daemon.hub.flows.take()
             rows = [c for c in gcs.daemon.fleet.components_status() if (c["sysid"], c["compid"]) == (7, 191)]
             return rows[0]["messages"] if rows else 0
 

@@ -105,7 +105,7 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     for _ in range(10_000):
         await asyncio.sleep(0.05)
         for key, actor in daemon.fleet.vehicles.items():
-            if (quality := daemon.hub.link_quality(key).get("capture")) is not None:
+            if (quality := daemon.hub.statistics.link_quality(key).get("capture")) is not None:
                 found.lost[actor.sysid] = quality["lost"]
             found.state[actor.sysid] = state = actor.state(daemon.now())
             modes = found.modes.setdefault(actor.sysid, [])
@@ -114,7 +114,7 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
         [link] = daemon.links.status()
         if link["state"] == "finished":
             break
-    found.counters = daemon.hub.router_stats()["counters"]
+    found.counters = daemon.hub.statistics.router_stats()["counters"]
     found.faults = daemon.hub.faults
     daemon.stop()
     await running

@@ -117,12 +117,12 @@ async def test_the_numbers_are_those_of_the_daemon(tmp_path: Path) -> None:
 async def test_counters_of_a_link_survive_its_channels(tmp_path: Path) -> None:
     async with running(tmp_path) as daemon:
         peer_of(daemon).send(heartbeat(7))
-        await until(lambda: daemon.hub.link_totals("radio")["rx_frames"] == 1)
+        await until(lambda: daemon.hub.statistics.link_totals("radio")["rx_frames"] == 1)
         before = await scrape(daemon)
         await daemon.links.change("radio", {"role": "gcs"})
         await until(lambda: daemon.links.status()[0]["state"] == "up")
         peer_of(daemon).send(heartbeat(7))
-        await until(lambda: daemon.hub.link_totals("radio")["rx_frames"] == 2)
+        await until(lambda: daemon.hub.statistics.link_totals("radio")["rx_frames"] == 2)
         after = await scrape(daemon)
         for name in ("link_received_frames_total", "link_received_bytes_total", "link_sent_frames_total"):
             assert after(name, link="radio") >= before(name, link="radio"), name
@@ -162,5 +162,5 @@ async def test_names_that_others_make_up_are_no_series(tmp_path: Path) -> None:
         peer = peer_of(daemon)
         for compid in range(2, 200):
             peer.send(heartbeat(9, compid, gcs=True))
-        await until(lambda: daemon.hub.link_totals("radio")["rx_frames"] >= 198)
+        await until(lambda: daemon.hub.statistics.link_totals("radio")["rx_frames"] >= 198)
         assert len((await scrape(daemon)).samples) <= before + 5

@@ -348,7 +348,7 @@ async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
     ):
         await discovered(daemon, 1)
         seen: list[str] = []
-        daemon.hub.add_observer(None, None, lambda frame, channel, now: seen.append(frame.name))
+        daemon.hub.observers.add(None, None, lambda frame, channel, now: seen.append(frame.name))
         answer = await gcs.call("signing.setup", targets="1", key_file=str(path))
         assert answer["outcomes"]["v1"]["ok"], answer
         assert key_id(KEY) in answer["outcomes"]["v1"]["message"]
@@ -455,7 +455,7 @@ async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path:
         wire(daemon).send(PymavPeer(7, 1).heartbeat())
         await discovered(daemon, 1)
         seen: list[str] = []
-        daemon.hub.add_observer(None, None, lambda frame, channel, now: seen.append(frame.name))
+        daemon.hub.observers.add(None, None, lambda frame, channel, now: seen.append(frame.name))
         other = PymavPeer(254, 190)
         for target in (7, 0):
             message = mav.MAVLink_setup_signing_message(target, target and 1, list(OTHER), 1)

@@ -577,9 +577,8 @@ class FakeDaemon:
         self.message_sender = SimpleNamespace(send=self._send)
         quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
         self.hub = SimpleNamespace(
-            add_observer=self._add_observer,
-            link_quality=lambda key: quality,
-            router_stats=self._router_stats,
+            observers=SimpleNamespace(add=self._add_observer),
+            statistics=SimpleNamespace(link_quality=lambda key: quality, router_stats=self._router_stats),
             authority=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]

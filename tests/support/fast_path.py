@@ -146,7 +146,7 @@ class Station:
         self.events.append((note.kind, f"{note.sysid}/{note.compid} {note.count} {note.why}"))
 
     def _tap(self) -> None:
-        self.stop_tap = self.hub.add_observer({30}, None, lambda f, channel, now: self.tapped.append(f.raw))
+        self.stop_tap = self.hub.observers.add({30}, None, lambda f, channel, now: self.tapped.append(f.raw))
 
     def _on_hub_event(self, event: Event) -> None:
         """Of the links' events, which name ports, only faults count."""
@@ -188,7 +188,7 @@ class Station:
             self.fleet.tick(self.loop.now)
             if number % 3 == 0:
                 self.hub.tick(self.loop.now)
-        self.hub.after_fast_path()
+        self.hub.flows.take()
         return self._result(got)
 
     def _send(self, step: list[tuple[int, bytes]]) -> None:

@@ -135,7 +135,7 @@ class TwoLinks(OnAir):
 
     def links(self, sysid: int) -> dict[str, Any]:
         """The state's "links" of a vehicle."""
-        return self.daemon.hub.link_quality(sysid << 8 | 1)
+        return self.daemon.hub.statistics.link_quality(sysid << 8 | 1)
 
     def chosen(self, sysid: int) -> str:
         """ "wifi" or "air"."""

@@ -64,7 +64,7 @@ async def _record(folder: Path) -> dict[int, int]:
                 actor.commands.transmit("COMMAND_LONG", {"command": 512, "param1": 148.0})
             await asyncio.sleep(0.002)
     await asyncio.sleep(0.2)
-    lost = {key >> 8: daemon.hub.link_quality(key)["air"]["lost"] for key in daemon.fleet.vehicles}
+    lost = {key >> 8: daemon.hub.statistics.link_quality(key)["air"]["lost"] for key in daemon.fleet.vehicles}
     daemon.stop()
     await running
     vehicles.close(), station.close()

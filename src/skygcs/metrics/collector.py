@@ -20,7 +20,7 @@ from skygcs.metrics.exposition import Labels, Samples, as_text, written
 from skygcs.metrics.table import METRICS
 from skygcs.rpc.context import Services
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.hub import CHANNEL_TOTALS
+from skygcs.runtime.channel_statistics import CHANNEL_TOTALS
 from skygcs.runtime.link_view import LinkWatch
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -193,7 +193,7 @@ class MetricsCollector:
 
     def _read_router(self, samples: Samples) -> None:
         hub = self._services.hub
-        hub.after_fast_path()
+        hub.flows.take()
         for verdict, count in hub.router.counters.items():
             samples.put("skygcs_router_frames_total", count, verdict.value)
         samples.put("skygcs_router_routes", sum(1 for _ in hub.router.routes()))
@@ -214,7 +214,7 @@ class MetricsCollector:
                 put("skygcs_link_opened_total", supervisor.opened, name)
                 put("skygcs_link_channels", len(channels), name)
                 put("skygcs_link_silence_seconds", min((now - c.last_rx_at for c in channels), default=None), name)
-            totals = services.hub.link_totals(name)
+            totals = services.hub.statistics.link_totals(name)
             for counter in CHANNEL_TOTALS:
                 put(LINK_TOTALS[counter], totals[counter], name)
             yield b""

@@ -138,7 +138,7 @@ def state_of(services: Services, vehicle: VehicleActor, names: frozenset[str] | 
     """A vehicle's state with the quality of the links it is heard on: all keys, or those in ``names``."""
     state = vehicle.state(services.now(), names)
     if "links" in state:
-        state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
+        state["links"] = services.hub.statistics.link_quality(vehicle.sysid << 8 | vehicle.compid)
     gate = services.hub.authority
     if gate is not None and "authority" in state:
         state["authority"] = gate.status_of(vehicle.sysid, services.hub.authority_clock())

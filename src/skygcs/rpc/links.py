@@ -143,7 +143,7 @@ async def links_remove(context: Context, params: LinkNameParams) -> list[JsonObj
 
 def router_stats(context: Context, _: NoParams) -> JsonObject:
     """Routes, and counters of what was forwarded, filtered and dropped."""
-    return context.services.hub.router_stats()
+    return context.services.hub.statistics.router_stats()
 
 
 def link_status(context: Context, _: NoParams) -> list[JsonObject]:

@@ -376,7 +376,7 @@ class MessageFeed:
 
         dialect = self._services.dialect
         msgids = None if names is None else {dialect.by_name[name].msgid for name in names}
-        self._unsubscribes[subscription] = self._services.hub.add_observer(msgids, keys, on_frame)
+        self._unsubscribes[subscription] = self._services.hub.observers.add(msgids, keys, on_frame)
 
     def remove(self, subscription: MessageSubscription) -> None:
         unsubscribe = self._unsubscribes.pop(subscription, None)

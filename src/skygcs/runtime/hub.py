@@ -9,29 +9,28 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from skygcs.config.channel_policy import channel_policy
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, check
-from skygcs.core.mavlink.heartbeat import discovers
-from skygcs.core.mavlink.msgids import HEARTBEAT, SETUP_SIGNING
+from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.authority import NO_TARGET, AuthorityGate, target_of
 from skygcs.core.routing.decision import RoutingVerdict
-from skygcs.core.routing.link_choice import DEFAULT_COST, SCARCE_COST
 from skygcs.core.routing.router import Router
-from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.events import Event
-from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, StateUpdate
+from skygcs.links.base import Channel
 from skygcs.links.fast_path import new_table
 from skygcs.links.outgoing import Outgoing, OwnMessage
+from skygcs.runtime.channel_statistics import ChannelStatistics
 from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.flows import Flows
+from skygcs.runtime.frame_observers import FrameObservers
 from skygcs.runtime.loop_clock import boot_clock
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
@@ -41,130 +40,11 @@ if TYPE_CHECKING:
     from skygcs.links._fast_path import Table
 
 
-from skygcs.config.models import MessageName
-from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
-
 LINK_PROBE = 0x6C69_6E6B << 16
 """TIMESYNC.ts1 of a question over a deaf link: no clock, and of no other probe of ours."""
 
-STATION_COST = 1000
-"""Of a link to a ground station, which may return a vehicle's frames: any other link to the vehicle is better."""
-
-FrameObserver = Callable[[Frame, Channel, float], None]
-
-_Entry = tuple[set[int] | None, set[int] | None, FrameObserver]
-
-
-class FrameObservers:
-    """``on_change()`` is called whenever the set of observed messages changes."""
-
-    def __init__(self, on_change: Callable[[], None]) -> None:
-        self.msgids: frozenset[int] | None = frozenset()
-        """Messages that some observer wants; None: all. Checked before `show`, because most frames are not observed."""
-        self._entries: list[_Entry] = []
-        self._on_change = on_change
-
-    def add(self, msgids: set[int] | None, keys: set[int] | None, observer: FrameObserver) -> Callable[[], None]:
-        """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to
-        ``observer``; returns how to stop it."""
-        entry = (msgids, keys, observer)
-        self._entries.append(entry)
-        self._changed()
-
-        def remove() -> None:
-            if entry in self._entries:
-                self._entries.remove(entry)
-                self._changed()
-
-        return remove
-
-    def watch(self, msgid: int, key: int) -> bool:
-        """True if an observer wants frames of this message and source."""
-        return any((m is None or msgid in m) and (k is None or _has(k, key)) for m, k, _ in self._entries)
-
-    def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
-        """Pass a frame to each observer that wants it."""
-        for msgids, keys, observer in tuple(self._entries):
-            if (msgids is None or frame.msgid in msgids) and (keys is None or _has(keys, key)):
-                observer(frame, channel, now)
-
-    def _changed(self) -> None:
-        wanted: set[int] | None = set()
-        for msgids, _, _ in self._entries:
-            wanted = None if wanted is None or msgids is None else wanted | msgids
-        self.msgids = None if wanted is None else frozenset(wanted)
-        self._on_change()
-
-
-def _has(keys: set[int], key: int) -> bool:
-    return key in keys or key & ~0xFF in keys
-
-
-def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:
-    """The routing policy of a link's channels; ``vehicles``: the system ids it is bound to. Raises KeyError for a
-    message name the dialect does not have."""
-
-    def msgid(name: MessageName) -> int:
-        if isinstance(name, int) or name.isdecimal():
-            return int(name)  # ids that the dialect does not have may be filtered, too
-        return dialect.find(name).msgid
-
-    def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
-        return frozenset(msgid(n) for n in names)
-
-    def rates(named: Mapping[str, float]) -> dict[int, float]:
-        return {msgid(n): hz for n, hz in named.items() if n != "*"}
-
-    unknown = config.forward_unknown
-    scarce = config.role == "radio" or config.type in ("serial", "xbee")
-    cost = STATION_COST if config.role == "gcs" else SCARCE_COST if scarce else DEFAULT_COST
-    return ChannelPolicy(
-        cost=cost if config.cost is None else config.cost,
-        role=config.role,
-        link=config.name,
-        replayed=config.type == "replay",
-        group=config.group,
-        vehicles=vehicles,
-        forward_unknown=config.role != "radio" if unknown is None else unknown,
-        filter_in=MessageFilter(
-            msgids(config.allow_msg_id_in),
-            msgids(config.block_msg_id_in),
-            frozenset(config.allow_src_sys_in),
-            frozenset(config.block_src_sys_in),
-            frozenset(config.allow_src_comp_in),
-            frozenset(config.block_src_comp_in),
-        ),
-        filter_out=MessageFilter(
-            msgids(config.allow_msg_id_out),
-            msgids(config.block_msg_id_out),
-            frozenset(config.allow_src_sys_out),
-            frozenset(config.block_src_sys_out),
-            frozenset(config.allow_src_comp_out),
-            frozenset(config.block_src_comp_out),
-        ),
-        rates_in=rates(config.rate_in.messages),
-        rates_out=rates(config.rate_out.messages),
-        default_hz_in=config.rate_in.messages.get("*"),
-        default_hz_out=config.rate_out.messages.get("*"),
-        bytes_per_s_in=config.rate_in.bytes_per_s,
-        bytes_per_s_out=config.rate_out.bytes_per_s,
-    )
-
-
-OTHER_SOURCES = -1
-"""Key under which a channel's further sources are counted together once its table is full."""
-
-MAX_CLOSED_CHANNELS = 256
-"""Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
-
-MAX_CLOSED_SOURCES = 2048
-"""Sources of all closed channels together, 300 bytes each: programs that come and go must not accumulate."""
-
 MAX_REPLAYED = 4096
 """Sources of recordings, kept apart from live ones; as many as there may be routes."""
-
-MAX_NEGATIVE_CACHE = 16384
-"""Size of the negative cache: sources and messages without a flow. A full cache is cleared and filled again."""
 
 MAX_CHANNEL_ID = (1 << 24) - 1
 """Largest channel id in the fast path's table of duplicates; after it, ids of closed channels are reused. A peer that
@@ -174,34 +54,6 @@ WHOLE_DATAGRAM_BYTES = 1472
 """Frames of one datagram are forwarded in one up to this size, the payload of an Ethernet packet."""
 
 _DROPPED = (RoutingVerdict.DUPLICATE, RoutingVerdict.CONFLICT, RoutingVerdict.FILTERED_IN, RoutingVerdict.OUT_OF_BOUNDS)
-
-
-CHANNEL_TOTALS = (
-    "rx_frames",
-    "rx_bytes",
-    "tx_frames",
-    "tx_bytes",
-    "tx_dropped",
-    "bad_crc",
-    "unknown",
-    "skipped_bytes",
-)
-"""Counters of a channel that are added up for its link; those of `Channel.counters`."""
-
-
-def channel_totals(channel: Channel) -> dict[str, int]:
-    """`CHANNEL_TOTALS` of one channel."""
-    stats = channel.parser.stats
-    return {
-        "rx_frames": channel.rx_frames,
-        "rx_bytes": channel.rx_bytes,
-        "tx_frames": channel.tx_frames,
-        "tx_bytes": channel.tx_bytes,
-        "tx_dropped": channel.tx_dropped,
-        "bad_crc": stats.bad_crc,
-        "unknown": stats.unknown,
-        "skipped_bytes": stats.skipped_bytes,
-    }
 
 
 class Hub:
@@ -232,12 +84,22 @@ class Hub:
             vehicle_timeout_s=own.vehicle_timeout_s,
             duplicates=self.fast_path,
         )
-        self.router.on_change = self.forget_flows
-        self.router.received = self._received
-        self._negative_cache: set[int] = set()
         self._renumbering: dict[int, SysidTranslator] = {}
         """By channel id: translators of the frames sent there."""
         self.channels: dict[int, Channel] = {}
+        self.observers = FrameObservers()
+        self.flows = Flows(
+            self.fast_path,
+            self.router,
+            self.channels,
+            self.observers,
+            recorder,
+            each_frame=self._needs_each_frame,
+            on_fault=self.fault,
+        )
+        self.router.on_change = self.observers.on_change = self.flows.forget
+        self.statistics = ChannelStatistics(self.channels, self.router, self.flows, loop)
+        self.router.received = self.statistics.received
         self.faults = 0
         self.run = secrets.token_hex(8)
         """Names this run of the daemon to the federation's bridge."""
@@ -260,16 +122,12 @@ class Hub:
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
-        self._closed_channels: dict[tuple[str, str], dict[int, SourceStats]] = {}
-        self._closed_totals: dict[str, Counter[str]] = {}
-        """By link, the counters of its channels that have closed."""
-        self._observers = FrameObservers(self.forget_flows)
 
     def connect(self, fleet: Fleet | None, reports: RouteReports) -> None:
         """Connect the fleet, which gets the vehicles' frames (None: no fleet), and ``reports``, which gets the
         router's notes. Call it once, before links open."""
         self._reports = reports
-        self._fleet = fleet
+        self._fleet = self.flows.fleet = fleet
         if fleet is not None:
             self.router.known = fleet.known
             self.router.on_replaced = fleet.replaced
@@ -285,11 +143,7 @@ class Hub:
         """Add an open channel to the routes and set its id."""
         channel.id = self._free_id()
         self.channels[channel.id] = channel
-        closed = self._closed_channels.pop((channel.link.name, channel.peer), None)
-        if closed is not None:
-            for stats in closed.values():
-                stats.resume()  # frames sent while the channel was closed are not losses of the link
-            channel.sources = closed
+        self.statistics.on_attached(channel)
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # the fleet file's checks have found them: an endpoint without any raises
             channel.translator = SysidTranslator(sysids, channel.config.translated_sysid)
@@ -318,33 +172,12 @@ class Hub:
     def detach(self, channel: Channel, reason: str) -> None:
         """Remove a closed channel and its routes. Idempotent."""
         if self.channels.pop(channel.id, None) is not None:
-            self.after_fast_path()
-            self._add_to_totals(channel)
+            self.flows.take()
+            self.statistics.on_detached(channel)
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
             if self.authority is not None:
                 self.authority.forget_channel(channel.id)
-            closed = self._closed_channels
-            closed[channel.link.name, channel.peer] = channel.sources
-            kept = sum(map(len, closed.values()))
-            while len(closed) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(closed) > 1):
-                kept -= len(closed.pop(next(iter(closed))))
-
-    def _add_to_totals(self, channel: Channel) -> None:
-        """Keep the counters of a channel that closes: those of its link must not decrease."""
-        totals = self._closed_totals.pop(channel.link.name, Counter())
-        totals.update(channel_totals(channel))
-        self._closed_totals[channel.link.name] = totals
-        while len(self._closed_totals) > MAX_CLOSED_CHANNELS:
-            del self._closed_totals[next(iter(self._closed_totals))]
-
-    def link_totals(self, link: str) -> Counter[str]:
-        """Counters of a link (`CHANNEL_TOTALS`) since the daemon's start: its open channels and those that closed."""
-        totals = Counter(self._closed_totals.get(link, {}))
-        for channel in self.channels.values():
-            if channel.link.name == link:
-                totals.update(channel_totals(channel))
-        return totals
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """Handle the frames of one read. Hot: no decoding, no await, no log; a fault is contained in its frame."""
@@ -352,12 +185,12 @@ class Hub:
         if not frames:
             return
         # values that are the same for all frames
-        decide, state_sources = self.router.decide, self.router.state_sources
+        decide, state_sources, flows = self.router.decide, self.router.state_sources, self.flows
         channels, channel_id, sources, label = self.channels, channel.id, channel.sources, channel.link.name
         on_vehicle_frame = None if self._fleet is None else self._fleet.on_frame
         shown = self._shown_of(channel)
         unix_us = time.time_ns() // 1000
-        renumbering, observers, record, gate = self._renumbering, self._observers, self._record, self.authority
+        renumbering, observers, record, gate = self._renumbering, self.observers, self._record, self.authority
         split = gate is not None or not channel.in_datagrams or len(frames) < 2  # a gate checks each frame
         together: list[tuple[Frame, tuple[int, ...]]] | None = None if split else []
         for frame in frames:
@@ -367,7 +200,7 @@ class Hub:
             channel.rx_bytes += size
             stats = sources.get(key)
             if stats is None:
-                stats = self._new_source(channel, key, frame)
+                stats = self.statistics.new_source(channel, key, frame)
             stats.on_frame(frame.seq, size, now)
             if frame.msgid == SETUP_SIGNING:
                 self._on_key(frame.sysid, channel)  # keys are not forwarded, recorded or shown (signing guide)
@@ -398,8 +231,8 @@ class Hub:
                     on_vehicle_frame(key, frame, label, now)
                 if observers.msgids is None or frame.msgid in observers.msgids:
                     observers.show(frame, channel, key, now)
-                if channel.fast_path is not None:
-                    self._add_flow(channel, frame, key, stats)
+                if shown is None and channel.fast_path is not None:
+                    flows.open(channel, frame, key, stats)
             except Exception as error:
                 self.fault(error)
         if together:
@@ -419,7 +252,7 @@ class Hub:
             frames = channel.translator.inward(frames)
         channel.last_rx_at = now
         if self.fast_path is not None and self.fast_path.records_waiting:
-            self.after_fast_path()  # earlier frames are recorded first
+            self.flows.take()  # earlier frames are recorded first
         return frames
 
     def _counts(self, channel: Channel, frame: Frame, verdict: RoutingVerdict, now: float) -> bool:
@@ -497,7 +330,7 @@ class Hub:
         """Forward a frame as a frame, so that the channel can check it again when it is written; and note where gated
         vehicles are heard."""
         if gate.gates(frame.sysid) and self.router.hears(source_id, frame.sysid) and gate.hear(source_id, frame.sysid):
-            self.forget_flows()
+            self.flows.forget()
         for destination in destinations:
             if destination in self._renumbering:
                 self._send_as_shown(destination, [frame])
@@ -507,65 +340,15 @@ class Hub:
     # -- the compiled fast path
 
     def after_fast_path(self) -> None:
-        """Count and record the fast path's frames since the last call. Call it before reading channels or sources."""
-        if self.fast_path is None:
-            return
-        forwarded, local, records, count = self.fast_path.take()
-        if forwarded:
-            self.router.counters[RoutingVerdict.FORWARDED] += forwarded
-        if local:
-            self.router.counters[RoutingVerdict.LOCAL] += local
-        if count and self._recorder is not None:
-            self._recorder.offer_many(records, count)
+        """See `Flows.take`."""
+        self.flows.take()
 
-    def forget_flows(self) -> None:
-        """Close all flows and clear the negative cache: a route or an observer changed."""
-        if self.fast_path is not None:
-            self.fast_path.invalidate()
-            self._negative_cache.clear()
-
-    def _add_flow(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> None:
-        """Open a flow for further frames like this one, if no rule has to be applied to them."""
-        mark = channel.id << 40 | key << 24 | frame.msgid
-        if mark in self._negative_cache or frame.target()[0] or channel.signing is not None:
-            return  # with a signing key each frame's stamp has to be checked
-        path = self._path_of(channel, frame, key, stats)
-        if path is not None:
-            channel.add_flow(frame, path)
-        elif len(self._negative_cache) < MAX_NEGATIVE_CACHE:
-            self._negative_cache.add(mark)
-
-    def _path_of(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> ForwardingPath | None:
-        entry = self.router.forwarding_entry(channel.id, frame)
-        if entry is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
-            return None
-        if self._observers.watch(frame.msgid, key):
-            return None
-        if any(d in self._renumbering for d in entry.destinations):
-            return None  # each frame has to be translated
+    def _needs_each_frame(self, channel_id: int) -> bool:
+        """True if frames sent to this channel have to be translated, or checked, one by one."""
         gate = self.authority
-        if gate is not None and any(gate.leads_to_gated(d) for d in entry.destinations):
-            return None  # each frame has to be checked
-        outs = tuple(out for d in entry.destinations if (out := self.channels[d].out) is not None)
-        if len(outs) != len(entry.destinations):
-            return None
-        update: StateUpdate | None = StateUpdate()
-        if self._fleet is not None:
-            update = self._fleet.state_update_only(key, frame, channel.link.name)
-        if update is None:
-            return None
-        if frame.msgid != HEARTBEAT:
-            return ForwardingPath(outs, stats, entry.heard, update)
-        if update.again is not None:
-            update = update._replace(again=partial(self._on_heartbeats, update.again))
-        return ForwardingPath(outs, stats, entry.heard, update, steady=frame.payload)
+        return channel_id in self._renumbering or (gate is not None and gate.leads_to_gated(channel_id))
 
-    def _on_heartbeats(self, again: Callable[[float], None], now: float) -> None:
-        """Heartbeats equal to the last one came on the fast path."""
-        try:
-            again(now)
-        except Exception as error:
-            self.fault(error)
+    # -- recordings
 
     def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
         """The sources of this channel that are shown to the fleet; None: all, and no recording is played."""
@@ -578,7 +361,7 @@ class Hub:
     def _shown_replayed(self, key: int) -> bool:
         if key not in self.replayed and len(self.replayed) < MAX_REPLAYED:
             self.replayed.add(key)
-            self.forget_flows()
+            self.flows.forget()
             self._source_changed(key)
         return key in self.replayed
 
@@ -601,7 +384,7 @@ class Hub:
         if self._record is not None and not message.recorded:
             message.recorded = True
             if self.fast_path is not None and self.fast_path.records_waiting:
-                self.after_fast_path()
+                self.flows.take()
             self._record(raw, time.time_ns() // 1000)
 
     # -- admission of new peers
@@ -691,67 +474,6 @@ class Hub:
                 sent |= channel.send(message, priority, key)
         return sent
 
-    # -- observers
-
-    def add_observer(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameObserver) -> Callable[[], None]:
-        """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
-        return self._observers.add(msgids, keys, tap)
-
-    # -- status
-
-    def link_quality(self, key: int) -> dict[str, Any]:
-        """Loss and rate of a source (sysid << 8 | compid), by link; on a link with several peers of the peer that
-        supplies its state. Of a vehicle that is heard on several links also which is chosen, and the health of each."""
-        found = {}
-        state = self.router.state_sources.get(key)
-        for channel_id in self.router.channels_of(key):
-            channel = self.channels[channel_id]
-            stats = channel.sources.get(key)
-            if stats is not None and channel.link.name not in found:
-                found[channel.link.name] = stats.as_dict(self._loop.time())
-                if state is not None:
-                    found[channel.link.name] |= state.link_status(channel_id, self._loop.time())
-                if channel.config.type == "replay":
-                    found[channel.link.name]["replayed"] = True
-        return found
-
-    def router_stats(self) -> dict[str, Any]:
-        """Counters of decisions and the route table."""
-        self.after_fast_path()
-        router, now = self.router, self._loop.time()
-        return {
-            "counters": {verdict.value: count for verdict, count in router.counters.items()},
-            "refused_routes": router.refused_routes,
-            "evicted_routes": router.evicted_routes,
-            "unreported_routes": router.unreported_routes,
-            "routes": [
-                {
-                    "sysid": sysid,
-                    "compid": compid,
-                    "link": self.channels[cid].link.name,
-                    "peer": self.channels[cid].peer,
-                    "age_s": round(now - at, 2),
-                }
-                for sysid, compid, cid, at in router.routes()
-                if cid in self.channels
-            ],
-        }
-
-    def channel_status(self, channel: Channel) -> dict[str, Any]:
-        """Counters of a channel and of each source on it."""
-        now = self._loop.time()
-        return {
-            "id": channel.id,
-            "peer": channel.peer,
-            "last_rx_age_s": round(now - channel.last_rx_at, 2),
-            **channel.counters(),
-            **self.router.port_counters(channel.id),
-            "sources": {
-                f"{key >> 8}/{key & 0xFF}" if key >= 0 else "others": stats.as_dict(now)
-                for key, stats in channel.sources.items()
-            },
-        }
-
     # -- some times a second
 
     def choose_links(self, now: float) -> None:
@@ -780,60 +502,21 @@ class Hub:
         if self._fleet is not None:
             self._fleet.link_changed(key, channel_id)
 
-    def _received(self, channel_id: int, key: int) -> tuple[int, int] | None:
-        channel = self.channels.get(channel_id)
-        stats = None if channel is None else channel.sources.get(key)
-        return None if stats is None else (stats.frames, stats.lost)
-
     # -- once a second
 
     def tick(self, now: float) -> None:
         """Expire routes and sample rates."""
-        self.after_fast_path()
+        self.flows.take()
         self.router.expire(now)
         if self.router.notes:
             self._drain_notes()
-        for channel in self.channels.values():
-            for stats in channel.sources.values():
-                stats.sample(now)
+        self.statistics.sample(now)
 
     def on_reboot(self, event: Event) -> None:
         """A vehicle has restarted."""
         if self._fleet is not None and event.sysid is not None:
             for vehicle in self._fleet.vehicles_of(event.sysid):
-                self.restart_source(vehicle.key)
-
-    def restart_source(self, key: int) -> None:
-        """A system rebooted: its sequence numbers restart on every channel."""
-        self.after_fast_path()  # it would overwrite them with its own counters
-        for channel in self.channels.values():
-            stats = channel.sources.get(key)
-            if stats is not None:
-                stats.restart()
-
-    def _new_source(self, channel: Channel, key: int, frame: Frame) -> SourceStats:
-        if len(channel.sources) >= MAX_SOURCES_PER_CHANNEL and not self._drop_source(channel, frame):
-            key = OTHER_SOURCES
-            known = channel.sources.get(key)
-            if known is not None:
-                return known
-        stats = channel.sources[key] = SourceStats(frame.sysid, frame.compid)
-        if key == OTHER_SOURCES:
-            stats.counts_loss = False
-        return stats
-
-    def _drop_source(self, channel: Channel, frame: Frame) -> bool:
-        """Make room for an autopilot in a full table: replace the other source that was silent for longest. True if
-        done."""
-        if frame.msgid != HEARTBEAT or not discovers(frame):
-            return False
-        autopilots = self.router.autopilots_on(channel.id)
-        others = [key for key in channel.sources if key not in autopilots and key != OTHER_SOURCES]
-        if not others:
-            return False
-        del channel.sources[min(others, key=lambda key: channel.sources[key].last_at)]
-        self.forget_flows()  # a flow may count for it
-        return True
+                self.statistics.restart_source(vehicle.key)
 
     def _on_key(self, sysid: int, channel: Channel) -> None:
         if self._reports is not None:

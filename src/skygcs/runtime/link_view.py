@@ -134,8 +134,8 @@ class LinkView:
         return None if state is None else state.counts(channel_id)
 
     def forget_flows(self) -> None:
-        """See `Hub.forget_flows`."""
-        self._hub.forget_flows()
+        """See `Flows.forget`."""
+        self._hub.flows.forget()
 
     def authority_refusal(self, sysid: int) -> str | None:
         """See `AuthorityGate.refusal`."""

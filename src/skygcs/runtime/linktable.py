@@ -225,7 +225,7 @@ class LinkTable:
     def status(self) -> list[dict[str, Any]]:
         """Every link with its state, counters and channels; ``vehicles`` where it is bound to some; ``warning`` where
         it conflicts with another."""
-        self._hub.after_fast_path()
+        self._hub.flows.take()
         now = self._loop.time()
         warnings = link_warnings(self._current())
         rows = []
@@ -243,7 +243,7 @@ class LinkTable:
                     "failures": supervisor.failures,
                     "opened": supervisor.opened,
                     **supervisor.link.counters(),
-                    "channels": [self._hub.channel_status(c) for c in supervisor.link.channels],
+                    "channels": [self._hub.statistics.channel_status(c) for c in supervisor.link.channels],
                 }
             if entry.config.vehicles:
                 row |= {"vehicles": list(entry.config.vehicles), "translated_sysid": entry.config.translated_sysid}

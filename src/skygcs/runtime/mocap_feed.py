@@ -115,7 +115,7 @@ class MocapFeed:
         self._timesync = hub.dialect.by_name.get("TIMESYNC")
         if self._timesync is not None:
             keys = {fed.sysid << 8 for fed in self._fed.values()}
-            hub.add_observer({TIMESYNC}, keys, self._on_timesync)
+            hub.observers.add({TIMESYNC}, keys, self._on_timesync)
 
     async def run(self) -> None:
         """Until the task is cancelled, or a recording has ended. A fault is reported and does not end the daemon."""

@@ -185,7 +185,7 @@ class SigningSetup:
             shown.clear()
             if not self._hub.send_on((channel.id,), info, values, Priority.COMMAND):
                 return Outcome(False, "failed", f"{channel.link.name} did not accept the message", number)
-            remove = self._hub.add_observer(None, {vehicle.key}, lambda frame, _, now: look(frame))
+            remove = self._hub.observers.add(None, {vehicle.key}, lambda frame, _, now: look(frame))
             try:
                 with self._signing.watching(lambda frame, verdict: look(frame)):
                     async with asyncio.timeout(WAIT_S):

@@ -15,30 +15,18 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.authority import AuthorityGate
 from skygcs.events import Event
-from skygcs.links.base import Channel, Link
 from skygcs.links.stream import StreamChannel
 from skygcs.links.udp import UdpServerLink
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.loop_clock import boot_clock
 from support.hosts import until
+from support.plain_hub import PlainLink
 from support.routed import DIALECT, heartbeat, message
 from support.services import connect
 
 ALPHA, OWN, GCS = 7, 8, 250
 LONG = DIALECT.find("COMMAND_LONG")
 BEAT = DIALECT.find("HEARTBEAT")
-
-
-class PlainLink(Link):
-    """A link whose channels are made by hand."""
-
-    async def open(self) -> None: ...
-
-    async def close(self) -> None: ...
-
-    @property
-    def channels(self) -> list[Channel]:
-        return []
 
 
 class Wire:

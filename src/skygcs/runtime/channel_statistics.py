@@ -1,0 +1,207 @@
+"""What is counted for each channel and each source on it: kept while a channel is closed, bounded, and shown.
+
+The counters are the channel's own (`Channel.counters`, `SourceStats`), because every frame increases them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT
+from skygcs.core.routing.router import Router
+from skygcs.core.routing.source_statistics import SourceStats
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel
+from skygcs.runtime.flows import Flows
+
+OTHER_SOURCES = -1
+"""Key under which a channel's further sources are counted together once its table is full."""
+
+MAX_CLOSED_CHANNELS = 256
+"""Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
+
+MAX_CLOSED_SOURCES = 2048
+"""Sources of all closed channels together, 300 bytes each: programs that come and go must not accumulate."""
+
+CHANNEL_TOTALS = (
+    "rx_frames",
+    "rx_bytes",
+    "tx_frames",
+    "tx_bytes",
+    "tx_dropped",
+    "bad_crc",
+    "unknown",
+    "skipped_bytes",
+)
+"""Counters of a channel that are added up for its link; those of `Channel.counters`."""
+
+
+def channel_totals(channel: Channel) -> dict[str, int]:
+    """`CHANNEL_TOTALS` of one channel."""
+    stats = channel.parser.stats
+    return {
+        "rx_frames": channel.rx_frames,
+        "rx_bytes": channel.rx_bytes,
+        "tx_frames": channel.tx_frames,
+        "tx_bytes": channel.tx_bytes,
+        "tx_dropped": channel.tx_dropped,
+        "bad_crc": stats.bad_crc,
+        "unknown": stats.unknown,
+        "skipped_bytes": stats.skipped_bytes,
+    }
+
+
+class ChannelStatistics:
+    """Of the open ``channels`` and of those that have closed."""
+
+    def __init__(
+        self, channels: Mapping[int, Channel], router: Router, flows: Flows, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._channels = channels
+        self._router = router
+        self._flows = flows
+        self._loop = loop
+        self._closed_channels: dict[tuple[str, str], dict[int, SourceStats]] = {}
+        """By link and peer, the sources of channels that have closed."""
+        self._closed_totals: dict[str, Counter[str]] = {}
+        """By link, the counters of its channels that have closed."""
+
+    # -- channels and sources that come and go
+
+    def on_attached(self, channel: Channel) -> None:
+        """A channel is open: its sources continue where they were when it closed."""
+        closed = self._closed_channels.pop((channel.link.name, channel.peer), None)
+        if closed is not None:
+            for stats in closed.values():
+                stats.resume()  # frames sent while the channel was closed are not losses of the link
+            channel.sources = closed
+
+    def on_detached(self, channel: Channel) -> None:
+        """A channel has closed: keep what it counted, as long as there is room."""
+        self._add_to_totals(channel)
+        closed = self._closed_channels
+        closed[channel.link.name, channel.peer] = channel.sources
+        kept = sum(map(len, closed.values()))
+        while len(closed) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(closed) > 1):
+            kept -= len(closed.pop(next(iter(closed))))
+
+    def _add_to_totals(self, channel: Channel) -> None:
+        """Keep the counters of a channel that closes: those of its link must not decrease."""
+        totals = self._closed_totals.pop(channel.link.name, Counter())
+        totals.update(channel_totals(channel))
+        self._closed_totals[channel.link.name] = totals
+        while len(self._closed_totals) > MAX_CLOSED_CHANNELS:
+            del self._closed_totals[next(iter(self._closed_totals))]
+
+    def new_source(self, channel: Channel, key: int, frame: Frame) -> SourceStats:
+        """Counters of a source that is new on a channel, for the channel's table: its own, or those of all further
+        sources once the table is full."""
+        if len(channel.sources) >= MAX_SOURCES_PER_CHANNEL and not self._drop_source(channel, frame):
+            key = OTHER_SOURCES
+            known = channel.sources.get(key)
+            if known is not None:
+                return known
+        stats = channel.sources[key] = SourceStats(frame.sysid, frame.compid)
+        if key == OTHER_SOURCES:
+            stats.counts_loss = False
+        return stats
+
+    def _drop_source(self, channel: Channel, frame: Frame) -> bool:
+        """Make room for an autopilot in a full table: replace the other source that was silent for longest. True if
+        done."""
+        if frame.msgid != HEARTBEAT or not discovers(frame):
+            return False
+        autopilots = self._router.autopilots_on(channel.id)
+        others = [key for key in channel.sources if key not in autopilots and key != OTHER_SOURCES]
+        if not others:
+            return False
+        del channel.sources[min(others, key=lambda key: channel.sources[key].last_at)]
+        self._flows.forget()  # a flow may count for it
+        return True
+
+    def restart_source(self, key: int) -> None:
+        """A system rebooted: its sequence numbers restart on every channel."""
+        self._flows.take()  # it would overwrite them with its own counters
+        for channel in self._channels.values():
+            stats = channel.sources.get(key)
+            if stats is not None:
+                stats.restart()
+
+    def sample(self, now: float) -> None:
+        """Sample the rates of all sources; to be called once a second."""
+        for channel in self._channels.values():
+            for stats in channel.sources.values():
+                stats.sample(now)
+
+    # -- what is read
+
+    def received(self, channel_id: int, key: int) -> tuple[int, int] | None:
+        """Frames of a source on a channel and how many were lost; None if it is not heard there."""
+        channel = self._channels.get(channel_id)
+        stats = None if channel is None else channel.sources.get(key)
+        return None if stats is None else (stats.frames, stats.lost)
+
+    def link_totals(self, link: str) -> Counter[str]:
+        """Counters of a link (`CHANNEL_TOTALS`) since the daemon's start: its open channels and those that closed."""
+        totals = Counter(self._closed_totals.get(link, {}))
+        for channel in self._channels.values():
+            if channel.link.name == link:
+                totals.update(channel_totals(channel))
+        return totals
+
+    def link_quality(self, key: int) -> dict[str, Any]:
+        """Loss and rate of a source (sysid << 8 | compid), by link; on a link with several peers of the peer that
+        supplies its state. Of a vehicle that is heard on several links also which is chosen, and the health of each."""
+        found = {}
+        state = self._router.state_sources.get(key)
+        for channel_id in self._router.channels_of(key):
+            channel = self._channels[channel_id]
+            stats = channel.sources.get(key)
+            if stats is not None and channel.link.name not in found:
+                found[channel.link.name] = stats.as_dict(self._loop.time())
+                if state is not None:
+                    found[channel.link.name] |= state.link_status(channel_id, self._loop.time())
+                if channel.config.type == "replay":
+                    found[channel.link.name]["replayed"] = True
+        return found
+
+    def router_stats(self) -> dict[str, Any]:
+        """Counters of decisions and the route table."""
+        self._flows.take()
+        router, now = self._router, self._loop.time()
+        return {
+            "counters": {verdict.value: count for verdict, count in router.counters.items()},
+            "refused_routes": router.refused_routes,
+            "evicted_routes": router.evicted_routes,
+            "unreported_routes": router.unreported_routes,
+            "routes": [
+                {
+                    "sysid": sysid,
+                    "compid": compid,
+                    "link": self._channels[cid].link.name,
+                    "peer": self._channels[cid].peer,
+                    "age_s": round(now - at, 2),
+                }
+                for sysid, compid, cid, at in router.routes()
+                if cid in self._channels
+            ],
+        }
+
+    def channel_status(self, channel: Channel) -> dict[str, Any]:
+        """Counters of a channel and of each source on it."""
+        now = self._loop.time()
+        return {
+            "id": channel.id,
+            "peer": channel.peer,
+            "last_rx_age_s": round(now - channel.last_rx_at, 2),
+            **channel.counters(),
+            **self._router.port_counters(channel.id),
+            "sources": {
+                f"{key >> 8}/{key & 0xFF}" if key >= 0 else "others": stats.as_dict(now)
+                for key, stats in channel.sources.items()
+            },
+        }
