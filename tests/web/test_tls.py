@@ -80,7 +80,7 @@ def test_a_browser_signs_in_over_tls_sees_the_fleet_and_holds_it(tls_station: We
     assert cookie["secure"] and cookie["httpOnly"] and cookie["sameSite"] == "Strict"
     assert page.evaluate("document.cookie") == ""
     page.locator("tr.row[data-name=v1]").click()
-    page.get_by_title("Hold v1 where they are, at once").click()
+    page.get_by_title("Hold v1 where it is, at once").click()
     until(page, "skygcs.store.state.orders.length === 1 && skygcs.store.state.orders[0].state === 'done'")
     assert page.evaluate("Object.keys(skygcs.store.state.orders[0].outcomes)") == ["v1"]
     assert sockets == [f"wss://{ADDRESS}:{tls_station.port}/ws"]

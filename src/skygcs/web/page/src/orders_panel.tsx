@@ -89,7 +89,7 @@ function OrderButtons(props: ButtonsProps) {
   return (
     <>
       <section class="buttons" aria-label="Orders">
-        <button ref={hold} type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where they are, at once`}
+        <button ref={hold} type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where ${targets.length === 1 ? "it is" : "they are"}, at once`}
           onClick={(event) => event.isTrusted && void send({ label: "Hold", method: "vehicles.hold", params: {} })}>
           <span>Hold</span><Key letter="H" />
         </button>

@@ -44,3 +44,27 @@ function countsOf(state: State, now_s: number): readonly SiteCounts[] {
 export function isInAir({ landed }: Pick<Vehicle, "landed">): boolean {
   return landed === "in_air" || landed === "takeoff" || landed === "landing";
 }
+
+export interface FleetFigures {
+  vehicles: number;
+  armed: number;
+  inAir: number;
+  failsafe: number;
+  silent: number;
+  /** Of the silent ones, those that were in the air when they were last heard: they may still be. */
+  silentInAir: number;
+}
+
+/** What is said of the whole fleet in one line. What is not heard counts as neither armed nor in the air. */
+export function fleetFigures(vehicles: readonly Vehicle[], now_s: number): FleetFigures {
+  const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
+  const inAir = heard.filter(isInAir).length;
+  return {
+    vehicles: vehicles.length,
+    armed: heard.filter(({ armed }) => armed === true).length,
+    inAir,
+    failsafe: heard.filter(({ failsafe }) => failsafe).length,
+    silent: vehicles.length - heard.length,
+    silentInAir: vehicles.filter(isInAir).length - inAir,
+  };
+}

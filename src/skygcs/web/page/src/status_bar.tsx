@@ -4,33 +4,27 @@ import { useState } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore, useTick } from "./hooks.ts";
-import { isHeard, serverNowS, type Store } from "./store.ts";
-import { isInAir } from "./site_rows.ts";
+import { fleetFigures } from "./site_rows.ts";
+import { serverNowS, type Store } from "./store.ts";
 import { setTheme, theme, type Theme } from "./theme.ts";
 
 export function FleetSummary({ store }: { store: Store }) {
   const { state, nowMs } = useSlowState(store, 500);
-  const now_s = serverNowS(state, nowMs);
-  const vehicles = [...state.vehicles.values()];
-  const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
-  const armed = heard.filter((vehicle) => vehicle.armed === true).length;
-  const flying = heard.filter(isInAir).length;
-  const failsafe = heard.filter((vehicle) => vehicle.failsafe).length;
-  const silent = vehicles.length - heard.length;
+  const { vehicles, armed, inAir, failsafe, silent, silentInAir } = fleetFigures([...state.vehicles.values()], serverNowS(state, nowMs));
   return (
     <p class="summary">
-      <Figure count={vehicles.length} word={vehicles.length === 1 ? "vehicle" : "vehicles"} />
+      <Figure count={vehicles} word={vehicles === 1 ? "vehicle" : "vehicles"} />
       {state.sites.length > 1 && <Figure count={state.sites.length} word="sites" />}
       <Figure count={armed} word="armed" />
-      <Figure count={flying} word="in the air" />
+      <Figure count={inAir} word="in the air" />
       {failsafe > 0 && <Figure count={failsafe} word="failsafe" tone="danger" />}
-      {silent > 0 && <Figure count={silent} word="not heard" tone="warning" />}
+      {silent > 0 && <Figure count={silent} word="not heard" more={silentInAir > 0 ? `, ${silentInAir} last in the air` : ""} tone="warning" />}
     </p>
   );
 }
 
-function Figure({ count, word, tone }: { count: number; word: string; tone?: string }) {
-  return <span class={tone === undefined ? "figure" : `figure ${tone}`}><b>{count}</b> {word}</span>;
+function Figure({ count, word, more, tone }: { count: number; word: string; more?: string; tone?: string }) {
+  return <span class={tone === undefined ? "figure" : `figure ${tone}`}><b>{count}</b> {word}<span class="more">{more}</span></span>;
 }
 
 const NAMES: Record<Theme, string> = { system: "System", dark: "Dark", daylight: "Daylight" };
@@ -70,8 +64,8 @@ export function Banner({ store, connection }: { store: Store; connection: Connec
   if (daemon !== null && (daemon.slow || !daemon.connected)) {
     return (
       <div class="banner danger" role="alert">
-        <span><b>{daemon.slow ? "Slow daemon." : "No daemon."}</b> {sentence(daemon.text)}, since{" "}
-          {ageText(serverNowS(state, performance.now()) - daemon.since_s)}. {daemon.slow ? "It refuses orders that it reads too late." : "Orders are not sent."}</span>
+        <span><b>{daemon.slow ? "Slow daemon" : "No daemon"} for {ageText(serverNowS(state, performance.now()) - daemon.since_s)}.</b>{" "}
+          {sentence(daemon.text)}. {daemon.slow ? "It refuses orders that it reads too late." : "Orders are not sent."}</span>
       </div>
     );
   }

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { namesText } from "../src/format.ts";
 import { fullName, siteOf, viewParams } from "../src/levels.ts";
-import { siteRows } from "../src/site_rows.ts";
+import { fleetFigures, siteRows } from "../src/site_rows.ts";
 import { EMPTY, isHeard, reduce, type State } from "../src/store.ts";
 import type { Brief } from "../src/types.ts";
 import { batch, vehicle } from "./fleet.ts";
@@ -85,4 +85,14 @@ test("a name says its site where there are several", () => {
   assert.deepEqual([siteOf("alpha"), siteOf("south/alpha")], ["", "south"]);
   assert.equal(namesText(["north/a", "north/b", "south/a", "south/b"]), "2 of north and 2 of south");
   assert.equal(namesText(["a", "b", "c", "d"]), "a, b and 2 more");
+});
+
+test("a vehicle that is not heard counts as not in the air, and is named as one that was", () => {
+  const state = [vehicle("flew", 1), vehicle("stood", 2, { landed: "on_ground", armed: false })].reduce(
+    (before, each) => reduce(before, { type: "batch", batch: batch([each], { full: false }), atMs: 0 }),
+    EMPTY,
+  );
+  const all = [...state.vehicles.values()];
+  assert.deepEqual(fleetFigures(all, 1000), { vehicles: 2, armed: 1, inAir: 1, failsafe: 0, silent: 0, silentInAir: 0 });
+  assert.deepEqual(fleetFigures(all, 1060), { vehicles: 2, armed: 0, inAir: 0, failsafe: 0, silent: 2, silentInAir: 1 });
 });

@@ -163,7 +163,7 @@ export function DropZone(props: { label: string; accept: string; several?: boole
       <button type="button" onClick={() => input.current?.click()}>
         {props.label}
       </button>
-      <span class="muted">or drop it here</span>
+      <span class="muted bymouse">or drop it here</span>
       <input
         ref={input}
         type="file"
