@@ -295,7 +295,7 @@ class Daemon:
             signing.cancel()  # after the last message that was signed
 
     def _start_clocks(self, group: asyncio.TaskGroup) -> list[asyncio.Task[None]]:
-        """What is done again and again, from the begin to the end."""
+        """Start the periodic tasks, which run until the daemon ends."""
         clocks = [
             group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
             group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
@@ -382,13 +382,9 @@ class Daemon:
         values = {"type": kind, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
-    # -- what a person asks
-
-    def _tick_operator(self) -> None:
-        self.operator_watchdog.tick(self.now())
-
     def check_authority(self) -> None:
-        """End what goes on at vehicles whose authority has ended, and begin with those of which it has begun."""
+        """Stop the work on vehicles whose grant has ended, and repeat the stream requests to vehicles that have a new
+        one. Each change is an event."""
         gate = self.hub.authority
         if gate is None:
             return

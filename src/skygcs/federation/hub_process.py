@@ -21,6 +21,7 @@ from nats.js.api import DiscardPolicy, StorageType, StreamConfig
 
 from skygcs.config.files import write_whole
 from skygcs.config.hub_inventory import HubInventory, HubUser
+from skygcs.core.federation.lease import TTL_S
 from skygcs.errors import BusError, ConfigError, SkygcsError
 from skygcs.federation.bus import Bus, BusOptions, store_errors
 from skygcs.federation.hub_config import LEASES, LOGS, hub_config
@@ -36,12 +37,11 @@ MAX_LOG_BYTES = 65536
 
 KEEPER = "keeper"
 
-LEASE_TTL_S = 3.0
-"""A lease that its holder does not renew is gone after so long."""
-
 MAX_LEASE_BYTES = 4096
+"""Longest value of a lease in the store, with room for later keys (`core.federation.lease.MAX_ENTRY_BYTES`)."""
+
 LOGS_AGE_S = 3600.0
-"""A log is in the hub's store only while it is collected."""
+"""How long a part of a log stays in the hub's store: it is there only for its collection."""
 
 PR_SET_PDEATHSIG = 1
 """prctl(2): the signal that a child gets when its parent ends, also when that is killed."""
@@ -191,11 +191,11 @@ def stores() -> list[StreamConfig]:
         StreamConfig(
             name=f"KV_{LEASES}",
             subjects=[f"$KV.{LEASES}.>"],
-            max_age=LEASE_TTL_S,
+            max_age=TTL_S,
             max_msgs_per_subject=1,
             max_msg_size=MAX_LEASE_BYTES,
             max_bytes=16 << 20,
-            duplicate_window=LEASE_TTL_S,
+            duplicate_window=TTL_S,
             storage=StorageType.FILE,
             discard=DiscardPolicy.NEW,
             allow_rollup_hdrs=True,

@@ -1,6 +1,6 @@
-"""The numbers of the bridge for Prometheus: the hub, every other site, orders, leases and conflicts.
+"""Metrics of the bridge for Prometheus: the hub, every other site, orders, leases and conflicts.
 
-The daemon's own numbers are scraped at the daemon. Labels have a bounded set of values: sites (`MAX_SITES`), vehicles
+The daemon's own metrics are scraped at the daemon. Labels have a bounded set of values: sites (`MAX_SITES`), vehicles
 of [federation.vehicles], and constants of the code.
 """
 
@@ -18,7 +18,7 @@ from skygcs.config.token_file import read_token
 from skygcs.core.federation.remote_sites import RemoteSites
 from skygcs.federation.station import Part, Station
 from skygcs.metrics.endpoint import MetricsEndpoint
-from skygcs.metrics.exposition import Samples, as_text, written
+from skygcs.metrics.exposition import Samples, exposed
 from skygcs.metrics.table import MetricInfo, metrics_with
 
 TABLE = "federation.metrics"
@@ -99,12 +99,12 @@ ORDERS_SENT, ORDERS_TAKEN = "orders to other sites", "orders of other stations"
 
 
 class FederationMetrics:
-    """A part of the bridge: `run` in a task."""
+    """A part of the bridge: serves the metrics. Run `run` in a task."""
 
     def __init__(
         self, config: FederationMetricsConfig, station: Station, sites: RemoteSites, parts: Mapping[str, Part]
     ) -> None:
-        """``parts``: all of the bridge; read when it is scraped."""
+        """``parts``: all parts of the bridge; their status is read at each scrape."""
         self._config = config
         self._station = station
         self._sites = sites
@@ -114,7 +114,7 @@ class FederationMetrics:
         self._scrapes = 0
 
     async def run(self) -> None:
-        """Until it is cancelled. Raises LinkError."""
+        """Serve until it is cancelled. Raises LinkError if the address cannot be used."""
         endpoint = MetricsEndpoint(self._config, read_token(TABLE, self._config.token_file), self._station.now, TABLE)
         try:
             endpoint.claim()
@@ -130,7 +130,7 @@ class FederationMetrics:
         return {"address": None if self._address is None else list(self._address), "scrapes": self._scrapes}
 
     async def render(self) -> bytes:
-        """All numbers as text, in short turns of the loop."""
+        """All metrics as text, written in short turns of the loop."""
         self._scrapes += 1
         pieces = []
         for piece in self._turns():
@@ -145,13 +145,7 @@ class FederationMetrics:
             self._read_site(samples, site)
         yield b""
         self._read_parts(samples)
-        samples.put("skygcs_series_dropped", samples.dropped)
-        samples.put("skygcs_series", samples.count + 1)
-        for name, metric in METRICS.items():
-            if name in samples.by_metric:
-                yield from written(metric, list(samples.by_metric[name].items()))
-        for family in self._process.collect():
-            yield as_text(family)
+        yield from exposed(samples, METRICS, self._process)
 
     def _read_station(self, samples: Samples) -> None:
         station, put = self._station, samples.put
@@ -185,7 +179,7 @@ class FederationMetrics:
         put("restarts_total", site["restarts"])
 
     def _read_parts(self, samples: Samples) -> None:
-        """What a station has of these; an observer has none."""
+        """Read the parts that this station has; an observer has only the station socket and the orders."""
         status = {name: part.status() for name, part in self._parts.items() if part is not self}
         put, publisher = samples.put, status.get("publisher")
         if publisher is not None:

@@ -1,4 +1,4 @@
-"""What every part of the bridge is given: the bus, the daemon, the station's names, and where to report."""
+"""What every part of the bridge receives: the connection to the hub, the daemon, the station's names, the reports."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ StationMethod = Callable[[dict[str, Any]], Awaitable[Any]]
 
 
 class Part(Protocol):
-    """One thing that the bridge does."""
+    """A part of the bridge, such as the publisher."""
 
     async def run(self) -> None:
-        """Until it is cancelled. What it raises is reported, and it is run again after a pause."""
+        """Run until it is cancelled. An error that it raises is reported, and it is run again after a pause."""
         ...
 
     def status(self) -> dict[str, Any]:
@@ -39,35 +39,29 @@ class Part(Protocol):
 
 
 class Reports:
-    """Events of the bridge: logged, kept in a ring, passed to observers."""
+    """Reports events of the bridge: logs them, and keeps the last MAX_REPORTS in ``recent``."""
 
     def __init__(self) -> None:
         self.recent: deque[Event] = deque(maxlen=MAX_REPORTS)
         self.count = 0
-        self._observers: list[Callable[[Event], None]] = []
-
-    def add_observer(self, observer: Callable[[Event], None]) -> None:
-        self._observers.append(observer)
 
     def __call__(self, event: Event) -> None:
         self.count += 1
         self.recent.append(event)
         log = _log.error if event.kind == "fault" else _log.warning if event.kind == "warning" else _log.info
         log(event.text, kind=event.kind, **({} if event.vehicle is None else {"vehicle": event.vehicle}))
-        for observer in self._observers:
-            observer(event)
 
 
 @dataclass(frozen=True)
 class Station:
-    """One per process, made by `skygcs.federation.process`."""
+    """The station of this process, made by `skygcs.federation.process`."""
 
     config: FederationConfig
     fleet: FleetConfig
     name: str
     """The site's name; for an operator or observer without one, the name of its computer."""
     run_id: str
-    """Random, of this run of the process: numbers begin anew with it."""
+    """Random identifier of this run of the process; sequence numbers begin anew with each run."""
     bus: Bus
     daemon_address: str | None
     """None: a station without a daemon."""
@@ -77,17 +71,17 @@ class Station:
     loop: asyncio.AbstractEventLoop
     report: Reports
     clock: SiteClock = field(default_factory=SiteClock)
-    """``site_s`` of it is the site's clock, which other sites compare theirs with."""
+    """Its ``site_s`` is the site's clock, with which other sites compare theirs."""
     methods: dict[str, StationMethod] = field(default_factory=dict)
     """The methods federation.* of the station socket; each part adds its own before anything runs."""
 
     @property
     def site(self) -> str | None:
-        """The name of the site if this station is one."""
+        """The name of the site; None if this station is an operator or observer."""
         return self.config.site if self.config.role == "site" else None
 
     def daemon_link(self, name: str) -> DaemonLink | None:
-        """A connection to the daemon for the part of this name, which has to run it; None without a daemon."""
+        """A new connection to the daemon for the part of this name, which has to run it; None without a daemon."""
         if self.daemon_address is None:
             return None
         return DaemonLink(self.daemon_address, self.daemon_token, name)

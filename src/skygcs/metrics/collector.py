@@ -16,7 +16,7 @@ from prometheus_client.process_collector import ProcessCollector
 
 from skygcs import __version__
 from skygcs.core.vehicle.offboard_controller import OffboardState
-from skygcs.metrics.exposition import Labels, Samples, as_text, written
+from skygcs.metrics.exposition import Labels, Samples, exposed
 from skygcs.metrics.table import METRICS
 from skygcs.rpc.context import Services
 from skygcs.rpc.server import RpcServer
@@ -151,13 +151,7 @@ class MetricsCollector:
             self._read_radio(samples, radio)
         yield b""
         yield from self._read_vehicles(samples)
-        samples.put("skygcs_series_dropped", samples.dropped)
-        samples.put("skygcs_series", samples.count + 1)
-        for name, metric in METRICS.items():
-            if name in samples.by_metric:
-                yield from written(metric, list(samples.by_metric[name].items()))
-        for family in self._process.collect():
-            yield as_text(family)
+        yield from exposed(samples, METRICS, self._process)
 
     def _read_daemon(self, samples: Samples) -> None:
         services, put = self._services, samples.put

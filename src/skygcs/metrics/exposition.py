@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from prometheus_client.exposition import generate_latest
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -11,11 +11,11 @@ from prometheus_client.registry import Collector
 from skygcs.metrics.table import MetricInfo
 
 SLICE_LINES = 50
-"""Lines that are written in one turn: 0.5 ms."""
+"""Lines that are written in one turn of the loop: 0.5 ms."""
 
 MAX_SERIES = 10_000
-"""Twice what 250 vehicles under control on one radio have; Prometheus takes 1 MB from a target without effort. What is
-beyond is left out and counted (`skygcs_series_dropped`)."""
+"""Time series of one collection: twice those of 250 vehicles under control on one radio, about 1 MB, which Prometheus
+reads easily. Further ones are left out and counted (`skygcs_series_dropped`)."""
 
 Labels = tuple[str, ...]
 
@@ -29,7 +29,7 @@ class Samples:
         self.dropped = 0
 
     def put(self, name: str, value: float | None, *labels: str) -> None:
-        """A value; None: it is not known now, and there is no sample."""
+        """Add a sample; None: the value is not known now, and no sample is added."""
         if value is None:
             return
         samples = self.by_metric.setdefault(name, {})
@@ -41,8 +41,22 @@ class Samples:
         samples[labels] = value
 
 
+def exposed(samples: Samples, metrics: Mapping[str, MetricInfo], process: Collector) -> Iterator[bytes]:
+    """The text of a complete collection in slices: its metrics in the order of ``metrics``, then those of ``process``.
+
+    Adds the metrics skygcs_series and skygcs_series_dropped, which must be in ``metrics``.
+    """
+    samples.put("skygcs_series_dropped", samples.dropped)
+    samples.put("skygcs_series", samples.count + 1)
+    for name, metric in metrics.items():
+        if name in samples.by_metric:
+            yield from _written(metric, list(samples.by_metric[name].items()))
+    for family in process.collect():
+        yield _as_text(family)
+
+
 class _One(Collector):
-    """What `generate_latest` writes: one metric."""
+    """A collector of one metric, for `generate_latest`."""
 
     def __init__(self, metric: Metric) -> None:
         self._metric = metric
@@ -51,12 +65,11 @@ class _One(Collector):
         return (self._metric,)
 
 
-def as_text(metric: Metric) -> bytes:
-    """All of one metric."""
+def _as_text(metric: Metric) -> bytes:
     return generate_latest(_One(metric))
 
 
-def written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iterator[bytes]:
+def _written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iterator[bytes]:
     """The lines of one metric, SLICE_LINES at a time, under one header."""
     for begin in range(0, len(samples), SLICE_LINES):
         family: CounterMetricFamily | GaugeMetricFamily
@@ -66,5 +79,5 @@ def written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iter
             family = GaugeMetricFamily(metric.name, metric.help, labels=metric.labels)
         for labels, value in samples[begin : begin + SLICE_LINES]:
             family.add_metric(labels, value)
-        text = as_text(family)
+        text = _as_text(family)
         yield text if begin == 0 else text.split(b"\n", 2)[2]  # without its HELP and TYPE

@@ -442,12 +442,12 @@ class Fleet:
         return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
 
     def authority_gained(self, sysid: int) -> None:
-        """Requests that were kept from each autopilot of this system until now are made anew."""
+        """Repeat the stream requests to each autopilot of this system: the gate has blocked them until now."""
         for key in sorted(self._of_system.get(sysid, ())):
             self.vehicles[key].streams.restart(self._loop.time())
 
     def authority_lost(self, sysid: int, text: str) -> None:
-        """See `VehicleActor.authority_lost`, of each autopilot of a system."""
+        """Call `VehicleActor.authority_lost` of each autopilot of a system."""
         for key in sorted(self._of_system.get(sysid, ())):
             self.vehicles[key].authority_lost(text)
 

@@ -231,7 +231,6 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = False
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
-        self._reported_ready = False
 
     def on_ready(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Ready for takeoff!")

@@ -1,24 +1,19 @@
-"""Another site's places, velocities and headings in the own world frame. Pure.
+"""Another site's velocities and headings in the own world frame. Pure.
 
-Sites exchange degrees and true east, north, up, which mean the same everywhere; each has an origin of its own. Between
-two places the directions of east and up differ: by 1.5 degrees over 100 km at 60 degrees north. A velocity is turned by
-that, so that it remains the derivative of the position in the own frame.
+Sites exchange positions in degrees, and velocities along true east, north and up at the vehicle. East and up differ
+between two places: by 1.5 degrees over 100 km at 60 degrees north. A velocity is rotated by that difference, so that it
+is the derivative of the position in the own frame.
 """
 
 from __future__ import annotations
 
 import math
 
-from skygcs.core.geo import Origin, Vector, enu_from_geodetic, geodetic_from_enu, world_from_enu
-
-
-def enu_between(pos_enu_m: Vector, theirs: Origin, ours: Origin) -> Vector:
-    """A place in one site's world frame (x, y, up) in the other's, through degrees."""
-    return enu_from_geodetic(*geodetic_from_enu(*pos_enu_m, theirs), ours)
+from skygcs.core.geo import Origin, Vector, world_from_enu
 
 
 def velocity_in(ours: Origin, vel_enu_mps: Vector, lat_deg: float, lon_deg: float) -> Vector:
-    """A velocity of true east, north, up at that place, along the axes of the own world frame."""
+    """A velocity (true east, north, up at that place, m/s) along the axes of the own world frame, m/s."""
     return world_from_enu(_turned(vel_enu_mps, lat_deg, lon_deg, ours), ours)
 
 

@@ -90,11 +90,6 @@ class ProgramStreams:
                 del self._vehicles[vehicle]
         return left
 
-    def is_wanted(self, vehicle: int, stream: Stream) -> bool:
-        """Whether a program that was connected at the last look asked for it."""
-        requests = self._vehicles.get(vehicle)
-        return requests is not None and stream in requests.programs
-
     def forget(self, vehicle: int) -> None:
         """It rebooted, and knows of no request any more; or it is gone."""
         self._vehicles.pop(vehicle, None)

@@ -221,15 +221,6 @@ def interval_plan(dialect: Dialect, message: str | int, rate_hz: float | None, w
     return autopilot.message_interval(msgid, rate_hz, refused=f"{whose} does not stream {name}")
 
 
-def read_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
-    """Read how often it streams a message (MESSAGE_INTERVAL)."""
-    require_connected(vehicle, now)
-    msgid, name = find_message(dialect, message)
-    refused = f"{autopilot.firmware_name(vehicle)} does not report how often it streams {name}"
-    step = Step("read interval", CommandSpec(mav_cmd.GET_MESSAGE_INTERVAL, (float(msgid),)), refused=refused)
-    return Plan("read interval", (step,), "interval read")
-
-
 def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
     require_connected(vehicle, now)
     msgid, name = find_message(dialect, message)
