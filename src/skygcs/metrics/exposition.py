@@ -50,7 +50,7 @@ def exposed(samples: Samples, metrics: Mapping[str, MetricInfo], process: Collec
     samples.put("skygcs_series", samples.count + 1)
     for name, metric in metrics.items():
         if name in samples.by_metric:
-            yield from _written(metric, list(samples.by_metric[name].items()))
+            yield from written(metric, list(samples.by_metric[name].items()))
     for family in process.collect():
         yield _as_text(family)
 
@@ -69,7 +69,7 @@ def _as_text(metric: Metric) -> bytes:
     return generate_latest(_One(metric))
 
 
-def _written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iterator[bytes]:
+def written(metric: MetricInfo, samples: Sequence[tuple[Labels, float]]) -> Iterator[bytes]:
     """The lines of one metric, SLICE_LINES at a time, under one header."""
     for begin in range(0, len(samples), SLICE_LINES):
         family: CounterMetricFamily | GaugeMetricFamily
