@@ -9,11 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.cli.status import commander_word
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
+from skygcs.rpc.methods import METHODS
 from skygcs.sim.firmware_modes import Px4Mode
 from support.flown import Flown, flown
+from support.pymav import PymavPeer
 
 pytestmark = pytest.mark.looptime
 
@@ -88,44 +92,130 @@ async def test_control_that_loses_its_authority_ends_and_nothing_leaves_any_more
         assert state["authority"]["blocked_frames"] > 0
 
 
-ORDERS: list[tuple[str, dict[str, Any]]] = [
-    ("vehicles.arm", {}),
-    ("vehicles.disarm", {"force": True}),
-    ("vehicles.land", {}),
-    ("vehicles.rtl", {}),
-    ("vehicles.hold", {}),
-    ("vehicles.mode", {"mode": "AUTO.LOITER"}),
-    ("vehicles.takeoff", {}),
-    ("vehicles.goto", {"enu_m": [1.0, 1.0, 10.0]}),
-    ("vehicles.reboot", {"force": True}),
-    ("vehicles.request", {"message": "HOME_POSITION"}),
-    ("vehicles.command", {"command": "DO_SET_SERVO", "params": [1, 1500]}),
-    ("control.set", {"mode": "position"}),
-    ("control.setpoint", {"pos_enu_m": [0.0, 0.0, 10.0]}),
-    ("missions.clear", {}),
-    ("missions.start", {}),
-    ("params.set", {"params": {"MPC_XY_VEL_MAX": 5.0}}),
-    ("params.get", {"names": ["MPC_XY_VEL_MAX"]}),
+PLACE = {"lat_deg": 47.0, "lon_deg": 8.0}
+PLAN = "QGC WPL 110\n0\t0\t3\t16\t0\t0\t0\t0\t47\t8\t10\t1\n1\t0\t3\t16\t0\t0\t0\t0\t47\t8\t10\t1\n"
+
+ORDERS: dict[str, dict[str, Any]] = {
+    "vehicles.arm": {},
+    "vehicles.disarm": {"force": True},
+    "vehicles.land": {},
+    "vehicles.rtl": {},
+    "vehicles.hold": {},
+    "vehicles.mode": {"mode": "AUTO.LOITER"},
+    "vehicles.takeoff": {},
+    "vehicles.goto": {"enu_m": [1.0, 1.0, 10.0]},
+    "vehicles.reboot": {"force": True},
+    "vehicles.set_home": PLACE | {"alt_amsl_m": 400.0},
+    "vehicles.calibrate": {"sensor": "gyro"},
+    "vehicles.calibrate_confirm": {},
+    "vehicles.calibrate_cancel": {},
+    "vehicles.request": {"message": "HOME_POSITION"},
+    "vehicles.interval": {"message": "ATTITUDE", "rate_hz": 10.0},
+    "vehicles.stream": {"stream": "all", "rate_hz": 2.0},
+    "vehicles.command": {"command": "DO_SET_SERVO", "params": [1, 1500]},
+    "origin.push": {},
+    "control.set": {"mode": "position"},
+    "control.setpoint": {"pos_enu_m": [0.0, 0.0, 10.0]},
+    "trajectory.start": {},
+    "trajectory.pause": {},
+    "trajectory.resume": {},
+    "trajectory.speed": {"speed": 0.5},
+    "trajectory.abort": {},
+    "missions.upload": {"plan": PLAN},
+    "missions.download": {},
+    "missions.clear": {},
+    "missions.start": {},
+    "missions.pause": {},
+    "missions.resume": {},
+    "missions.set_current": {"item": 1},
+    "fence.set": {"radius_m": 50.0},
+    "fence.status": {},
+    "fence.test": {"radius_m": 2.0},
+    "logs.list": {},
+    "logs.get": {},
+    "params.set": {"params": {"MPC_XY_VEL_MAX": 5.0}},
+    "params.get": {"names": ["MPC_XY_VEL_MAX"]},
+    "params.list": {},
+    "signing.setup": {"key_file": "KEY"},
+    "signing.off": {},
+    "preflight.run": {"fix": True},
+}
+"""All methods that send something to a vehicle for a person."""
+
+ANSWERED_HERE = {
+    *("vehicles.list", "vehicles.get", "vehicles.forget", "messages.latest", "subscribe", "origin.from_vehicle"),
+    *("params.status", "params.cancel", "control.status", "control.gains", "control.record", "link.select"),
+    *("trajectory.load", "trajectory.unload", "trajectory.paths", "trajectory.status", "missions.status"),
+    "preflight.status",
+}
+"""They send nothing."""
+
+ELSEWHERE = {"vehicles.stop", "vehicles.renumber", "messages.send"}
+"""A stop is exempt; a vehicle that sites share keeps its id; for messages see below."""
+
+COMPONENT_ORDERS: list[tuple[str, dict[str, Any]]] = [
+    ("vehicles.command", {"command": "DO_GIMBAL_MANAGER_PITCHYAW", "params": [0, 0, 0, 0, 0, 0, 0]}),
+    ("vehicles.command", {"command": "IMAGE_START_CAPTURE", "params": [0, 0, 1]}),
+    ("vehicles.request", {"message": "CAMERA_INFORMATION"}),
+    ("vehicles.interval", {"message": "CAMERA_FOV_STATUS", "rate_hz": 1.0}),
+    ("vehicles.stream", {"stream": "all", "rate_hz": 1.0}),
 ]
+
+
+def test_every_method_that_names_vehicles_is_in_a_table() -> None:
+    named = {n for n, m in METHODS.items() if {"target", "targets"} & m.params.model_fields.keys()}
+    assert named == ORDERS.keys() | ANSWERED_HERE | ELSEWHERE
 
 
 async def test_every_order_is_refused_in_words_and_only_a_stop_passes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    key = tmp_path / "key"
+    key.write_text("ab" * 32)
+    key.chmod(0o600)
     async with shared(tmp_path, monkeypatch) as (gcs, authority):
+        camera = PymavPeer(1, 100)
+        gcs.link.peer.send(camera.pack(mav.MAVLink_heartbeat_message(30, 8, 0, 0, 4, 3)))
+        await asyncio.sleep(0.5)
         authority.granting = False
         gate = gcs.daemon.hub.authority
         assert gate is not None
         gate.revoke("v1", token=authority.token, hub="h", commander="south")
         gcs.daemon.check_authority()
         since = gcs.now
-        for method, params in ORDERS:
-            answer = await gcs(method, targets="v1", **params)
+        for method, params in ORDERS.items():
+            given = {name: str(key) if value == "KEY" else value for name, value in params.items()}
+            one = "target" if "target" in METHODS[method].params.model_fields else "targets"
+            answer = await gcs(method, **{one: "v1"}, **given)
             assert WORDS in str(answer), (method, answer)
-        with pytest.raises(RefusedError, match="is commanded by south"):
-            await gcs("messages.send", name="PING", target="v1")
+            assert gcs.now == since, f"{method} waited for the vehicle"
+        for method, params in COMPONENT_ORDERS:
+            answer = await gcs(method, targets="v1/100", **params)
+            assert answer["outcomes"]["v1/100"]["message"] == f"refused: {WORDS}", (method, answer)
+        for target in ("v1", "v1/100"):
+            with pytest.raises(RefusedError, match="is commanded by south"):
+                await gcs("messages.send", name="PING", target=target)
         await asyncio.sleep(3.0)
         assert sent(gcs, since) == []
         await gcs.done("vehicles.stop", action="land")
         assert gcs.sim().mode == Px4Mode.LAND
         assert {name for name, _ in sent(gcs, since)} <= {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
+
+
+async def test_the_state_says_who_commands_it_as_status_shows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with shared(tmp_path, monkeypatch) as (gcs, authority):
+
+        async def shown() -> str:
+            (state,) = await gcs("vehicles.list", targets="v1")  # what `status --json` prints
+            return commander_word(state)
+
+        assert await shown() == "here"
+        authority.granting = False
+        gate = gcs.daemon.hub.authority
+        assert gate is not None
+        gate.revoke("v1", token=authority.token, hub="h", commander="south")
+        assert await shown() == "south"
+        gate.revoke("v1", token=authority.token, hub="h")
+        assert await shown() == "nobody"

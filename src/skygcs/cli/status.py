@@ -37,17 +37,28 @@ if TYPE_CHECKING:
 NOTHING_HEARD = "heard yet (skygcs-cli links shows what arrives)"
 
 STATUS_COLUMNS = (
-    *("name", "site", "id", "autopilot", "mode", "armed", "alt", "x, y, up"),
+    *("name", "site", "commander", "id", "autopilot", "mode", "armed", "alt", "x, y, up"),
     *("battery", "gps", "link", "companion", "loss", "age", "last text"),
 )
 
-ONLY_IF_KNOWN = ("site", "x, y, up", "companion")
-"""Columns of what a whole fleet may not have: other sites, an origin, computers on its vehicles."""
+ONLY_IF_KNOWN = ("site", "commander", "x, y, up", "companion")
+"""Columns of what a whole fleet may not have: other sites, vehicles shared with them, an origin, companions."""
 
 COMPANION_SILENT_S = 5.0
 """A companion's heartbeat comes every second."""
 
-STATUS_LEAVES_OUT = ("last text", "loss", "site", "companion", "link", "autopilot", "gps", "x, y, up", "id")
+STATUS_LEAVES_OUT = (
+    "last text",
+    "loss",
+    "site",
+    "companion",
+    "link",
+    "autopilot",
+    "gps",
+    "x, y, up",
+    "id",
+    "commander",
+)
 """Columns that a narrow terminal does not show, in the order in which they are left out."""
 
 LOW_BATTERY_PERCENT = 25
@@ -179,6 +190,7 @@ def status_cells(state: State) -> tuple[str, ...]:
     return (
         str(state["name"]),
         str(state.get("site") or ""),
+        commander_word(state),
         str(state["sysid"]),
         " ".join(filter(None, (state.get("autopilot"), state.get("firmware")))),
         state.get("mode") or "?",
@@ -205,6 +217,17 @@ def armed_word(state: State) -> str:
     if is_deaf(state):
         words.append("HEARS NOTHING")
     return " ".join([armed, *words])
+
+
+def commander_word(state: State) -> str:
+    """Who commands a vehicle of [federation.vehicles]: "here", the other site, or "nobody"; "" for every other vehicle.
+
+    A vehicle of another site has the holder of its lease, as that site knows it.
+    """
+    authority: Mapping[str, Any] | None = state.get("authority")
+    if authority is not None:
+        return "here" if authority["held"] else str(authority["commander"] or "nobody")
+    return str((state.get("lease") or {}).get("holder") or "")
 
 
 def companion_word(state: State) -> str:
@@ -288,6 +311,8 @@ def _styles(state: State) -> dict[str, str]:
     meets = (state.get("separation") or {}).get("level") in ("warning", "action")
     if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state) or meets:
         styles["armed"] = "bold red"
+    if (state.get("authority") or {}).get("held") is False:
+        styles["commander"] = "bold yellow"
     if (state.get("companion") or {}).get("link") == "down":
         styles["companion"] = "bold red"
     if not state.get("connected"):

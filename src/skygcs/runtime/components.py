@@ -266,6 +266,10 @@ class ComponentActor:
 
     # -- orders
 
+    def refuse(self, order: str, reason: str) -> Outcome:
+        """Report an order that the fleet refuses."""
+        return self._table.report(self, order, Outcome.refused(reason))
+
     async def command(
         self, command: str | int, params: Sequence[float | None] = (), *, force: bool = False, **more: Any
     ) -> Outcome:

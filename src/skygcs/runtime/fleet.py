@@ -489,16 +489,17 @@ class Fleet:
         own_arguments, staying, places = (
             self._going(vehicles, arguments) if order is VehicleActor.goto else ({}, {}, {})
         )
-        for vehicle in vehicles if order is not VehicleActor.stop else ():
-            if (why := self._links.authority_refusal(vehicle.sysid)) is not None:
-                staying[vehicle] = why
+        refusals: dict[Actor, str] = dict(staying.items())
+        for actor in actors if order is not VehicleActor.stop else ():
+            if (why := self._links.authority_refusal(actor.sysid)) is not None:
+                refusals[actor] = why
         broadcast = self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
             async with asyncio.TaskGroup() as group:
                 for actor in actors:
-                    if isinstance(actor, VehicleActor) and actor in staying:
+                    if actor in refusals:
                         continue
                     own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
                     call = self._guarded(actor, order, args, {**arguments, **own})
@@ -511,7 +512,7 @@ class Fleet:
                 vehicle.commands.end_broadcast(broadcast)
             for actor in places:
                 self.monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
-        refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in staying.items()}
+        refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in refusals.items()}
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
     async def _guarded(self, actor: Actor, order: Order, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:

@@ -193,10 +193,11 @@ class Trajectories:
     def _chosen(
         self, actors: Sequence[VehicleActor]
     ) -> tuple[dict[VehicleActor, LoadedTrajectory], dict[VehicleActor, str]]:
-        """What is loaded for each, and those for which nothing is."""
-        chosen = {actor: self._loaded[actor] for actor in actors if actor in self._loaded}
+        """What is loaded for each, and why others do not start: nothing is, or another site commands them."""
         missing = "no trajectory is loaded: `skygcs-cli trajectory load FILE {}` first"
-        return chosen, {actor: missing.format(actor.name) for actor in actors if actor not in chosen}
+        refused = {actor: missing.format(actor.name) for actor in actors if actor not in self._loaded}
+        refused |= {actor: why for actor in actors if (why := actor.authority_refusal()) is not None}
+        return {actor: self._loaded[actor] for actor in actors if actor not in refused}, refused
 
     def _clock(
         self,
@@ -290,7 +291,7 @@ class Trajectories:
         for actor in actors:
             group = self._group_of(actor)
             if group is None:
-                outcomes[actor.name] = Outcome.refused("it follows no trajectory")
+                outcomes[actor.name] = Outcome.refused(actor.authority_refusal() or "it follows no trajectory")
             elif group not in meant:
                 meant.append(group)
         for group in meant:

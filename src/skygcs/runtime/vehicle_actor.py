@@ -96,7 +96,9 @@ class VehicleActor:
         self.streams = StreamRequester(
             vehicle, self.commands, services.dialect, config.streams, partial(services.links.counts_on, vehicle.key)
         )
-        not_ours = partial(services.links.authority_refusal, vehicle.sysid)
+        self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
+        """Why nothing may be sent to it now, as another site may command it; None: it may."""
+        not_ours = self.authority_refusal
         self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, not_ours)
         self.offboard = self._new_offboard(services)
         after_takeoff = config.control.engage_after_takeoff or "off"
@@ -518,6 +520,8 @@ class VehicleActor:
 
     async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
         """See `Missions.fetch`."""
+        if (why := self.authority_refusal()) is not None:
+            return self.refuse("plan download", why), MissionPlan()
         outcome, plan = await self.missions.fetch(kinds)
         return self._orders.finish("plan download", outcome), plan
 

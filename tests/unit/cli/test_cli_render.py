@@ -59,6 +59,24 @@ def test_the_computer_on_a_vehicle_has_a_column_once_one_has_it(companion: dict[
     assert "companion" not in text_of(status.status_table([state()]))
 
 
+@pytest.mark.parametrize(
+    ("parts", "word"),
+    [
+        ({"authority": {"held": True, "commander": "north"}}, "here"),
+        ({"authority": {"held": False, "commander": "south"}}, "south"),
+        ({"authority": {"held": False, "commander": None}}, "nobody"),
+        ({"authority": None}, ""),
+        ({"site": "south", "lease": {"holder": "north", "revision": 3, "remaining_s": 2.0}}, "north"),
+        ({"site": "south", "lease": None}, ""),
+    ],
+)
+def test_a_shared_vehicle_shows_who_commands_it(parts: dict[str, Any], word: str) -> None:
+    column = status.STATUS_COLUMNS.index("commander")
+    assert status.status_cells(state(**parts))[column] == word
+    shown = text_of(status.status_table([state(), state(name="bravo", sysid=2, **parts)]))
+    assert ("commander" in shown) == bool(word) and (not word or f" {word} " in shown)
+
+
 @pytest.mark.parametrize("width", [80, 100, 140, 200])
 def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
     states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
@@ -101,7 +119,7 @@ def test_a_vehicle_of_which_only_a_heartbeat_is_known_has_its_row() -> None:
     bare = {"name": "v7", "sysid": 7, "autopilot": "px4", "connected": True, "armed": None, "mode": None}
     unknown = dict.fromkeys(("gps", "position", "battery", "home", "firmware", "landed", "last_heartbeat_age_s"))
     cells = status.status_cells({**bare, **unknown, "status_texts": [], "links": {}})
-    assert cells[:6] == ("v7", "", "7", "px4", "?", "?")
+    assert cells[:7] == ("v7", "", "", "7", "px4", "?", "?")
     text_of(status.status_table([{**bare, **unknown}]))
 
 

@@ -27,6 +27,7 @@ def actor(name: str) -> VehicleActor:
         name=name,
         sysid=1,
         vehicle=SimpleNamespace(replayed=False),
+        authority_refusal=lambda: None,
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
     )
     return cast(VehicleActor, made)
