@@ -163,6 +163,8 @@ async def test_without_the_hub_orders_fail_and_the_outcome_of_one_under_way_is_f
         await until(lambda: c.process.bus.connected, "the hub is back")
         settled = await _settled(boss, outcome["id"])
         assert settled["status"] == "done" and settled["vehicle"] == "south/alpha"
+        deadline_s = asyncio.get_running_loop().time() + 30  # a page asks as it orders
+        assert json.loads(await boss.relay("federation.outcome", {"id": outcome["id"]}, deadline_s)) == settled
     assert given(south, "alpha") == ["land"]
 
 
