@@ -24,18 +24,18 @@ MODE = 0o600
 
 
 class AuditFile:
-    """Call `remembered` once, then `append` for each record. ``path``: its folder is made when it is needed."""
+    """The file of records. Call `remembered` once, then `append` for each record. The folder is made when needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.counters: Counter[str] = Counter()
-        """Lines that were written, could not be written, or could not be read."""
+        """Number of lines written, failed, and unreadable."""
         self._handle: int | None = None
         self._bytes = 0
 
     def remembered(self) -> tuple[list[Remembered], bool]:
-        """What the files say of orders before, oldest first, and whether that is all there ever was, for
-        `OrderGate.restore`. Raises OSError if a file is there and cannot be read."""
+        """The orders in the files, oldest first, and True if there were no older ones, for `OrderGate.restore`. Raises
+        OSError if a file exists and cannot be read."""
         lines: list[bytes] = []
         for path in (self._before(), self.path):
             try:
@@ -52,7 +52,7 @@ class AuditFile:
         return found, not self._before().exists()
 
     def append(self, record: AuditRecord) -> str | None:
-        """Write one record; why it could not be written, None if it was. Never raises."""
+        """Write one record. Returns why it could not be written, None if it was. Never raises."""
         line = record.encoded() + b"\n"
         try:
             handle = self._open()
@@ -72,7 +72,7 @@ class AuditFile:
         return None
 
     def close(self) -> None:
-        """Idempotent; `append` opens it again."""
+        """Close the file. Idempotent; `append` opens it again."""
         handle, self._handle = self._handle, None
         if handle is not None:
             os.close(handle)
@@ -81,7 +81,7 @@ class AuditFile:
         return self.path.with_name(self.path.name + ".1")
 
     def _open(self) -> int:
-        """Raises OSError. A line that was torn is ended, so that it does not spoil the next one."""
+        """Open the file; an incomplete last line gets its newline, so that the next one is readable. Raises OSError."""
         if self._handle is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK

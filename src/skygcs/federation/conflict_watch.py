@@ -1,4 +1,4 @@
-"""Watches our vehicles against those of other sites, once a second, and reports what changes.
+"""Compares our vehicles with those of other sites once a second, and reports changes.
 
     what changes                 goes to
     --------------------------   ------------------------------------------------------------------------------------
@@ -63,7 +63,7 @@ class ConflictWatch:
             await self.evaluate()
 
     async def evaluate(self) -> None:
-        """Once; yields to the loop all the while."""
+        """Evaluate all pairs once, in slices between which the loop runs, and send the events."""
         now = self._clock()
         took_s, begun = 0.0, time.thread_time()
         turns = self.conflicts.evaluate(list(self._ours(now)), list(self._others(now)), now)
@@ -117,7 +117,7 @@ class ConflictWatch:
 
 
 def as_dict(event: Event) -> dict[str, Any]:
-    """As a daemon writes its events."""
+    """The event in the form of the daemon's events."""
     return {
         "time_unix_s": round(time.time(), 3),
         "kind": event.kind,

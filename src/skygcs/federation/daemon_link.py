@@ -5,7 +5,7 @@
                 question of ASK_EVERY_S for SILENT_S     -> away; the observers are called
     away        PAUSE_S                                 -> the next attempt
 
-What it asks does not count for operator_timeout_s (operator.relay): nobody typed it at this daemon.
+Its requests do not count as the presence of an operator for operator_timeout_s (operator.relay).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from skygcs.rpc.client import Client, connect
 
 PAUSE_S = 0.5
 ASK_EVERY_S = 5.0
-"""An idle connection would lose its place when all are taken."""
+"""Period of daemon.info: the daemon closes idle connections when all its places are taken."""
 
 SILENT_S = 15.0
-"""A daemon that is stopped for seconds goes on by itself; one that does not answer for so long is another one soon."""
+"""A connection without an answer for this time is given up; a daemon that is stopped for some seconds is waited for."""
 
 
 class DaemonLink:
@@ -34,21 +34,21 @@ class DaemonLink:
         self.client: Client | None = None
         self.text = "not connected yet"
         self.info: dict[str, Any] = {}
-        """The daemon's daemon.info of the connection's begin."""
+        """The result of daemon.info at the beginning of the connection."""
         self.connections = 0
         self._token = token
         self._observers: list[Callable[[], None]] = []
 
     def on_change(self, observer: Callable[[], None]) -> None:
-        """Have it called after each change between connected and away."""
+        """Call ``observer`` after each change between connected and away."""
         self._observers.append(observer)
 
     async def call(self, method: str, **params: Any) -> Any:
-        """The daemon's answer. Raises RpcError; DaemonUnreachable at once while it is away."""
+        """The result of a request. Raises RpcError, and DaemonUnreachable at once while the daemon is away."""
         return await self._connected().call(method, **params)
 
     async def relay(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
-        """The answer as the daemon encoded it; it refuses the request after ``deadline_s`` of its clock."""
+        """The result as the daemon encoded it. The daemon refuses the request after ``deadline_s`` of its clock."""
         return await self._connected().relay(method, params, deadline_s)
 
     def _connected(self) -> Client:
@@ -57,7 +57,7 @@ class DaemonLink:
         return self.client
 
     async def run(self) -> None:
-        """Until it is cancelled."""
+        """Keep the connection until it is cancelled."""
         while True:
             client = connect(self.address, token=self._token)
             try:

@@ -105,7 +105,7 @@ class HubProcess:
             time.sleep(0.02)
 
     def last_lines(self) -> str:
-        """The end of what it wrote."""
+        """The last lines of its log."""
         try:
             text = self.log.read_bytes()[-MAX_LOG_BYTES:].decode(errors="replace")
         except OSError as error:
@@ -122,7 +122,7 @@ class HubProcess:
         self.kill()
 
     def kill(self) -> None:
-        """As a power cut. Idempotent."""
+        """End it at once, as a power cut would. Idempotent."""
         process, self.process = self.process, None
         if process is not None:
             if process.poll() is None:
@@ -137,7 +137,7 @@ def _end_with_parent() -> None:
 
 
 def _answers(host: str, port: int) -> bool:
-    """Whether its first line comes, as it does when the store is read."""
+    """True if a nats-server sends its first line there, which it does after it has read its store."""
     with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0) as probe:
         return probe.recv(64).startswith(b"INFO ")
     return False

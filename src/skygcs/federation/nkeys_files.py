@@ -1,4 +1,4 @@
-"""Files with the seed of a station's key (NATS nkey, Ed25519): made with mode 0600, read only if nobody else could."""
+"""Files with the seed of a station's key (NATS nkey, Ed25519): made with mode 0600, refused if others can read them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ RAW_SEED_BYTES = 32
 
 
 class StationKey(NamedTuple):
-    """The seed signs and stays here; the public key stands in the hub's inventory."""
+    """A station's key. The secret seed signs; the public key is in the hub's inventory."""
 
     seed: str
     public_key: str
 
 
 def write_new_seed(path: Path) -> str:
-    """Make a key and a file of mode 0600 for its seed; the public key. Raises KeyFileError, also if the file exists."""
+    """Make a key and write its seed to a new file of mode 0600. Returns the public key. Raises KeyFileError, also if
+    the file exists."""
     made = new_key()
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
@@ -40,13 +41,13 @@ def write_new_seed(path: Path) -> str:
 
 
 def new_key() -> StationKey:
-    """A random key that is in no file."""
+    """A new random key, not written to a file."""
     seed = nkeys.encode_seed(os.urandom(RAW_SEED_BYTES), nkeys.PREFIX_BYTE_USER)
     return StationKey(seed.decode(), _public_key(seed))
 
 
 def read_seed(path: Path) -> StationKey:
-    """The key of this file. Raises KeyFileError, whose text holds nothing of what is in it."""
+    """The key in this file. Raises KeyFileError, whose text contains nothing of the file's content."""
     try:
         with open_regular(path) as file:
             require_private(path, os.fstat(file.fileno()))
@@ -62,7 +63,7 @@ def read_seed(path: Path) -> StationKey:
 
 
 def _is_seed(data: bytes) -> bool:
-    """nkeys itself does not look at the check sum."""
+    """True for the seed of a user key. The check sum is compared here, since nkeys does not check it."""
     try:
         prefix, raw = nkeys.decode_seed(data)
         return bool(prefix == nkeys.PREFIX_BYTE_USER and nkeys.encode_seed(bytes(raw), prefix) == data)

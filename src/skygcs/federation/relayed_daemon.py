@@ -1,7 +1,7 @@
-"""The connection to the daemon that a client of the station socket has of its own.
+"""The connection to the daemon of one client of the station socket.
 
-The client's lines go to the daemon as they came, and the daemon's lines to the client. Requests of the station go
-between them; their answers are known by an id that no client can guess, and are taken out.
+The client's lines are passed to the daemon unchanged, and the daemon's lines to the client. The station inserts
+requests of its own; their answers have an id that no client can guess, and are not passed to the client.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from skygcs.rpc.address import tcp_address
 from skygcs.rpc.dispatch import parse
 
 REACH_WITHIN_S = 2.0
-"""A daemon that takes no connection for so long is not there."""
+"""A daemon that accepts no connection within this time counts as away."""
 
 MAX_LINE_BYTES = 32 << 20
 """As the daemon's other clients (`rpc.client_connection.MAX_REPLY_BYTES`)."""
 
 HIGH_WATER_BYTES = 256 * 1024
-"""Beyond this much that the daemon has not read, the client is not read."""
+"""While the daemon has more than this to read, the client is not read."""
 
 OnAnswer = Callable[[bytes | RpcError], bytes]
-"""Gets the result of a request of ours; what it returns is written to the client in the answer's place."""
+"""Called with the result of a request of the station; its own result is sent to the client in place of the answer."""
 
 _ANSWER = b'{"jsonrpc":"2.0","id":'
 
 
 class RelayedClient(Protocol):
-    """The client, as its connection to the daemon sees it."""
+    """The part of a client that its connection to the daemon uses."""
 
     def on_daemon_lines(self, lines: bytes) -> None:
         """Whole lines for the client."""
         ...
 
     def on_daemon_full(self, full: bool) -> None:
-        """The daemon does not take more, or takes it again."""
+        """True: the daemon does not read fast enough; False: it reads again."""
         ...
 
     def on_daemon_lost(self) -> None:
-        """The connection has ended; what waited for answers has got errors."""
+        """The connection has ended; open requests have ended with errors."""
         ...
 
     def end(self) -> None: ...
@@ -56,14 +56,14 @@ class RelayedDaemon(asyncio.Protocol):
 
     def __init__(self, client: RelayedClient, address: str | None, token: str | None) -> None:
         self.full = False
-        """Whether it has not read what was written to it."""
+        """True while the daemon does not read fast enough."""
         self._client = client
         self._address = address
         self._token = token
         self._transport: asyncio.Transport | None = None
         self._partial = bytearray()
         self._prefix = f'"{secrets.token_hex(8)}-'.encode()
-        """Of the ids of our own requests."""
+        """Beginning of the ids of the station's own requests."""
         self._asked: dict[bytes, OnAnswer] = {}
         self._last_id = 0
 
@@ -73,12 +73,12 @@ class RelayedDaemon(asyncio.Protocol):
 
     @property
     def absent(self) -> str:
-        """Why there is none, for a person."""
+        """Why there is no connection, for people."""
         where = "has no daemon" if self._address is None else f"reaches no daemon at {self._address}"
         return f"this station {where}: it shows and orders vehicles of other sites only (south/alpha, */all)"
 
     async def reach(self) -> bool:
-        """Connect. False if there is a daemon in the fleet file and it does not answer."""
+        """Connect. False if the station has a daemon that does not answer."""
         if self._address is None:
             return True
         try:
@@ -109,7 +109,7 @@ class RelayedDaemon(asyncio.Protocol):
     # -- to the daemon
 
     def write(self, line: bytes) -> bool:
-        """A line of the client; False without a daemon."""
+        """Send a line of the client; False without a connection."""
         if self._transport is None:
             return False
         self._transport.write(line)
@@ -121,8 +121,8 @@ class RelayedDaemon(asyncio.Protocol):
             self._transport.write_eof()
 
     async def ask(self, method: str, params: Mapping[str, Any], **members: Any) -> bytes:
-        """The result of a request of ours, as the daemon wrote it. ``members``: of the request, besides. Raises
-        RpcError."""
+        """Send a request of the station and return its result, as the daemon wrote it. ``members``: further members of
+        the request. Raises RpcError."""
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 
         def on_answer(result: bytes | RpcError) -> bytes:
@@ -139,7 +139,7 @@ class RelayedDaemon(asyncio.Protocol):
     def start_asking(
         self, method: str, params: Mapping[str, Any], members: Mapping[str, Any], on_answer: OnAnswer
     ) -> None:
-        """Send a request of ours. Raises RpcError without a daemon."""
+        """Send a request of the station. Raises RpcError without a connection."""
         if self._transport is None:
             raise RpcError(error_codes.NO_DAEMON, self.absent)
         self._last_id += 1
@@ -149,7 +149,7 @@ class RelayedDaemon(asyncio.Protocol):
         self._transport.write(to_json(request) + b"\n")
 
     def pause_answers(self) -> None:
-        """The client does not read: nothing is read for it."""
+        """Stop reading from the daemon, because the client does not read."""
         if self._transport is not None:
             self._transport.pause_reading()
 
@@ -196,7 +196,7 @@ class RelayedDaemon(asyncio.Protocol):
         self._client.on_daemon_lines(lines)
 
     def _without_our_answer(self, line: bytes) -> bytes:
-        """The line as the client gets it."""
+        """The line for the client: an answer to a request of the station is replaced by the result of its callback."""
         if not line.startswith(_ANSWER + self._prefix):
             return line
         key = line[len(_ANSWER) : line.index(b'"', len(_ANSWER) + 1) + 1]

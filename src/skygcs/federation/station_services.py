@@ -1,4 +1,4 @@
-"""What a client of the station socket acts on: the parts of the bridge, as it sees them."""
+"""The interfaces of the bridge that a client of the station socket uses."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ class RemoteOrders(Protocol):
     """Orders to vehicles of other sites; `skygcs.federation.orders_sent`."""
 
     methods: frozenset[str]
-    """Methods that travel."""
+    """Methods that may be sent to other sites."""
 
     def check(
         self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], own: Sequence[str] = ()
     ) -> None:
-        """Raises SkygcsError for an order that does not travel, or that needs a word of confirmation. ``own``: the own
-        vehicles that are to get it, too."""
+        """See `skygcs.federation.orders_sent.OrdersSent.check`."""
         ...
 
     async def give(
@@ -30,7 +29,7 @@ class RemoteOrders(Protocol):
 
 
 class StationServices(Protocol):
-    """What a client of the station acts on; `skygcs.federation.process` has all of it."""
+    """The services for a client of the station; implemented by `skygcs.federation.station_view.StationView`."""
 
     site: str | None
     daemon_address: str | None
@@ -38,14 +37,14 @@ class StationServices(Protocol):
     daemon_token: str | None
     feed: RemoteFeed
     orders: RemoteOrders | None
-    """None: this station gives none to other sites."""
+    """None: this station gives no orders to other sites."""
 
     def site_names(self) -> Sequence[str]:
         """The other sites that were heard."""
         ...
 
     def hub_problem(self) -> str | None:
-        """Why there may be more; None: the hub is there."""
+        """Why sites may be missing; None while the hub is connected."""
         ...
 
     def states(self, targets: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ from skygcs.federation.station_socket import StationSocket
 from skygcs.rpc.error_codes import LINK_ERROR
 
 FULL_WITHIN_S = 1.0
-"""For another site's answer with a whole state."""
+"""Time limit of another site's answer with a whole state."""
 
 AGES = frozenset({"age_s", "last_heartbeat_age_s", "state_age_s"})
 
@@ -32,7 +32,7 @@ MAX_FULL_BYTES = 1 << 20
 
 
 class StationView:
-    """A part of the bridge: `run` in a task. Implements what `StationSocket` needs."""
+    """A part of the bridge: the station socket and its services (`StationServices`). Run `run` in a task."""
 
     def __init__(self, station: Station, sites: RemoteSites, readers: Readers) -> None:
         self.site = station.site
@@ -41,7 +41,7 @@ class StationView:
         self.orders: RemoteOrders | None = None
         """Of the part that gives orders to other sites."""
         self.conflicts: Callable[[], list[dict[str, Any]]] = list
-        """Of our vehicles with those of other sites; of the part that watches them."""
+        """Returns the conflicts with vehicles of other sites; set by the part that watches them."""
         self.one_bridge: Callable[[], dict[str, Any] | None] = _no_site
         """Which bridge of this site this one is; of the part that lets one act."""
         self._station = station
@@ -86,7 +86,7 @@ class StationView:
         return self._sites.names
 
     def hub_problem(self) -> str | None:
-        """Why sites may be missing; None: the hub is there."""
+        """Why sites may be missing; None while the hub is connected."""
         return None if self._bus.connected else f"there is no connection to the hub: {self._bus.text}"
 
     def states(self, targets: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
@@ -138,7 +138,7 @@ class StationView:
         return state
 
     def show_event(self, event: Mapping[str, Any]) -> None:
-        """An event of this station's bridge, as the events of other sites are shown."""
+        """Show an event of this bridge like an event of another site."""
         site = self._station.name
         self._readers.recent.append({**event, "site": site})
         self.feed.on_event(site, event)
@@ -181,7 +181,7 @@ def _no_site() -> None:
 
 
 def _older(value: Any, seconds: float | None) -> Any:
-    """The same JSON with every age in it so much larger; None: they are not known."""
+    """The same JSON with every age larger by ``seconds``; None: the ages become unknown."""
     if isinstance(value, list):
         return [_older(item, seconds) for item in value]
     if not isinstance(value, dict):
