@@ -15,6 +15,8 @@ expect.set_options(timeout=LIMIT_S * 1000)
 
 def until(page: Page, expression: str) -> Any:
     """Wait until a JavaScript expression is true; what it then is. Fails with the expression."""
+    if "skygcs" in expression:  # the page defines it with its first drawing, which may come after its load
+        expression = f"'skygcs' in window && ({expression})"
     deadline = time.monotonic() + LIMIT_S
     while not (value := page.evaluate(expression)):
         assert time.monotonic() < deadline, f"never true: {expression}"

@@ -94,8 +94,12 @@ class Hub:
     async def start(self) -> None:
         """Start it, or again, with the store that it had."""
         self.process.start()
-        await asyncio.to_thread(self.process.wait)
-        await make_stores(self.url, self.process.keeper, self._keeper_tls())
+        try:
+            await asyncio.to_thread(self.process.wait)
+            await make_stores(self.url, self.process.keeper, self._keeper_tls())
+        except BaseException:  # nobody stops what was never begun
+            self.process.kill()
+            raise
 
     def _keeper_tls(self) -> Any:
         from skygcs.federation.hub_process import own_tls

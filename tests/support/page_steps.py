@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from playwright.sync_api import Locator, Page, expect
 
@@ -10,8 +12,15 @@ from support.browser import until
 
 expect.set_options(timeout=60_000)  # a hang, not a measure: a busy machine takes long
 
-HOLD_MS = 1300
-"""A dangerous button is held down for a second; a busy machine counts it late."""
+WATCH_HOLD = """button => {
+    let holding = false;
+    const watch = window.watchedHold = { over: () => !button.isConnected || watch.ended, ended: false };
+    new MutationObserver(() => {
+        watch.ended ||= holding && button.dataset.holding !== "true";
+        holding = button.dataset.holding === "true";
+    }).observe(button, { attributes: true, attributeFilter: ["data-holding"] });
+}"""
+"""Sees that a button which is held down acts: after its second, and a frame that a busy machine draws late."""
 
 
 def select(page: Page, *names: str) -> None:
@@ -28,14 +37,19 @@ def side(page: Page, title: str, *, phone: bool = False) -> None:
         page.get_by_role("tablist", name="Panels").get_by_role("tab", name=title, exact=True).click()
 
 
+@contextmanager
+def until_acted(page: Page, button: Locator) -> Iterator[None]:
+    """A button that acts when it was held for its second: it is held in the block, which ends when it has acted."""
+    button.evaluate(WATCH_HOLD)
+    yield
+    until(page, "watchedHold.over()")
+
+
 def hold(page: Page, button: Locator) -> None:
-    """Hold a button down for its second."""
-    button.scroll_into_view_if_needed()
-    box = button.bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
-    page.wait_for_timeout(HOLD_MS)
+    """Hold a button down until it has acted."""
+    button.hover()
+    with until_acted(page, button):
+        page.mouse.down()
     page.mouse.up()
 
 

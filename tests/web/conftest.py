@@ -16,6 +16,7 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from skygcs.web.sign_in import Role
+from support.browser import until
 from support.process import ROOT
 from support.web_station import WebStation, chromium, chromium_options
 
@@ -85,6 +86,7 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.goto(station.address(role))
         if path != "/":
             page.goto(station.base + path)
+        until(page, "Boolean(skygcs)")
         return page
 
     yield open_one

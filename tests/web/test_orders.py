@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from support.browser import until
+from support.browser import LIMIT_S, until
+from support.page_steps import hold, until_acted
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
@@ -56,25 +58,34 @@ def order(page: Page, text: str) -> Locator:
     return page.locator(".order", has_text=text).first
 
 
-def press(page: Page, button: Locator, ms: int) -> None:
+def the_one_sent(page: Page, method: str) -> dict[str, Any]:
+    """A message that the page sends now."""
+    deadline = time.monotonic() + LIMIT_S
+    while not sent(page, method):
+        assert time.monotonic() < deadline, f"never sent: {method}"
+        page.wait_for_timeout(50)
+    [message] = sent(page, method)
+    return message
+
+
+def press_shortly(page: Page, button: Locator) -> None:
     button.hover()
     page.mouse.down()
-    page.wait_for_timeout(ms)
     page.mouse.up()
 
 
 def test_an_order_is_sent_after_a_second_and_not_before(station: WebStation, page: Page, shot: Shot) -> None:
     select(page, "v1", "v2")
-    press(page, order(page, "Arm"), HOLD_MS // 3)
+    press_shortly(page, order(page, "Arm"))
     page.wait_for_timeout(HOLD_MS)
     assert sent(page, "vehicles.arm") == []
     order(page, "Arm").hover()
-    page.mouse.down()
-    expect(page.locator(".holdhint")).to_have_text("Arm v1 and v2: keep holding")
-    shot(page, "order-held")
-    page.wait_for_timeout(HOLD_MS + 300)
+    with until_acted(page, order(page, "Arm")):
+        page.mouse.down()
+        expect(page.locator(".holdhint")).to_have_text("Arm v1 and v2: keep holding")
+        shot(page, "order-held")
     page.mouse.up()
-    [message] = sent(page, "vehicles.arm")
+    message = the_one_sent(page, "vehicles.arm")
     assert message["params"]["targets"] == ["v1", "v2"]
     assert isinstance(message["deadline_s"], float)
     expect(page.locator(".toast").first).to_contain_text("v1")
@@ -87,7 +98,7 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     select(page, "v1")
     page.get_by_label("Height of the take-off in metres").fill("7")
     station.call("vehicles.arm", targets="v1", wait_s=60)
-    press(page, order(page, "Take off"), HOLD_MS + 300)
+    hold(page, order(page, "Take off"))
     toast = page.locator(".toast").first
     expect(toast).to_have_attribute("data-state", "done")
     expect(toast).to_contain_text("taking off to 7 m")
@@ -104,17 +115,17 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     assert marks(page, 500, 150) > 20, "and it is marked"
     assert marks(page, 700, 250) == 0
     shot(page, "order-go-to")
-    press(page, order(page, "Send there"), HOLD_MS + 300)
-    [message] = sent(page, "vehicles.goto")
+    hold(page, order(page, "Send there"))
+    message = the_one_sent(page, "vehicles.goto")
     assert set(message["params"]) == {"targets", "lat_deg", "lon_deg", "height_m"}
     until(page, f"(([x, y]) => Math.hypot(x - {x}, y - {y}) < 2)(skygcs.store.state.vehicles.get('v1').position.enu_m)")
     page.keyboard.press("h")
     expect(page.locator(".toast").first).to_contain_text("Hold")
     assert len(sent(page, "vehicles.hold")) == 1
-    page.keyboard.down("r")
-    page.wait_for_timeout(HOLD_MS + 300)
+    with until_acted(page, order(page, "Return")):
+        page.keyboard.down("r")
     page.keyboard.up("r")
-    assert len(sent(page, "vehicles.rtl")) == 1
+    the_one_sent(page, "vehicles.rtl")
 
 
 MARKED = """([x, y]) => {
@@ -139,7 +150,7 @@ def test_a_refusal_is_shown_in_the_daemons_words_and_stays(page: Page) -> None:
     select(page, "v3")
     page.get_by_label("x in metres from the origin").fill("5")
     page.get_by_label("y in metres from the origin").fill("5")
-    press(page, order(page, "Send there"), HOLD_MS + 300)
+    hold(page, order(page, "Send there"))
     toast = page.locator(".toast[data-state=failed]").first
     expect(toast).to_contain_text("v3")
     page.wait_for_timeout(7_000)
@@ -295,7 +306,7 @@ def test_a_hold_begins_anew_when_its_targets_change(page: Page) -> None:
     select(page, "v1")
     order(page, "Arm").hover()
     page.mouse.down()
-    page.wait_for_timeout(HOLD_MS // 2)
+    expect(page.locator(".holdhint")).to_be_visible()
     page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2'], how: 'only'})")
     page.wait_for_timeout(HOLD_MS + 400)
     page.mouse.up()
@@ -312,7 +323,7 @@ def test_one_of_five_targets_replaced_while_held_begins_anew_although_the_button
     page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2', 'v3', 'v4', 'v5'], how: 'only'})")
     order(page, "Arm").hover()
     page.mouse.down()
-    page.wait_for_timeout(HOLD_MS // 2)
+    expect(page.locator(".holdhint")).to_be_visible()
     page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1', 'v2', 'v3', 'v4', 'v6'], how: 'only'})")
     page.wait_for_timeout(HOLD_MS + 400)
     page.mouse.up()
