@@ -10,7 +10,6 @@ sample with the smallest bound of the last WINDOW_S counts.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -19,6 +18,10 @@ WINDOW_S = 60.0
 DRIFT = 6e-4
 """Seconds per second by which two clocks may move apart: Linux slews CLOCK_MONOTONIC by up to 500 ppm while NTP
 corrects it (adjtimex(2)), and two crystals differ by up to 100 ppm."""
+
+MAX_CLOCK_S = 1e11
+"""No clock shows more: unix seconds of the year 5138. What a remote sends may be any number, also one that no float can
+hold."""
 
 MAX_SAMPLES = 128
 """Of the last minute; one is taken every 2 s."""
@@ -57,7 +60,8 @@ class ClockComparison:
         """One answered request: our clock when it was sent and when the answer came, the remote's between, and both
         wall clocks (ours when the answer came). False, and nothing is kept, if the times cannot be."""
         round_trip_s = received - sent
-        if not 0.0 <= round_trip_s <= WINDOW_S or not (math.isfinite(remote) and math.isfinite(remote_wall)):
+        possible = all(abs(clock_s) <= MAX_CLOCK_S for clock_s in (remote, remote_wall))  # False for NaN
+        if not 0.0 <= round_trip_s <= WINDOW_S or not possible:
             return False
         wall_offset_s = remote_wall - (wall_received - round_trip_s / 2)
         self._samples.append(_Sample(received, remote - (sent + received) / 2, wall_offset_s, round_trip_s))

@@ -206,7 +206,7 @@ class Readers:
         if t0_s != sent or not isinstance(run, str) or isinstance(site_s, bool) or not isinstance(site_s, int | float):
             self.counters["pings_bad"] += 1
             return
-        if self._sites.compare_clock(site, run, sent, received, float(site_s), unix_received=time.time()):
+        if self._sites.compare_clock(site, run, sent, received, site_s, unix_received=time.time()):
             self.counters["pings"] += 1
             self._answered[site] += 1
 

@@ -72,3 +72,11 @@ def test_what_cannot_be_is_not_kept_and_memory_is_bounded() -> None:
         clocks.add(0.0, 0.1, 5.0, wall_received=0.0, remote_wall=0.0)
     assert len(clocks._samples) == MAX_SAMPLES
     assert clocks.best(WINDOW_S + 1.0) is None
+
+
+@pytest.mark.parametrize("remote_s", [10**400, -(10**400), 1e308, math.inf, math.nan])
+def test_a_clock_that_shows_what_no_clock_can_is_left_out(remote_s: float) -> None:
+    clocks = ClockComparison()
+    assert not clocks.add(0.0, 0.1, remote_s, wall_received=0.0, remote_wall=0.0)
+    assert not clocks.add(0.0, 0.1, 0.0, wall_received=0.0, remote_wall=remote_s)
+    assert clocks.best(0.1) is None

@@ -148,3 +148,32 @@ async def test_what_an_observer_may_not_and_ids_that_are_none() -> None:
         with pytest.raises(TargetError):
             await south.sent.outcome(text)
     assert south.came == []
+
+
+@pytest.mark.parametrize("site_s", ["1" + 400 * "0", "1e999", "-1e300", "true", '"noon"', "[1]"])
+async def test_a_site_whose_clock_is_nonsense_keeps_no_stop_from_the_others(site_s: str) -> None:
+    south = South()
+    liar = MemoryBus(south.hub, south.loop)
+
+    async def answer(subject: str, payload: bytes) -> bytes:
+        return b'{"t0_s": 0, "run": "a", "site_s": %s}' % site_s.encode()
+
+    liar.serve("*.east*", answer)
+    both = [RemoteVehicle("east", "bravo"), ALPHA]
+    params = {"action": "kill", "confirm": "kill-2"}
+    stopped = await south.sent.order("vehicles.stop", params, both, "mia")
+    assert stopped["south/alpha"]["ok"] and len(south.came) == 1
+    assert not stopped["east/bravo"]["ok"]
+
+
+async def test_what_another_site_writes_cannot_move_the_cursor_of_a_terminal() -> None:
+    south = South()
+    hostile = {**DONE, "message": "\x1b[2Jfine", "status_texts": ["\x1b]0;x\x07"] * 30}
+    south.on_order = lambda _: {"status": "done", "outcome": hostile}
+    outcome = await south.land()
+    assert outcome["message"] == "?[2Jfine" and outcome["status_texts"] == ["?]0;x?"] * 8
+    south.on_order = lambda _: {"status": "refused", "text": "\x9b2Jno"}
+    assert (await south.land())["message"] == "refused: ?2Jno"
+    for wrong in ({"elapsed_s": 10**400}, {"attempts": -(10**400)}, {"status_texts": [{}]}):
+        south.on_order = lambda _, wrong=wrong: {"status": "done", "outcome": {**DONE, **wrong}}  # type: ignore[misc]
+        assert (await south.land())["result"] == "unknown"

@@ -22,6 +22,7 @@ from skygcs.core.federation.order_messages import (
     OrderRequest,
     Status,
     is_key,
+    is_number,
     printable,
 )
 
@@ -116,13 +117,13 @@ def _remembered(line: bytes) -> Remembered | None:
     if not isinstance(found, dict) or not is_key(found.get("id")) or found.get("status") not in STATUSES:
         return None
     at_s, deadline_s, text, outcome = (found.get(key) for key in ("at_s", "deadline_s", "text", "outcome"))
-    vehicle, run, seq = (found.get(key) for key in ("vehicle", "run", "seq"))
-    if not (isinstance(at_s, int | float) and isinstance(deadline_s, int | float) and isinstance(text, str)):
+    vehicle, run, seq, sender = (*(found.get(key) for key in ("vehicle", "run", "seq")), found.get("sender", ""))
+    if not (is_number(at_s) and is_number(deadline_s) and isinstance(text, str)):
         return None
-    if not (isinstance(vehicle, str) and isinstance(run, str) and isinstance(seq, int)):
+    if not (isinstance(vehicle, str) and isinstance(run, str) and isinstance(seq, int) and isinstance(sender, str)):
         return None
     reply = OrderReply(found["id"], found["status"], text, outcome if isinstance(outcome, dict) else None)
-    return Remembered(reply, float(deadline_s), float(at_s), vehicle, run, seq)
+    return Remembered(reply, float(deadline_s), float(at_s), vehicle, run, seq, sender)
 
 
 def _short(outcome: Json | None) -> Json | None:

@@ -108,6 +108,7 @@ class Remembered:
     vehicle: str = ""
     run: str = ""
     seq: int = 0
+    sender: str = ""
 
 
 @dataclass(slots=True)
@@ -150,7 +151,7 @@ class OrderGate:
             if reply.status == "running":
                 text = f"{self._site} restarted while it was carried out; look at the vehicle"
                 reply = OrderReply(reply.key, "unknown", text)
-                self._newest.note(record.run, record.vehicle, record.seq)
+                self._newest.note((record.sender, record.run, record.vehicle), record.seq)
             self._known.pop(reply.key, None)
             self._known[reply.key] = _Known(reply, record.deadline_s + STOP_LATE_S, record.noted_s)
             if len(self._known) > MAX_KEYS:
@@ -186,7 +187,7 @@ class OrderGate:
         if status != "running":
             return Refuse(reply)
         self._running[ends_flight] += 1
-        self._newest.note(request.run, request.vehicle, request.seq)
+        self._newest.note(_series(request), request.seq)
         return Begin()
 
     def ended(self, reply: OrderReply, now_s: float) -> None:
@@ -239,7 +240,7 @@ class OrderGate:
             return "late", f"it came {late_s:.1f} s after its deadline; it was not carried out"
         if not is_stop and request.deadline_s <= self._no_order_before_s:
             return "refused", f"{self._site} has just started and could not read what it carried out before"
-        if not is_stop and 0 < request.seq < self._newest.of(request.run, request.vehicle):
+        if not is_stop and 0 < request.seq < self._newest.of(_series(request)):
             return "refused", "a newer order of the same station came before it"
         if not_held is not None and not is_stop:
             return "refused", not_held
@@ -280,20 +281,29 @@ class OrderGate:
         self.counters["forgotten"] += 1
 
 
+_Series = tuple[str, str, str]
+"""Sender, its run, vehicle: orders that overtake each other."""
+
+
+def _series(request: OrderRequest) -> _Series:
+    return request.sender, request.run, request.vehicle
+
+
 class _NewestOrders:
-    """The highest number of an order that was carried out, for each run of a sender and vehicle."""
+    """The highest number of an order that was carried out, for each station's key, run and vehicle. The run alone would
+    not do: the record on the bus shows it to all stations, and another one could send it."""
 
     def __init__(self) -> None:
-        self._numbers: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._numbers: OrderedDict[_Series, int] = OrderedDict()
 
-    def of(self, run: str, vehicle: str) -> int:
-        return self._numbers.get((run, vehicle), 0)
+    def of(self, series: _Series) -> int:
+        return self._numbers.get(series, 0)
 
-    def note(self, run: str, vehicle: str, seq: int) -> None:
+    def note(self, series: _Series, seq: int) -> None:
         """Note an order that is carried out. Beyond MAX_KEYS the oldest entry is dropped: an order that another one
         overtook comes within a second, or is late."""
-        newest = max(seq, self._numbers.pop((run, vehicle), 0))
-        self._numbers[run, vehicle] = newest
+        newest = max(seq, self._numbers.pop(series, 0))
+        self._numbers[series] = newest
         if len(self._numbers) > MAX_KEYS:
             self._numbers.popitem(last=False)
 

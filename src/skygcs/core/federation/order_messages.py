@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 from pydantic_core import from_json, to_json
 
@@ -51,6 +51,9 @@ MAX_BY_CHARS = 100
 
 MAX_TEXT_CHARS = 1000
 """Longest text of a reply; longer ones are cut."""
+
+MAX_STATUS_TEXTS = 8
+"""Of an outcome; further ones are left out."""
 
 MAX_SEQ = 1 << 53
 """Largest number of an order: the largest integer that every JSON reader keeps exactly."""
@@ -150,12 +153,12 @@ def decode_request(vehicle: str, payload: bytes, sender: str = "") -> OrderReque
     by, role = found.get("by"), found.get("role")
     if not (isinstance(method, str) and isinstance(params, dict) and isinstance(by, str) and isinstance(role, str)):
         return None
-    if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float) or not _is_number(deadline_s):
+    if not is_number(deadline_s):
         return None
     run, seq = found.get("run", ""), found.get("seq", 0)
     if not isinstance(run, str) or isinstance(seq, bool) or not isinstance(seq, int) or not 0 <= seq <= MAX_SEQ:
         return None
-    method, role, run = (text[:MAX_NAME_CHARS] for text in (method, role, run))
+    method, role, run = (printable(text, MAX_NAME_CHARS) for text in (method, role, run))
     return OrderRequest(found["id"], vehicle, method, params, float(deadline_s), printable(by), role, run, seq, sender)
 
 
@@ -165,7 +168,7 @@ def decode_question(payload: bytes) -> OutcomeQuestion | None:
     if found is None or not is_key(found.get("id")):
         return None
     wait_s, deadline_s = found.get("wait_s", 0.0), found.get("deadline_s")
-    if not _is_number(wait_s) or not (deadline_s is None or _is_number(deadline_s)):
+    if not is_number(wait_s) or not (deadline_s is None or is_number(deadline_s)):
         return None
     return OutcomeQuestion(found["id"], float(wait_s), None if deadline_s is None else float(deadline_s))
 
@@ -178,7 +181,8 @@ def decode_reply(key: str, payload: bytes) -> OrderReply | None:
     outcome, text = found.get("outcome"), found.get("text")
     if not isinstance(text, str) or not (outcome is None or _is_outcome(outcome)):
         return None
-    return OrderReply(key, found["status"], text[:MAX_TEXT_CHARS], outcome)
+    shown = None if outcome is None else _shown(outcome)
+    return OrderReply(key, found["status"], printable(text, MAX_TEXT_CHARS), shown)
 
 
 def is_key(value: object) -> bool:
@@ -210,9 +214,10 @@ def status_of(outcome: Mapping[str, Any]) -> Status:
     return "refused" if outcome["result"] == "refused" else "failed"
 
 
-def printable(text: str) -> str:
-    """A text of another station for logs and screens: cut to MAX_BY_CHARS, control characters replaced."""
-    return "".join(c if c.isprintable() else "?" for c in text[:MAX_BY_CHARS])
+def printable(text: str, most_chars: int = MAX_BY_CHARS) -> str:
+    """A text of another station for logs and screens: cut to ``most_chars``, control characters replaced."""
+    text = text[:most_chars]
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _is_outcome(value: object) -> bool:
@@ -222,13 +227,22 @@ def _is_outcome(value: object) -> bool:
         and isinstance(value.get("ok"), bool)
         and isinstance(value.get("result"), str)
         and isinstance(value.get("message"), str)
-        and isinstance(value.get("attempts"), int)
-        and isinstance(value.get("elapsed_s"), int | float)
-        and isinstance(value.get("status_texts", []), list)
+        and isinstance(attempts := value.get("attempts"), int)
+        and 0 <= attempts <= MAX_SEQ
+        and is_number(value.get("elapsed_s"))
+        and isinstance(texts := value.get("status_texts", []), list)
+        and all(isinstance(text, str) for text in texts)
     )
 
 
-def _is_number(value: object) -> bool:
+def _shown(outcome: Json) -> Json:
+    """The outcome with its texts as a person may see them."""
+    texts = [printable(text, MAX_TEXT_CHARS) for text in outcome.get("status_texts", [])[:MAX_STATUS_TEXTS]]
+    message = printable(outcome["message"], MAX_TEXT_CHARS)
+    return {**outcome, "result": printable(outcome["result"]), "message": message, "status_texts": texts}
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
     """True for a finite number; False for an integer that is too large for a float."""
     try:
         return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)

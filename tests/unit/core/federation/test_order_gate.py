@@ -204,3 +204,17 @@ def test_copies_at_any_time_are_carried_out_once(seed: int) -> None:
                 denied.add(request.key)
             assert len(gate) <= 10 + sum(gate._running.values())
         assert all(count == 1 for count in carried.values())
+
+
+def test_a_station_cannot_overtake_the_orders_of_another_by_the_name_of_its_run() -> None:
+    gate = OrderGate("north", NOW)
+    hostile = order(1, run="run of mia", seq=1 << 53, sender="key of eve")
+    assert isinstance(gate.admit(hostile, NOW), Begin)
+    mine = order(2, run="run of mia", seq=7, sender="key of mia")
+    assert isinstance(gate.admit(mine, NOW), Begin)
+    older = order(3, run="run of mia", seq=6, sender="key of mia")
+    assert status(gate.admit(older, NOW)) == "refused"
+    # and the same after a restart of the bridge
+    again = OrderGate("north", NOW)
+    again.restore([Remembered(done(1), NOW + 1, NOW, "alpha", "run of mia", 1 << 53, "key of eve")], complete=True)
+    assert isinstance(again.admit(mine, NOW), Begin)
