@@ -274,14 +274,18 @@ def test_keys_are_listed_and_the_focus_is_seen(page: Page, shot: Shot) -> None:
 def test_letters_are_orders_only_while_their_buttons_are_seen(page: Page) -> None:
     select(page, "v1")
     page.get_by_role("button", name="Events").click()
+    expect(order(page, "Hold")).to_be_hidden()
     page.keyboard.down("a")
     page.wait_for_timeout(HOLD_MS + 400)
     page.keyboard.up("a")
     page.keyboard.press("h")
     page.get_by_role("button", name="Fleet", exact=True).click()
+    expect(order(page, "Hold")).to_be_visible()
     page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
     page.keyboard.press("h")
     page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
     assert not any(str(m.get("method")) in ("vehicles.arm", "vehicles.hold") for m in page.sent)  # type: ignore[attr-defined]
     page.keyboard.press("h")
     expect(page.locator(".toast").first).to_contain_text("Hold")
