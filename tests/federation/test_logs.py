@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import random
+import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from skygcs.errors import BusError, SkygcsError
 from skygcs.federation.bus import Bus
 from skygcs.federation.logs import MAX_FILES, PART_BYTES, LogCollector, SiteLogs
 from support.hub import Hub
+from support.made_logs import made
 
 LONG = 2 * PART_BYTES + 12_345
 
@@ -160,3 +162,37 @@ async def test_a_list_is_bounded_and_has_the_newest(hub: Hub, tmp_path: Path) ->
         answer = await LogCollector(bus, tmp_path, print)._ask("south", {"list": {"since_unix_s": 0}}, 30.0)
     assert len(answer["files"]) == MAX_FILES and answer["more"]
     assert answer["files"][0]["name"] == f"{MAX_FILES + 2}.tlog"
+
+
+async def test_the_command_writes_tables_that_hold_what_the_recordings_hold(hub: Hub, tmp_path: Path) -> None:
+    """pyarrow reads the tables, pymavlink the recordings: every position, once."""
+    import pyarrow.parquet as parquet
+    from pymavlink import mavutil
+
+    folder, out = tmp_path / "logs", tmp_path / "out"
+    folder.mkdir()
+    for name in ("made-plane.tlog", "made-submarine.tlog"):
+        (folder / name).write_bytes(made(name)[0])
+    fleet = tmp_path / "boss.toml"
+    fleet.write_text(
+        f'[federation]\nrole = "operator"\nservers = ["{hub.url}"]\nnkey = "{hub.key_file("boss")}"\n', encoding="utf-8"
+    )
+    code = "import sys; from skygcs.cli.main import main; sys.argv[0] = 'skygcs-cli'; main()"
+    words = ["federation", "logs", "--parquet", "--fleet", str(fleet), "south", str(out)]
+    async with offered(hub, folder):
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-c", code, *words), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+        )
+        output = (await process.communicate())[0].decode()
+    assert process.returncode == 0 and "2 logs complete" in output, output
+    for log in (out / "south").glob("*.tlog"):
+        reader = mavutil.mavlink_connection(str(log))
+        positions = []
+        while (message := reader.recv_match(type="GLOBAL_POSITION_INT")) is not None:
+            positions.append(message.lat / 1e7)
+        reader.close()
+        (file,) = (out / "south").glob(f"{log.stem}-*.parquet")
+        read = [lat for lat in parquet.read_table(file).column("lat").to_pylist() if lat is not None]
+        assert len(positions) == made(log.name)[1]["types"]["GLOBAL_POSITION_INT"] == len(read)
+        assert read == pytest.approx(positions, abs=1e-9)
+    assert len(list((out / "south").glob("*.parquet"))) == 2
