@@ -409,6 +409,11 @@ class FakePlans:
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
+    control_tick_at = math.inf
+
+    def next_control_tick(self) -> float:
+        return self.control_tick_at
+
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
         self.undo = FakeUndo()

@@ -575,7 +575,7 @@ class Sessions:
         self.services = services
         self.dispatcher = dispatcher
         self.loop = loop
-        self.slices = Slices(loop)
+        self.slices = Slices(loop, services.fleet.next_control_tick)
         self.feeds = Feeds(services, loop, self.slices)
         self.turns = Turns(loop)
         self.counters: Counter[str] = Counter()

@@ -101,6 +101,8 @@ class TelemetryFeed:
         self._encoded_at = -math.inf
         self._timer: asyncio.TimerHandle | None = None
         self._draining = False
+        self._drains_by = math.inf
+        """When the next slice has to begin."""
         self._tick_done = 0
         self._failed: set[int] = set()
 
@@ -171,19 +173,25 @@ class TelemetryFeed:
                 self._encoded.clear()
                 self._encoded_at = self._loop.time()
             self._draining = True
+            self._drains_by = self._slices.begins_by()
             self._loop.call_soon(self._drain)
 
     def _drain(self) -> None:
+        if (wait_s := self._slices.wait_s(self._drains_by)) is not None:
+            self._loop.call_later(wait_s, self._drain)
+            return
         self._draining = False
         deadline = self._slices.ends_at()
         for subscription in list(self._subscriptions):
             while subscription.pending and subscription.sink.writable:
                 self._write_some(subscription, deadline)
-                if self._loop.time() > deadline:
+                if self._slices.over(deadline):
                     if self._subscriptions.pop(subscription, subscription) is None:
                         self._subscriptions[subscription] = None  # to the end: it is the others' turn
                     self._draining = True
-                    self._loop.call_later(self._slices.pause_s(), self._drain)
+                    pause_s = self._slices.pause_s()
+                    self._drains_by = self._slices.begins_by(pause_s)
+                    self._loop.call_later(pause_s, self._drain)
                     return
 
     def _write_some(self, subscription: TelemetrySubscription, deadline: float) -> None:
@@ -191,7 +199,7 @@ class TelemetryFeed:
         pieces: list[bytes] = []
         pending = subscription.pending
         for key in list(pending)[:VEHICLES_PER_WRITE]:
-            if pieces and self._loop.time() > deadline:
+            if pieces and self._slices.over(deadline):
                 break
             vehicle = pending.pop(key)
             if subscription.vehicles.pop(key, None) is not None:

@@ -22,6 +22,7 @@ class ControlClock:
 
     The period may change from tick to tick. ``tick`` must not raise. ``phase`` (0..1) is the part of a period, of
     SPREAD_S at most, that the first tick waits: clocks that are started together tick one after the other.
+    ``running_clocks`` has it while it runs.
     """
 
     def __init__(
@@ -31,6 +32,7 @@ class ControlClock:
         period_s: Callable[[], float],
         *,
         phase: float = 0.0,
+        running_clocks: set[ControlClock] | None = None,
     ) -> None:
         self.ticks = 0
         self.late = 0
@@ -39,6 +41,7 @@ class ControlClock:
         self._tick = tick
         self._period_s = period_s
         self._phase = phase
+        self._running_clocks = set() if running_clocks is None else running_clocks
         self._due = 0.0
         self._pace_s = 0.0
         """The period when the next deadline was set."""
@@ -49,18 +52,25 @@ class ControlClock:
     def running(self) -> bool:
         return self._handle is not None
 
+    @property
+    def due(self) -> float:
+        """When the next tick is due, or one that is late was. While it runs."""
+        return self._due
+
     def start(self) -> None:
         """Start; the first tick comes at once, or ``phase`` later. Without effect while it runs."""
         if self._handle is None:
             self._pace_s = self._period_s()
             self._due = self._loop.time() + self._phase * min(self._pace_s, SPREAD_S)
             self._handle = self._loop.call_at(self._due, self._run)
+            self._running_clocks.add(self)
 
     def stop(self) -> None:
         """Stop ticking. Idempotent."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
+            self._running_clocks.discard(self)
 
     def lateness_p99_s(self) -> float | None:
         """99th percentile of the last ticks; None before the first."""

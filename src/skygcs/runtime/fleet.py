@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -477,6 +478,10 @@ class Fleet:
     def flown(self) -> list[VehicleActor]:
         """The vehicles that are controlled by setpoints, or about to be."""
         return [actor for actor in self.vehicles.values() if actor.offboard.controller.active]
+
+    def next_control_tick(self) -> float:
+        """When the next control tick of any vehicle is due, in loop time; in the past: one is late; inf: none."""
+        return min((clock.due for clock in self._services.running_clocks), default=math.inf)
 
     def flown_vehicles(self) -> list[Vehicle]:
         """The state of each vehicle to which setpoints are sent over the daemon's links."""

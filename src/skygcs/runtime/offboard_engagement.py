@@ -115,7 +115,13 @@ class OffboardEngagement:
         settings = config.control
         self.controller = OffboardController(vehicle, offboard_config(settings, None))
         phase = vehicle.sysid * GOLDEN_RATIO % 1.0
-        self.clock = ControlClock(services.loop, self._tick, lambda: self.controller.period_s, phase=phase)
+        self.clock = ControlClock(
+            services.loop,
+            self._tick,
+            lambda: self.controller.period_s,
+            phase=phase,
+            running_clocks=services.running_clocks,
+        )
         self.tracking = TrackingRecord()
         self._vehicle = vehicle
         self._settings = settings

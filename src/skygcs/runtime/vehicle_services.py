@@ -15,6 +15,7 @@ from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.command_client import SendFn
+from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.undo_journal import UndoJournal
 
@@ -181,3 +182,5 @@ class VehicleServices:
     preflight_valid_s: float = math.inf
     probes: bool = False
     """True if uplinks are probed."""
+    running_clocks: set[ControlClock] = field(default_factory=set)
+    """Of all vehicles that are controlled by setpoints."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Iterator
 
 import pytest
 
 from skygcs.rpc import slices
-from skygcs.rpc.slices import ORDER_S, PAUSE_S, Slices
+from skygcs.rpc.slices import AHEAD_S, LOOK_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 7, 100])
@@ -57,3 +58,65 @@ async def test_a_slice_is_followed_by_a_pause_only_while_an_order_is_on_its_way(
     assert pauses.pause_s() == PAUSE_S
     await asyncio.sleep(ORDER_S)
     assert pauses.pause_s() == 0.0
+
+
+class Ticks:
+    """Control ticks at these times of the loop; one that has passed is gone, unless nobody carries it out."""
+
+    def __init__(self, *due_s: float, carried_out: bool = True) -> None:
+        self.due_s = due_s
+        self.carried_out = carried_out
+        self.loop = asyncio.get_running_loop()
+
+    def next(self) -> float:
+        now = self.loop.time()
+        return min((due for due in self.due_s if due > now or not self.carried_out), default=math.inf)
+
+    def slices(self) -> Slices:
+        return Slices(self.loop, self.next)
+
+
+async def began_at(tested: Slices) -> float:
+    """When the first slice of a list begins."""
+    loop = asyncio.get_running_loop()
+    at: list[float] = []
+    await tested.encoded_list(at.append(loop.time()) for _ in range(1))
+    return at[0]
+
+
+@pytest.mark.looptime
+async def test_a_slice_begins_at_once_if_it_ends_before_the_next_control_tick() -> None:
+    assert await began_at(Ticks(AHEAD_S * 1.01).slices()) == 0.0
+    assert await began_at(Ticks().slices()) == 0.0
+
+
+@pytest.mark.looptime
+async def test_a_slice_that_would_meet_control_ticks_begins_after_them() -> None:
+    ticks = Ticks(AHEAD_S / 2, AHEAD_S, AHEAD_S * 2.5)
+    assert AHEAD_S <= await began_at(ticks.slices()) < AHEAD_S * 1.5
+
+
+@pytest.mark.looptime
+async def test_a_control_tick_that_is_late_comes_before_a_slice() -> None:
+    ticks = Ticks(0.0, carried_out=False)
+    tested = ticks.slices()
+    by = tested.begins_by()
+    assert tested.wait_s(by) == LOOK_S
+    ticks.carried_out = True
+    assert tested.wait_s(by) is None
+
+
+@pytest.mark.looptime
+async def test_dense_control_ticks_put_no_slice_off_for_long() -> None:
+    ticks = Ticks(*(n * AHEAD_S / 2 for n in range(100)))
+    assert PUT_OFF_S <= await began_at(ticks.slices()) < PUT_OFF_S + AHEAD_S
+
+
+@pytest.mark.looptime
+async def test_a_slice_after_a_pause_has_its_whole_time() -> None:
+    tested = Ticks(0.0, carried_out=False).slices()
+    by = tested.begins_by(PAUSE_S)
+    await asyncio.sleep(PUT_OFF_S)
+    assert tested.wait_s(by) == LOOK_S
+    await asyncio.sleep(PAUSE_S)
+    assert tested.wait_s(by) is None

@@ -40,7 +40,7 @@ class Told:
 
     def __init__(self, vehicle_count: int = 3) -> None:
         self.daemon = FakeDaemon(vehicle_count)
-        self.slices = Slices(asyncio.get_running_loop())
+        self.slices = Slices(asyncio.get_running_loop(), self.daemon.fleet.next_control_tick)
         self.feeds = Feeds(self.daemon, asyncio.get_running_loop(), self.slices)
 
     def add(self, number: int = 1, **params: Any) -> tuple[Reader, Subscription]:
@@ -91,6 +91,22 @@ async def test_states_that_take_long_are_written_in_slices_with_pauses_for_an_or
         turns.append([n["state"]["name"] for n in reader.take()])
         await asyncio.sleep(slices.PAUSE_S)
     assert turns == [["alpha"], ["bravo"], ["carol"]]
+    reported.feeds.close()
+
+
+@pytest.mark.looptime
+async def test_states_wait_for_a_control_tick_that_is_due_but_not_for_long() -> None:
+    reported = Told()
+    loop = asyncio.get_running_loop()
+    reported.daemon.fleet.control_tick_at = loop.time()  # and nobody carries it out
+    reader, _ = reported.add(topic="telemetry", rate_hz=5)
+    await asyncio.sleep(slices.PUT_OFF_S / 2)
+    assert reader.take() == []
+    await asyncio.sleep(slices.PUT_OFF_S)
+    assert [n["state"]["name"] for n in reader.take()] == ["alpha", "bravo", "carol"]
+    reported.daemon.fleet.control_tick_at = loop.time() + 1.0
+    await asyncio.sleep(0.5)
+    assert len(reader.take()) == pytest.approx(3 * 2, abs=3)
     reported.feeds.close()
 
 

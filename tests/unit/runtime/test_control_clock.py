@@ -221,6 +221,21 @@ def test_starting_twice_is_starting_once_and_a_restart_is_not_late() -> None:
     assert (ticked.clock.ticks, ticked.clock.late, ticked.clock.skipped) == (2, 0, 0)
 
 
+def test_a_clock_is_among_the_running_ones_while_it_runs_and_tells_when_it_is_due() -> None:
+    loop = Deadlines()
+    running: set[ControlClock] = set()
+    clock = ControlClock(loop, lambda now: None, lambda: 0.02, running_clocks=running)  # type: ignore[arg-type]
+    assert not running
+    clock.start()
+    assert running == {clock} and clock.due == 100.0
+    loop.now += 0.005
+    assert clock.due == 100.0  # it is late
+    loop.run()
+    assert running == {clock} and clock.due == pytest.approx(100.02)
+    clock.stop()
+    assert not running
+
+
 def test_of_the_last_ticks_the_99th_percentile_of_lateness_is_told() -> None:
     ticked = Ticked()
     assert ticked.clock.lateness_p99_s() is None and ticked.clock.as_dict()["lateness_p99_s"] is None

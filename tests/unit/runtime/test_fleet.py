@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -115,6 +116,21 @@ async def test_the_captured_flights_are_told_as_they_happened() -> None:
     for name in ("v1", "v2", "v3", "v4", "v5"):
         kinds = [e.kind for e in listening.events if e.vehicle == name and e.kind in ("armed", "disarmed")]
         assert kinds == ["armed", "disarmed"]
+
+
+async def test_the_next_control_tick_is_the_first_of_all_vehicles() -> None:
+    fleet = (await replayed()).fleet
+    assert fleet.next_control_tick() == math.inf
+    clocks = [actor.offboard.clock for actor in fleet.resolve("v1,v2")]
+    for clock in clocks:
+        clock.start()
+    assert fleet.next_control_tick() == min(clock.due for clock in clocks)
+    first, last = sorted(clocks, key=lambda clock: clock.due)
+    assert first.due < last.due
+    first.stop()
+    assert fleet.next_control_tick() == last.due
+    last.stop()
+    assert fleet.next_control_tick() == math.inf
 
 
 async def test_the_state_at_the_captures_end_is_that_of_landed_vehicles() -> None:
