@@ -82,8 +82,8 @@ async def test_a_bridge_that_was_killed_is_back_although_another_stands_by(hub: 
             answer = first.cli("federation", "sites", "--json")
             return json.loads(answer.stdout)["bridge"] if answer.returncode == 0 else {"state": answer.stderr}
 
-        pid = first.call("daemon.info")["federation"]["pid"]
         await asyncio.to_thread(wait_until, lambda: bridge()["state"] == "active", "the first one acts")
+        pid = first.call("daemon.info")["federation"]["pid"]  # none before the bridge is started
         async with site(hub, "south", tmp_path, daemon=FakeDaemon(1)) as second:
             await until(lambda: state(second) == "standby", "the second one stands by")
             os.kill(pid, signal.SIGKILL)
