@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from bench.federation.leases import killed, stopped, without_hub
-from support.hub import Hub
-from support.lease_races import USERS, race
+from skygcs.federation.hub_config import LEASES
+from support.hub import Hub, until
+from support.lease_races import USERS, Racer, race
 from support.process import DaemonProcess
 from support.sharing_sites import Flight, home_with_flight, sharing_sites
 
@@ -22,6 +23,20 @@ async def test_two_sites_that_want_a_lease_at_once_never_both_get_it(tmp_path: P
     finally:
         hub.process.stop()
     assert found["winners"] == {"1": 60}
+
+
+async def test_a_store_that_forgets_keys_while_their_holders_send_is_not_used(hub: Hub) -> None:
+    async with hub.raw(hub.witness) as admin, hub.bus("north") as bus:
+        await admin.jetstream().delete_stream(f"KV_{LEASES}")
+        await admin.jetstream().create_key_value(bucket=LEASES, ttl=1.0)
+        north = Racer("north", bus, ["alpha"])
+        running = asyncio.create_task(north.leases.run())
+        try:
+            await until(lambda: north.leases.problem is not None, "the store is looked at")
+            assert "keeps keys for 1 s, not 3 s" in str(north.leases.problem)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_the_holder_is_killed_and_the_other_site_takes_over(hub: Hub, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ class GateLink:
         match method:
             case "authority.status":
                 states = {name: gate.status_of(sysid, now) for name, sysid in gate.vehicles.items()}
-                return {"site": gate.site, "run": f"run of {gate.site}", "vehicles": states}
+                return {"site": gate.site, "run": f"run of {gate.site}", "now_s": now, "vehicles": states}
             case "authority.grant":
                 until = params["sent_s"] + params["valid_for_s"]
                 result = gate.grant(params["vehicle"], until, now, token=params["token"], hub=params["hub"])

@@ -21,6 +21,7 @@ import nats.js.errors
 from pydantic_core import from_json, to_json
 
 from skygcs.core.federation.lease import (
+    TTL_S,
     VALID,
     VALID_S,
     Actions,
@@ -210,6 +211,9 @@ class Leases:
             info = await self._bus.jetstream().stream_info(f"KV_{LEASES}")
         if not self._bus.connected or connections != self._bus.counters.connections:
             return  # another connection meanwhile
+        if info.config.max_age != TTL_S:  # a shorter one gives a lease away while its holder still sends
+            text = f"the hub's store {LEASES} keeps keys for {info.config.max_age or 0:g} s, not {TTL_S:g} s"
+            raise BusError(LEASES, f"{text}: remove it there, and make it with `skygcs federation stores`")
         self._store, self._hub = store, str(info.created)
         for name, lease in self._leases.items():
             self._carry_out(name, lease, lease.hub_up(self._hub, self._clock()))
@@ -230,7 +234,7 @@ class Leases:
         except RpcError as error:
             self.problem = f"the daemon: {error}"
             return
-        site, run, now = self._station.name, str(found["run"]), self._clock()
+        site, run = self._station.name, str(found["run"])
         made: dict[str, Lease] = {}
         for name, config in self._configs.items():
             held = found["vehicles"].get(name)
@@ -241,7 +245,7 @@ class Leases:
             if held["hub"]:
                 lease.remember(held["hub"])
             if held["held"]:
-                lease.adopt(now + held["remaining_s"], held["token"], held["hub"])
+                lease.adopt(found["now_s"] + held["remaining_s"], held["token"], held["hub"])
             made[name] = lease
         self._leases = made
         if self._store is not None:

@@ -33,7 +33,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from nats.js.errors import NotFoundError
 from nats.js.object_store import ObjectStore
@@ -145,7 +145,10 @@ def list_files(folder: Path, since_unix_s: float) -> list[dict[str, Any]]:
         for entry in entries:
             if FILE_NAME.fullmatch(entry.name) is None:
                 continue
-            status = entry.stat(follow_symlinks=False)
+            try:
+                status = entry.stat(follow_symlinks=False)
+            except FileNotFoundError:  # removed meanwhile: the others are listed all the same
+                continue
             if stat.S_ISREG(status.st_mode) and status.st_mtime >= since_unix_s:
                 found.append({"name": entry.name, "bytes": status.st_size, "modified_unix_s": status.st_mtime})
     return sorted(found, key=lambda file: -file["modified_unix_s"])
@@ -276,6 +279,8 @@ class LogCollector:
                     subject = f"$O.{LOGS}.C.{info.nuid}"
                     message = await jetstream.get_msg(STREAM, seq=sequence, subject=subject, next=True)
                     data += message.data or b""
+                    if len(data) > PART_BYTES:
+                        raise BusError(LOGS, f"{name} is longer than a part")
                     sequence = (message.seq or 0) + 1
             except NotFoundError:
                 raise BusError(LOGS, f"the hub has no {name} any more") from None
@@ -300,18 +305,25 @@ class LogCollector:
 def length_to_continue(part: Path, size: int) -> int:
     """The length of a partial file of a log of this size, which is made if it does not exist. A longer one belongs to
     another log and is emptied. Raises OSError."""
-    have = part.stat().st_size if part.exists() else 0
-    if have <= size:
-        part.touch()
-        return have
-    part.write_bytes(b"")
+    with _open_part(part) as file:
+        have = os.fstat(file.fileno()).st_size
+        if have <= size:
+            return have
+        file.truncate(0)
     return 0
 
 
 def append(part: Path, data: bytes) -> None:
     """Append data to a partial file. Raises OSError."""
-    with open(part, "ab") as file:
+    with _open_part(part) as file:
         file.write(data)
+
+
+def _open_part(part: Path) -> BinaryIO:
+    """The partial file, open for appending. Raises OSError, also for a symbolic link: where several people collect into
+    one folder, one of them could lead what is written to any file of another."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    return open(os.open(part, flags, 0o666), "ab")
 
 
 def _listed(answer: dict[str, Any]) -> Iterator[tuple[str, int, float]]:

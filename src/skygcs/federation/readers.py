@@ -18,6 +18,7 @@ from typing import Any
 import structlog
 from pydantic_core import from_json, to_json
 
+from skygcs.core.federation.order_messages import MAX_SEQ, is_number
 from skygcs.core.federation.remote_sites import MAX_SITES, RemoteSites
 from skygcs.core.federation.site_names import SITE_NAME
 from skygcs.core.federation.state_batch import decode_batch
@@ -43,6 +44,9 @@ PING_WITHIN_S = 1.0
 """Time limit of the answer to a ping."""
 
 MAX_EVENT_BYTES = 16_384
+MAX_UNIX_S = 1e11
+"""Latest time of an event, the year 5138: a time beyond it cannot be shown."""
+
 """Longest event; longer ones are dropped and counted."""
 
 MAX_EVENTS = 500
@@ -149,9 +153,9 @@ class Readers:
                 raise ValueError("too long")
             found = from_json(message.data, allow_inf_nan=False)
             run, seq, event = found["run"], found["seq"], found["event"]
-            if found["site"] != site or not isinstance(run, str) or not isinstance(seq, int):
+            if found["site"] != site or not isinstance(run, str) or not isinstance(seq, int) or not 0 <= seq <= MAX_SEQ:
                 raise ValueError("no event")
-            if not isinstance(event, dict) or not isinstance(event.get("text"), str):
+            if not _is_event(event):
                 raise ValueError("no event")
         except (ValueError, KeyError, TypeError):
             self.counters["events_bad"] += 1
@@ -215,3 +219,15 @@ def _site_of(subject: str) -> str | None:
     """The second token of a subject; None if it is no name of a site."""
     tokens = subject.split(".")
     return tokens[1] if len(tokens) > 1 and SITE_NAME.fullmatch(tokens[1]) else None
+
+
+def _is_event(event: object) -> bool:
+    """True for what clients of the daemon expect of an event."""
+    return (
+        isinstance(event, dict)
+        and isinstance(event.get("text"), str)
+        and isinstance(event.get("kind"), str)
+        and isinstance(event.get("vehicle"), str | None)
+        and is_number(at_unix_s := event.get("time_unix_s"))
+        and 0 <= at_unix_s <= MAX_UNIX_S
+    )

@@ -1,0 +1,33 @@
+"""What other sites send, of whatever kind."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from skygcs.core.federation.remote_sites import RemoteSites
+from skygcs.federation.bus import Message
+from skygcs.federation.readers import Readers
+from skygcs.federation.site_clock import SiteClock
+
+EVENT = {"time_unix_s": 1.5, "kind": "mode", "vehicle": "alpha", "sysid": 1, "text": "hold", "data": {}}
+
+
+def sent(seq: Any, **changes: Any) -> Message:
+    event = {"v": 1, "site": "south", "run": "r", "seq": seq, "event": {**EVENT, **changes}}
+    return Message("event.south", json.dumps(event).encode())
+
+
+def test_an_event_that_no_client_could_show_is_left_out() -> None:
+    bus: Any = None
+    readers = Readers(bus, RemoteSites("north", "mine"), SiteClock(), own_site="north")
+    read = readers._on_event
+    read(sent(1))
+    for seq in (10**400, -1, "2"):  # a number of thousands of digits could not be counted, nor be read by a client
+        read(sent(seq))
+    for wrong in ({"time_unix_s": 10**400}, {"time_unix_s": "now"}, {"kind": []}, {"vehicle": {}}, {"text": None}):
+        read(sent(2, **wrong))
+    assert len(readers.recent) == 1
+    assert readers.counters["events_bad"] == 8 and readers.counters["events_lost"] == 0
+    read(sent(4))
+    assert readers.counters["events_lost"] == 2
