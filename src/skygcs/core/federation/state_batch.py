@@ -45,7 +45,7 @@ MAX_ALTITUDE_M = 100_000.0
 """Bounds of plausible values: larger ones are errors of a sensor or of a sender."""
 
 LEAST_PERIOD_S, MAX_PERIOD_S = 0.05, 10.0
-"""Bounds of the period of batches. The least is that of the highest `federation.rate_hz`, 20."""
+"""Bounds of the period of batches. The least is that of the highest `rate_hz` of `[federation]`, 20."""
 
 STATE_GROUPS = (
     *("compid", "autopilot", "type", "groups", "connected", "last_heartbeat_age_s", "armed", "mode", "landed"),
