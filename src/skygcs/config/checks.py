@@ -30,6 +30,7 @@ from skygcs.config.radio import RadioKeys
 from skygcs.config.signing import EVERY_MESSAGE
 from skygcs.config.tables import KeyPath, Problem
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.targets import name_problem
 from skygcs.spelling import near_names
 
 MAX_SOCKET_PATH_BYTES = 107
@@ -197,29 +198,15 @@ def _vehicle_names(config: FleetConfig) -> Iterator[Problem]:
     groups = {group for vehicle in config.vehicle_configs() for group in vehicle.groups}
     for name, entry in config.vehicles.items():
         path: KeyPath = ("vehicles", name)
-        if text := _name_problem(name):
+        if text := name_problem(name):
             yield Problem(path, f"the name {name!r} {text}")
         elif name in groups:
             yield Problem(path, f"{name!r} is the name of a vehicle and of a group; orders to it would be ambiguous")
         elif re.fullmatch(r"v[0-9]+", name) and int(name[1:]) != entry.sysid:
             yield Problem(path, f"the name {name!r} is the default name of vehicle {name[1:]}")
     for path, group in _group_keys(config):
-        if text := _name_problem(group):
+        if text := name_problem(group):
             yield Problem(path, f"the group name {group!r} {text}")
-
-
-def _name_problem(name: str) -> str | None:
-    """Names and groups are targets: "1,3", "2-5" and "all" mean something else there."""
-    if not name.strip():
-        return "is empty"
-    if name.lower() == "all":
-        return "means every vehicle"
-    if name.isdecimal():
-        return "looks like a system id"
-    if bad := re.search(r"[,\-\s]", name):
-        what = {",": "a comma separates targets", "-": "2-5 is a range of system ids"}
-        return f"contains {bad.group()!r}: {what.get(bad.group(), 'a target has no blanks')}; use _ instead"
-    return None
 
 
 def _group_keys(config: FleetConfig) -> Iterator[tuple[KeyPath, str]]:

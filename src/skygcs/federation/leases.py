@@ -39,6 +39,7 @@ from skygcs.core.federation.lease import (
     decode_entry,
     encode_entry,
 )
+from skygcs.core.federation.received_json import printable
 from skygcs.core.federation.state_batch import RowLease
 from skygcs.errors import BusError, RpcError
 from skygcs.events import Event
@@ -371,7 +372,7 @@ class Leases:
         except (BusError, ValueError):
             return  # asked again; the key expires if the holder is gone
         refusal = answer.get("refusal") if isinstance(answer, dict) else None
-        text = None if refusal is None else str(refusal)[:200]
+        text = None if refusal is None else printable(str(refusal), 200)
         self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.asked(text, self._clock())))
 
     async def _on_request(self, message: Message) -> bytes | None:
@@ -388,7 +389,7 @@ class Leases:
         if not isinstance(by, str) or not 1 <= len(by) <= 16:
             return None
         busy = await self._busy(name)
-        refusal, actions = lease.requested(by, self._clock(), busy=busy, force=force is True)
+        refusal, actions = lease.requested(printable(by), self._clock(), busy=busy, force=force is True)
         self._carry_out(name, lease, self._if_current(name, lease, lambda: actions))
         return to_json({"refusal": refusal})
 

@@ -40,6 +40,7 @@ from nats.js.object_store import ObjectStore
 from pydantic_core import from_json, to_json
 
 from skygcs.config.files import open_regular
+from skygcs.core.federation.received_json import cleaned, printable
 from skygcs.errors import BusError, SkygcsError
 from skygcs.federation.bus import Bus, Message, store_errors
 from skygcs.federation.hub_config import LOGS
@@ -292,13 +293,13 @@ class LogCollector:
     async def _ask(self, site: str, question: dict[str, Any], within_s: float) -> dict[str, Any]:
         answer = await self._bus.request(f"log.{site}", to_json(question), within_s)
         try:
-            found = from_json(answer, allow_inf_nan=False)
+            found = cleaned(from_json(answer, allow_inf_nan=False))
         except ValueError:
             found = None
         if not isinstance(found, dict):
             raise SkygcsError(f"{site} sent what is no answer")
         if "error" in found:
-            raise SkygcsError(str(found["error"])[:300])
+            raise SkygcsError(printable(str(found["error"]), 300))
         return found
 
 

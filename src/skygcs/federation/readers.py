@@ -18,7 +18,8 @@ from typing import Any
 import structlog
 from pydantic_core import from_json, to_json
 
-from skygcs.core.federation.order_messages import MAX_SEQ, is_number
+from skygcs.core.federation.order_messages import MAX_SEQ
+from skygcs.core.federation.received_json import cleaned, is_number
 from skygcs.core.federation.remote_sites import MAX_SITES, RemoteSites
 from skygcs.core.federation.site_names import SITE_NAME
 from skygcs.core.federation.state_batch import decode_batch
@@ -151,7 +152,7 @@ class Readers:
         try:
             if len(message.data) > MAX_EVENT_BYTES:
                 raise ValueError("too long")
-            found = from_json(message.data, allow_inf_nan=False)
+            found = cleaned(from_json(message.data, allow_inf_nan=False))
             run, seq, event = found["run"], found["seq"], found["event"]
             if found["site"] != site or not isinstance(run, str) or not isinstance(seq, int) or not 0 <= seq <= MAX_SEQ:
                 raise ValueError("no event")

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic_core import from_json
 
 from skygcs import __version__
+from skygcs.core.federation.received_json import cleaned, printable
 from skygcs.core.federation.remote_sites import CONTESTED_S, RemoteSites
 from skygcs.core.federation.site_names import qualified, select_at, subject_token
 from skygcs.core.geo import Origin
@@ -120,9 +121,9 @@ class StationView:
         try:
             if len(answer) > MAX_FULL_BYTES:
                 raise ValueError("it is too long")
-            found = from_json(answer, allow_inf_nan=False)
+            found = cleaned(from_json(answer, allow_inf_nan=False))
             if "error" in found:
-                raise RpcError(LINK_ERROR, f"{site}: {str(found['error'])[:300]}")
+                raise RpcError(LINK_ERROR, f"{site}: {printable(str(found['error']), 300)}")
             state, sent_s = found["state"], found["sent_s"]
             if not isinstance(state, dict) or not isinstance(sent_s, float):
                 raise ValueError("it is no state")

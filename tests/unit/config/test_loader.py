@@ -148,6 +148,7 @@ sysid = 1
         ("[vehicles.all]\nsysid = 1", "vehicles.all (line 1): the name 'all' means every vehicle"),
         ("[vehicles.a-1]\nsysid = 1", "vehicles.a-1 (line 1): the name 'a-1' contains '-': 2-5 is a range"),
         ("[vehicles.'a,b']\nsysid = 1", "vehicles.\"a,b\" (line 1): the name 'a,b' contains ',': a comma separates"),
+        ('[vehicles."a\\u001b"]\nsysid = 1', "contains the control character '\\x1b'"),
         ("[vehicles.'a b']\nsysid = 1", "contains ' ': a target has no blanks; use _ instead"),
         ("[vehicles.'']\nsysid = 1", "the name '' is empty"),
         ("[vehicles.v3]\nsysid = 4", "the name 'v3' is the default name of vehicle 3"),

@@ -31,3 +31,14 @@ def test_an_event_that_no_client_could_show_is_left_out() -> None:
     assert readers.counters["events_bad"] == 8 and readers.counters["events_lost"] == 0
     read(sent(4))
     assert readers.counters["events_lost"] == 2
+
+
+def test_texts_and_numbers_of_an_event_can_be_shown() -> None:
+    bus: Any = None
+    readers = Readers(bus, RemoteSites("north", "mine"), SiteClock(), own_site="north")
+    bad = {"text": "\x1b]0;mine\x07" + 5000 * "x", "kind": "mode\n", "vehicle": "\u202ealpha"}
+    message = sent(1, **bad, data={"\x9b2J": "a\nb", "n": 10**400, "far": "FAR"})
+    readers._on_event(Message(message.subject, message.data.replace(b'"FAR"', b"1e999")))
+    (event,) = readers.recent
+    assert event["data"] == {"?2J": "a?b", "n": None, "far": None}
+    assert len(event["text"]) == 1000 and all(event[key].isprintable() for key in bad)

@@ -15,16 +15,14 @@ from pydantic_core import from_json, to_json
 
 from skygcs.core.federation.order_gate import Remembered
 from skygcs.core.federation.order_messages import (
-    MAX_TEXT_CHARS,
     STATUSES,
     Json,
     OrderReply,
     OrderRequest,
     Status,
     is_key,
-    is_number,
-    printable,
 )
+from skygcs.core.federation.received_json import MAX_TEXT_CHARS, is_number, printable
 
 MAX_PARAMS_BYTES = 1024
 """Longer parameters are left out of the record: the daemon refuses an order with them."""

@@ -26,6 +26,8 @@ from enum import StrEnum
 
 from pydantic_core import from_json, to_json
 
+from skygcs.core.federation.received_json import MAX_INTEGER, is_number, printable
+
 ASKS = 3
 ASK_EVERY_S = 0.2
 """An active bridge answers at once; three claims cover one that stands still for as long."""
@@ -79,7 +81,10 @@ def decode_claim(data: bytes) -> BridgeClaim:
         raise ValueError("pid and since are numbers")
     if (state is BridgeState.ACTIVE) != isinstance(since, int | float):
         raise ValueError("an active bridge has since, and no other")
-    return BridgeClaim(run, state, math.inf if since is None else float(since), host, pid)
+    if not (since is None or is_number(since)) or abs(pid) > MAX_INTEGER:
+        raise ValueError("pid and since are numbers")
+    since_unix_s = math.inf if since is None else float(since)
+    return BridgeClaim(printable(run), state, since_unix_s, printable(host), pid)
 
 
 class BridgeElection:

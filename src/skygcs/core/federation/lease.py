@@ -44,6 +44,8 @@ from typing import Any, Literal
 
 from pydantic_core import from_json, to_json
 
+from skygcs.core.federation.received_json import printable
+
 TTL_S = 3.0
 """The bucket's TTL. Three renewals fit: two of them may be lost."""
 
@@ -628,4 +630,5 @@ def decode_entry(value: bytes, revision: int) -> Entry:
     holder, run, wanted_by = found.get("holder"), found.get("run"), found.get("wanted_by")
     if not all(text is None or (isinstance(text, str) and len(text) <= 64) for text in (holder, run, wanted_by)):
         return replace(_UNREADABLE, revision=revision)
+    holder, run, wanted_by = (None if text is None else printable(text) for text in (holder, run, wanted_by))
     return Entry(revision, holder, run or "", wanted_by)

@@ -8,14 +8,14 @@ All are JSON objects; unknown keys are ignored. The decoders return None for a m
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeGuard
+from typing import Any, Literal
 
 from pydantic_core import from_json, to_json
 
+from skygcs.core.federation.received_json import MAX_TEXT_CHARS, cleaned, is_number, printable
 from skygcs.core.federation.site_names import MAX_NAME_CHARS, name_of_token, subject_token
 
 VERSION = 1
@@ -45,12 +45,6 @@ MAX_BYTES = 4096
 
 MAX_REPLY_BYTES = 64 * 1024
 """Longest reply. An outcome has up to eight status texts."""
-
-MAX_BY_CHARS = 100
-"""Longest name of the user and station that gave an order."""
-
-MAX_TEXT_CHARS = 1000
-"""Longest text of a reply; longer ones are cut."""
 
 MAX_STATUS_TEXTS = 8
 """Of an outcome; further ones are left out."""
@@ -153,7 +147,7 @@ def decode_request(vehicle: str, payload: bytes, sender: str = "") -> OrderReque
     by, role = found.get("by"), found.get("role")
     if not (isinstance(method, str) and isinstance(params, dict) and isinstance(by, str) and isinstance(role, str)):
         return None
-    if not is_number(deadline_s):
+    if not is_number(deadline_s) or cleaned(params) != params:  # a value left out would be another order
         return None
     run, seq = found.get("run", ""), found.get("seq", 0)
     if not isinstance(run, str) or isinstance(seq, bool) or not isinstance(seq, int) or not 0 <= seq <= MAX_SEQ:
@@ -214,12 +208,6 @@ def status_of(outcome: Mapping[str, Any]) -> Status:
     return "refused" if outcome["result"] == "refused" else "failed"
 
 
-def printable(text: str, most_chars: int = MAX_BY_CHARS) -> str:
-    """A text of another station for logs and screens: cut to ``most_chars``, control characters replaced."""
-    text = text[:most_chars]
-    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
-
-
 def _is_outcome(value: object) -> bool:
     """True if the value has the fields that clients of the daemon read in an outcome."""
     return (
@@ -237,17 +225,9 @@ def _is_outcome(value: object) -> bool:
 
 def _shown(outcome: Json) -> Json:
     """The outcome with its texts as a person may see them."""
-    texts = [printable(text, MAX_TEXT_CHARS) for text in outcome.get("status_texts", [])[:MAX_STATUS_TEXTS]]
-    message = printable(outcome["message"], MAX_TEXT_CHARS)
-    return {**outcome, "result": printable(outcome["result"]), "message": message, "status_texts": texts}
-
-
-def is_number(value: object) -> TypeGuard[int | float]:
-    """True for a finite number; False for an integer that is too large for a float."""
-    try:
-        return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
-    except OverflowError:
-        return False
+    texts = outcome.get("status_texts", [])[:MAX_STATUS_TEXTS]
+    shown: Json = cleaned({**outcome, "status_texts": texts})
+    return {**shown, "result": printable(outcome["result"])}
 
 
 def _object(payload: bytes, most_bytes: int) -> Json | None:

@@ -14,11 +14,12 @@ An own vehicle may have the name of a site; its components are then named by its
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from skygcs.core.vehicle.targets import T, parts_of, select
+from skygcs.core.vehicle.targets import T, name_problem, parts_of, select
 from skygcs.errors import TargetError
 
 SITE_NAME = re.compile(r"[a-z][a-z0-9-]{0,15}")
@@ -97,6 +98,13 @@ def select_at(site: str, parts: Sequence[str], vehicles: Iterable[T]) -> list[T]
 def qualified(site: str, vehicle: str) -> str:
     """The name of another site's vehicle: ``south/alpha``."""
     return f"{site}/{vehicle}"
+
+
+@functools.lru_cache(maxsize=4096)
+def is_vehicle_name(name: str) -> bool:
+    """True for a name that a vehicle may have in messages of the hub: one that a fleet file may give it, of at most
+    MAX_NAME_CHARS, without the slash behind a site's name."""
+    return len(name) <= MAX_NAME_CHARS and "/" not in name and name_problem(name) is None
 
 
 def subject_token(name: str) -> str:

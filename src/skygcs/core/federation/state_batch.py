@@ -8,7 +8,8 @@ Each vehicle is an array with the fields of `VehicleRow` in their order, which n
 Positions are degrees; velocities and yaw refer to true east and north. The origin is shown to people only.
 
 Pure. `decode_batch` checks every value against bounds and refuses the whole batch if one is outside, because
-`row_from_state` never writes one: it replaces values of a vehicle that are out of bounds by null.
+`row_from_state` never writes one: it replaces values of a vehicle that are out of bounds by null. The same holds for a
+name that no fleet file may have, and for one that two vehicles have. Other texts are made printable.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from typing import Any, NamedTuple
 
 from pydantic_core import SchemaValidator, ValidationError, core_schema, to_json
 
-from skygcs.core.federation.site_names import MAX_NAME_CHARS, SITE_NAME
+from skygcs.core.federation.received_json import printable
+from skygcs.core.federation.site_names import MAX_NAME_CHARS, SITE_NAME, is_vehicle_name
 from skygcs.core.geo import EAST_DEG, Origin, Vector
 
 VERSION = 1
@@ -119,7 +121,7 @@ class StateBatch:
 def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> VehicleRow | None:
     """The row of a daemon's state, which has STATE_GROUPS. None if its name or ids cannot be sent."""
     name, sysid, compid = state.get("name"), state.get("sysid"), state.get("compid")
-    if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME_CHARS or "/" in name:
+    if not isinstance(name, str) or not is_vehicle_name(name):
         return None
     if not isinstance(sysid, int) or not isinstance(compid, int) or not (0 <= sysid <= 255 and 0 <= compid <= 255):
         return None
@@ -130,13 +132,14 @@ def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> V
     placed = lat_deg is not None and lon_deg is not None
     heading_deg = _number(position.get("heading_deg"), 360.0, 2)
     groups = state.get("groups")
+    names = [printable(group) for group in groups if _is_name(group)] if isinstance(groups, Sequence) else []
     return VehicleRow(
         name=name,
         sysid=sysid,
         compid=compid,
         autopilot=_word(state.get("autopilot")) or "",
         type=_word(state.get("type")) or "",
-        groups=tuple(g for g in groups if _is_name(g))[:MAX_GROUPS] if isinstance(groups, Sequence) else (),
+        groups=tuple(names[:MAX_GROUPS]),
         mode=_word(state.get("mode")) or "",
         armed=state.get("armed") is True,
         landed=_word(state.get("landed")) or "",
@@ -200,15 +203,24 @@ def decode_batch(data: bytes) -> StateBatch:
     if found["v"] != VERSION:
         raise ValueError(f"a batch of version {found['v']}; this skygcs reads {VERSION}")
     origin = found["origin"]
+    rows = [VehicleRow._make((*row[:_LEASE], _lease(row[_LEASE]))) for row in found["vehicles"]]
+    names = {row[0] for row in rows}
+    if len(names) < len(rows):
+        raise ValueError("vehicles: two have one name")
+    if not all(map(is_vehicle_name, names)):
+        bad = next(name for name in names if not is_vehicle_name(name))
+        raise ValueError(f"vehicles: {bad!a} is no vehicle's name")
+    if not data.isascii() or b"\\" in data or b"\x7f" in data:  # other JSON has printable texts only
+        rows = [_shown(row) for row in rows]
     return StateBatch(
         found["site"],
-        found["run"],
+        printable(found["run"]),
         found["seq"],
         found["sent_s"],
         found["period_s"],
         found["daemon"],
         None if origin is None else Origin(**origin),
-        tuple(VehicleRow._make((*row[:_LEASE], _lease(row[_LEASE]))) for row in found["vehicles"]),
+        tuple(rows),
     )
 
 
@@ -231,7 +243,7 @@ def _count(value: object) -> int | None:
 
 
 def _word(value: object) -> str | None:
-    return value[:MAX_WORD_CHARS] if isinstance(value, str) else None
+    return printable(value, MAX_WORD_CHARS) if isinstance(value, str) else None
 
 
 def _is_name(value: object) -> bool:
@@ -243,6 +255,19 @@ def _velocity(value: object) -> Vector | None:
         return None
     east, north, up = (_number(axis, MAX_SPEED_MPS, 2) for axis in value)
     return None if east is None or north is None or up is None else (east, north, up)
+
+
+def _shown(row: VehicleRow) -> VehicleRow:
+    """The row with its texts as a person may see them."""
+    return row._replace(
+        autopilot=printable(row.autopilot),
+        type=printable(row.type),
+        groups=tuple(printable(group) for group in row.groups),
+        mode=printable(row.mode),
+        landed=printable(row.landed),
+        gps_fix=None if row.gps_fix is None else printable(row.gps_fix),
+        control=None if row.control is None else printable(row.control),
+    )
 
 
 def _lease(found: tuple[Any, ...] | None) -> RowLease | None:
@@ -285,11 +310,10 @@ def _keys(**schemas: core_schema.CoreSchema) -> core_schema.CoreSchema:
 
 _BOOL = core_schema.bool_schema(strict=True)
 _SITE = core_schema.str_schema(pattern=f"^{SITE_NAME.pattern}$", max_length=16, strict=True)
-_VEHICLE_NAME = core_schema.str_schema(pattern="^[^/]+$", max_length=MAX_NAME_CHARS, strict=True)
 _NUMBERS_3 = core_schema.tuple_schema([_between(-MAX_SPEED_MPS, MAX_SPEED_MPS)] * 3)
 
 _ROW_SCHEMAS: dict[str, core_schema.CoreSchema] = {
-    "name": _VEHICLE_NAME,
+    "name": _text(MAX_NAME_CHARS, 1),
     "sysid": _integer(255),
     "compid": _integer(255),
     "autopilot": _text(MAX_WORD_CHARS),

@@ -7,6 +7,7 @@ With a component id behind a slash (``7/191``, ``alpha/191``, ``all/100``) it me
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar
 
@@ -17,6 +18,10 @@ MAX_PARTS = 1000
 
 _COMPONENT = re.compile(r"(.+?)\s*/\s*(\d{1,3})")
 _RANGE = re.compile(r"(\d{1,3})\s*-\s*(\d{1,3})")
+
+_NOT_SHOWN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode's categories of control and format characters, such as ESC and those that turn the direction of text. Those
+without a character yet are not among them, since every version of Python knows others."""
 
 
 class Targetable(Protocol):
@@ -39,6 +44,23 @@ T = TypeVar("T", bound=Targetable)
 
 FOR_COMPONENTS = "message watch, last, request and send, interval, stream and command"
 """The commands that accept a component as target, for the user."""
+
+
+def name_problem(name: str) -> str | None:
+    """Why this is no name of a vehicle or group; None if it is one. Names are targets: "1,3", "2-5" and "all" mean
+    something else there; and they are shown on terminals, which obey control characters."""
+    if not name.strip():
+        return "is empty"
+    if name.lower() == "all":
+        return "means every vehicle"
+    if name.isdecimal():
+        return "looks like a system id"
+    if bad := re.search(r"[,\-\s]", name):
+        what = {",": "a comma separates targets", "-": "2-5 is a range of system ids"}
+        return f"contains {bad.group()!r}: {what.get(bad.group(), 'a target has no blanks')}; use _ instead"
+    if bad_char := next((char for char in name if unicodedata.category(char) in _NOT_SHOWN), None):
+        return f"contains the control character {bad_char!a}"
+    return None
 
 
 def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -> list[T]:

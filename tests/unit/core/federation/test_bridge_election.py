@@ -178,3 +178,17 @@ def test_what_is_no_claim_is_refused(data: bytes) -> None:
 def test_a_claim_is_read_as_it_was_written() -> None:
     for claim in (BridgeClaim("r", ACTIVE, 17.25, "h", 9), BridgeClaim("r", STANDBY, math.inf, "h", 9)):
         assert decode_claim(claim.encoded()) == claim
+
+
+def test_the_texts_of_a_claim_can_be_shown() -> None:
+    claim = decode_claim(BridgeClaim("\x1br", STANDBY, math.inf, "h\n", 9).encoded())
+    assert (claim.run, claim.host) == ("?r", "h?")
+
+
+@pytest.mark.parametrize("number", [b"1e999", b"-1e999", b"1" + 400 * b"0"])
+def test_numbers_of_a_claim_have_bounds(number: bytes) -> None:
+    data = BridgeClaim("r", ACTIVE, 17.25, "h", 9).encoded()
+    for known in (b"17.25", b"9"):
+        assert data.count(known) == 1
+        with pytest.raises(ValueError):
+            decode_claim(data.replace(known, number))

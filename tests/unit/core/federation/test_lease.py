@@ -363,6 +363,11 @@ def test_what_nobody_can_read_is_somebodys(value: bytes) -> None:
     assert (entry.revision, entry.holder) == (9, "?")
 
 
+def test_the_texts_of_an_entry_can_be_shown() -> None:
+    entry = decode_entry(encode_entry("north\x1b", "r\n", 5.0, "\u202esouth"), 3)
+    assert entry == Entry(3, "north?", "r?", "?south")
+
+
 def test_an_entry_is_read_as_it_was_written() -> None:
     for holder, wanted_by in (("north", None), (None, "south"), (None, None)):
         assert decode_entry(encode_entry(holder, "run", 5.0, wanted_by), 3) == Entry(3, holder, "run", wanted_by)

@@ -110,3 +110,22 @@ def test_a_record_is_one_line_and_is_remembered(by: str, text: str, params: dict
         3,
     )
     assert list(audit.remembered([line[:-1], b"", b"[]", b"\xff"])) == [None] * 4
+
+
+@pytest.mark.parametrize("number", ["1e999", "1" + 400 * "0"])
+def test_an_order_with_a_number_that_nothing_can_hold_is_none(number: str) -> None:
+    """Left out or rounded it would be another order."""
+    order = OrderRequest(KEY, "alpha", "vehicles.goto", {"alt_m": 17.25}, 5.5, "a@b", "site")
+    payload = order.encoded().decode()
+    for known in ("17.25", "5.5"):
+        assert payload.count(known) == 1
+        assert decode_request("alpha", payload.replace(known, number).encode()) is None
+
+
+def test_the_outcome_of_another_site_can_be_shown() -> None:
+    outcome = {**OUTCOME, "message": "a\x1b", "status_texts": ["\u202e"], "fence": {"k\n": "\x9b"}, "n": 10**400}
+    payload = json.dumps({"id": KEY, "status": "done", "text": "t\n", "outcome": outcome}).encode()
+    reply = decode_reply(KEY, payload)
+    assert reply is not None and reply.text == "t?"
+    shown = {**OUTCOME, "message": "a?", "status_texts": ["?"], "fence": {"k?": "?"}, "n": None}
+    assert reply.outcome == shown

@@ -197,3 +197,43 @@ def test_ages_grow_and_what_has_none_has_none() -> None:
     assert (later.age_s, later.position_age_s) == (1.92, 1.58)
     assert aged(row(position=None, last_heartbeat_age_s=None), 1.0).age_s is None
     assert replace(batch(later), seq=18).vehicles == (later,)
+
+
+HOSTILE = ("\x1b]0;mine\x07", "a\nb", "\x9b2J", "\u202eevil", "\u2028", "all", "7", "a,b", "a-b", "a b", "a/b", "")
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_that_no_fleet_file_may_have_is_refused(name: str) -> None:
+    good = json.loads(encode_batch(batch(row())))
+    good["vehicles"][0][0] = name
+    with pytest.raises(ValueError) as error:
+        decode_batch(json.dumps(good).encode())
+    assert str(error.value).isprintable()
+    assert row_from_state(STATE | {"name": name}) is None  # nor does a site send it
+
+
+def test_a_batch_in_which_two_vehicles_have_one_name_is_refused() -> None:
+    with pytest.raises(ValueError, match="two have one name"):
+        decode_batch(encode_batch(batch(row(), row(sysid=2))))
+
+
+@pytest.mark.parametrize("text", ["\x1b[2J", "\x7f", "\x9b", "\u202e", "a\nb"])
+@pytest.mark.parametrize("ascii_only", [True, False])
+def test_texts_of_another_site_are_printable(text: str, ascii_only: bool) -> None:
+    good = json.loads(encode_batch(batch(row(control={"state": "flying"}))))
+    for field in ("autopilot", "type", "mode", "landed", "gps_fix", "control"):
+        good["vehicles"][0][VehicleRow._fields.index(field)] = text
+    good["vehicles"][0][VehicleRow._fields.index("groups")] = [text]
+    found = decode_batch(json.dumps(good | {"run": text}, ensure_ascii=ascii_only).encode())
+    shown = found.vehicles[0]
+    texts = (found.run, shown.autopilot, shown.type, shown.mode, shown.landed, shown.gps_fix, shown.control)
+    assert all(one and one.isprintable() for one in (*texts, *shown.groups))
+
+
+@pytest.mark.parametrize("number", ["1e999", "-1e999", "1" + 400 * "0", "NaN"])
+def test_numbers_without_bounds_are_refused(number: str) -> None:
+    encoded = encode_batch(batch(row())).decode()
+    for known in ("1790000000.25", '"seq":17', "43.7806123"):
+        assert known in encoded
+        with pytest.raises(ValueError):
+            decode_batch(encoded.replace(known, known.replace("17", number) if ":" in known else number).encode())
