@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
+import json
 import os
 import random
 import sys
@@ -14,6 +16,7 @@ import pytest
 
 from skygcs.errors import BusError, SkygcsError
 from skygcs.federation.bus import Bus
+from skygcs.federation.hub_config import LOGS
 from skygcs.federation.logs import MAX_FILES, PART_BYTES, LogCollector, SiteLogs
 from support.hub import Hub
 from support.made_logs import made
@@ -150,6 +153,60 @@ async def test_a_part_that_was_changed_on_its_way_is_not_taken(
         monkeypatch.setattr(bus, "jetstream", lambda: jetstream)
         with pytest.raises(BusError, match="is not as it was put there"):
             await collector._read_object(answer["object"])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"chunks": "3"},
+        {"chunks": 1 << 20, "size": 1},
+        {"chunks": -1},
+        {"chunks": None, "mtime": [], "description": {}},
+        {"chunks": True},
+        {"nuid": "*"},
+        {"nuid": "a\r\nb"},
+        {"nuid": ["x"]},
+        {"digest": 7, "chunks": 1.5},
+        {"options": "link"},
+        None,
+        [],
+    ],
+)
+async def test_a_part_that_is_described_as_none_is_one_problem_and_stops_no_other(
+    hub: Hub, folder: Path, tmp_path: Path, changes: object
+) -> None:
+    """Any site may write any description into the store."""
+    async with offered(hub, folder) as (logs, bus), hub.bus("south") as south:
+        real = logs._offer
+
+        async def described_otherwise(path: Path, offset: int) -> dict[str, object]:
+            answer = await real(path, offset)
+            info = await (await south.object_store(LOGS)).get_info(answer["object"])
+            found = {**info.as_dict(), **changes} if isinstance(changes, dict) else changes
+            subject = f"$O.{LOGS}.M.{base64.urlsafe_b64encode(info.name.encode()).decode()}"
+            await south.jetstream().publish(
+                subject, b"" if found is None else json.dumps(found).encode(), headers={"Nats-Rollup": "sub"}
+            )
+            return answer
+
+        logs._offer = described_otherwise  # type: ignore[method-assign]
+        done = await LogCollector(bus, tmp_path / "out", print).collect(["south"])
+        assert [path.name for path in done.files] == ["empty.tlog"]
+        (problem,) = done.problems
+        assert problem.startswith("south/long.tlog: ") and "is described as no part of a log is" in problem
+        assert logs.counters["parts"] == 1  # another attempt would not change it
+
+
+@pytest.mark.parametrize("name", [None, 7, [], "", "a/b", "a\x1b[2J", "\u202e", "x" * 129])
+async def test_an_object_of_another_name_is_one_problem(hub: Hub, folder: Path, tmp_path: Path, name: object) -> None:
+    async with offered(hub, folder) as (logs, bus):
+
+        async def named_otherwise(path: Path, offset: int) -> dict[str, object]:
+            return {"object": name, "bytes": 1}
+
+        logs._offer = named_otherwise  # type: ignore[method-assign]
+        done = await LogCollector(bus, tmp_path / "out", print).collect(["south"])
+        assert done.problems == ["south/long.tlog: the site sent what is no name of an object"]
 
 
 async def test_a_list_is_bounded_and_has_the_newest(hub: Hub, tmp_path: Path) -> None:

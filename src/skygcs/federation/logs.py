@@ -35,7 +35,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from nats.js.errors import NotFoundError
+from nats.js.api import ObjectInfo
+from nats.js.errors import BadObjectMetaError, NotFoundError
 from nats.js.object_store import ObjectStore
 from pydantic_core import from_json, to_json
 
@@ -62,6 +63,13 @@ LIST_WITHIN_S, PART_WITHIN_S, SUM_WITHIN_S = 10.0, 60.0, 300.0
 
 RETRIES, RETRY_AFTER_S = 5, 2.0
 """Attempts for one part, and the pause between them, after a lost answer or a damaged part."""
+
+MAX_CHUNKS = 256
+"""Messages of the store with one part; nats-py makes 16."""
+
+OBJECT_NAME = re.compile(r"[A-Za-z0-9._-]{1,128}", re.ASCII)
+NUID = re.compile(r"[A-Za-z0-9_-]{1,64}", re.ASCII)
+"""Names of an object and of its content in the store, as `SiteLogs` and nats-py make them."""
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.tlog", re.ASCII)
 
@@ -258,25 +266,26 @@ class LogCollector:
         for attempt in range(RETRIES):
             try:
                 answer = await self._ask(site, {"part": {"name": name, "offset": offset}}, PART_WITHIN_S)
-                return await self._read_object(str(answer.get("object")))
+                return await self._read_object(answer.get("object"))
             except BusError:
                 if attempt == RETRIES - 1:
                     raise
             await asyncio.sleep(RETRY_AFTER_S)
         raise AssertionError("not reached")
 
-    async def _read_object(self, name: str) -> bytes:
+    async def _read_object(self, name: object) -> bytes:
         """The content of an object of the store. ObjectStore.get is not used, because it needs a consumer, which the
-        hub permits to no station. Raises BusError, also for content whose SHA-256 is wrong."""
+        hub permits to no station. Raises BusError, also for content whose SHA-256 is wrong, and SkygcsError for what is
+        no object of a site's, which another attempt would not change."""
+        if not isinstance(name, str) or OBJECT_NAME.fullmatch(name) is None:
+            raise SkygcsError("the site sent what is no name of an object")
         store: ObjectStore = await self._bus.object_store(LOGS)
         jetstream = self._bus.jetstream()
         with store_errors(LOGS):
             try:
                 info = await store.get_info(name)
-                if (info.size or 0) > PART_BYTES or (info.chunks or 0) > PART_BYTES:
-                    raise BusError(LOGS, f"{name} is longer than a part")
                 data, sequence = bytearray(), 1
-                for _ in range(info.chunks or 0):
+                for _ in range(_chunks(info)):
                     subject = f"$O.{LOGS}.C.{info.nuid}"
                     message = await jetstream.get_msg(STREAM, seq=sequence, subject=subject, next=True)
                     data += message.data or b""
@@ -285,6 +294,8 @@ class LogCollector:
                     sequence = (message.seq or 0) + 1
             except NotFoundError:
                 raise BusError(LOGS, f"the hub has no {name} any more") from None
+            except BadObjectMetaError:
+                raise SkygcsError("the object in the store is described as no part of a log is") from None
         digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode()
         if info.digest != f"SHA-256={digest}":
             raise BusError(LOGS, f"{name} is not as it was put there")
@@ -335,3 +346,14 @@ def _listed(answer: dict[str, Any]) -> Iterator[tuple[str, int, float]]:
             case {"name": str() as name, "bytes": int() as size, "modified_unix_s": int() | float() as modified_unix_s}:
                 if FILE_NAME.fullmatch(name) and 0 <= size <= MAX_FILE_BYTES and 0 <= modified_unix_s < 1e11:
                     yield name, size, float(modified_unix_s)
+
+
+def _chunks(info: ObjectInfo) -> int:
+    """Number of messages with the content of an object. The description is JSON of any station that may write to the
+    store. Raises SkygcsError for one that describes no part."""
+    chunks: object = info.chunks
+    if isinstance(chunks, bool) or not isinstance(chunks, int) or not 0 <= chunks <= MAX_CHUNKS:
+        raise SkygcsError("the object in the store is described as no part of a log is (chunks)")
+    if not isinstance(info.nuid, str) or NUID.fullmatch(info.nuid) is None:
+        raise SkygcsError("the object in the store is described as no part of a log is (nuid)")
+    return chunks
