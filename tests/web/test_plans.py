@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import WebSocketRoute, expect
 
 from support.browser import until
 from support.page_steps import click_view, fits, hold, select, side
@@ -53,6 +54,38 @@ def test_a_formation_is_planned_and_played(station, open_page, shot, theme) -> N
     expect(timeline.locator("output")).to_have_text(re.compile(r"^(\d+\.\d) of \1 s$"))
     page.get_by_role("button", name="Fit").click()
     shot(page, f"plan-formation-{theme}")
+    assert not page.errors
+
+
+def test_no_plan_is_made_for_some_of_the_selected_vehicles_while_one_has_no_position(station, open_page) -> None:
+    page = open_page(station)
+    hidden = {"v2"}
+
+    def without_positions(message: str) -> str:
+        found = json.loads(message)
+        if found.get("method") == "web.state":
+            for vehicle in found["params"]["vehicles"]:
+                if vehicle["name"] in hidden:
+                    vehicle["position"] = None
+        return json.dumps(found)
+
+    def connect(socket: WebSocketRoute) -> None:
+        server = socket.connect_to_server()
+        server.on_message(lambda message: socket.send(without_positions(message)))
+
+    page.route_web_socket(re.compile(".*"), connect)
+    page.reload()
+    select(page, "v1", "v2")
+    side(page, "Plans")
+    page.get_by_role("tab", name="Formation", exact=True).click()
+    panel = page.get_by_role("tabpanel", name="Plans")
+    until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m")
+    expect(panel).to_contain_text("No position yet: v2.")
+    button = page.get_by_role("button", name="Plan for 2 vehicles")
+    expect(button).to_be_disabled()
+    hidden.clear()
+    expect(button).to_be_enabled()
+    expect(panel).not_to_contain_text("No position yet")
     assert not page.errors
 
 

@@ -101,6 +101,12 @@ function FromFiles({ store, connection, take }: PanelProps & { take: (checked: C
 
 // --- planned here -----------------------------------------------------------------------------------------------------
 
+/** The selected vehicles that have no position in the fleet's frame yet: no plan can start from where they are. */
+function useUnplaced(store: PanelProps["store"], names: readonly string[]): readonly string[] {
+  const joined = useStore(store, (state) => names.filter((name) => state.vehicles.get(name)?.position?.enu_m == null).join(" "));
+  return useMemo(() => (joined === "" ? [] : joined.split(" ")), [joined]);
+}
+
 /** Places to start from: above where vehicles are, at least so high. */
 function startsOf(state: State, names: readonly string[], leastM: number): Record<string, Vec3> {
   const found: Record<string, Vec3> = {};
@@ -128,6 +134,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   const [yaw, setYaw] = useState(90);
   const [middle, setMiddle] = useState<readonly [number, number]>(() => middleOf(store.state, names));
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const unplaced = useUnplaced(store, names);
   const places = useMemo(
     () => formation(shape, names.length, spacing, [middle[0], middle[1], height], (yaw * Math.PI) / 180),
     [shape, names, spacing, middle, height, yaw],
@@ -163,7 +170,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
         <NumberField label="y" unit="m" value={middle[1]} onValue={(value) => value !== null && setMiddle([middle[0], value])} />
       </div>
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-      <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
+      <PlanButton names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
     </>
   );
 }
@@ -181,7 +188,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   const [exchange, setExchange] = useState(false);
   const [goals, setGoals] = useState<ReadonlyMap<string, Vec3>>(new Map());
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
-  const placed = useStore(store, (state) => names.filter((name) => state.vehicles.get(name)?.position?.enu_m != null).length);
+  const unplaced = useUnplaced(store, names);
   // who is selected anew, or has a position only now, begins where it is; who was dragged stays where it was put
   useEffect(() => {
     const starts = startsOf(store.state, names, height);
@@ -189,7 +196,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
       const place = before.get(name) ?? starts[name];
       return place === undefined ? [] : [[name, place] as const];
     })));
-  }, [store, names, height, placed]);
+  }, [store, names, height, unplaced]);
   const latest = useRef(goals);
   latest.current = goals;
   useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
@@ -238,16 +245,25 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
         </div>
       )}
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-      <PlanButton names={names} busy={check.busy} plan={plan} error={check.error} />
+      <PlanButton names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
     </>
   );
 }
 
-function PlanButton({ names, busy, plan, error }: { names: readonly string[]; busy: boolean; plan: () => Promise<void>; error: string | null }) {
+interface PlanButtonProps {
+  names: readonly string[];
+  unplaced: readonly string[];
+  busy: boolean;
+  plan: () => Promise<void>;
+  error: string | null;
+}
+
+function PlanButton({ names, unplaced, busy, plan, error }: PlanButtonProps) {
   return (
     <>
       {names.length === 0 && <p class="note">Select the vehicles that take part.</p>}
-      <button type="button" class="primary" disabled={names.length === 0 || busy} onClick={() => void plan()}>
+      {unplaced.length > 0 && <p class="note">No position yet: {unplaced.join(", ")}. A plan starts where the vehicles are.</p>}
+      <button type="button" class="primary" disabled={names.length === 0 || unplaced.length > 0 || busy} onClick={() => void plan()}>
         {busy ? "Planning …" : `Plan for ${names.length} ${names.length === 1 ? "vehicle" : "vehicles"}`}
       </button>
       <Failure text={error} />
