@@ -281,3 +281,23 @@ async def test_requests_beyond_what_is_answered_at_once_are_counted_and_not_kept
             task.cancel()
         await asyncio.gather(*asked, return_exceptions=True)
         assert visitor.status()["requests"] == 0
+
+
+async def test_urgent_requests_have_places_that_no_other_takes(hub: Hub) -> None:
+    async with hub.bus("north") as north, hub.bus("visitor") as visitor:
+        running: list[bytes] = []
+
+        async def slow(message: Message) -> bytes:
+            running.append(message.data)
+            await asyncio.sleep(3600)
+            return b""
+
+        await north.serve("here.north", slow, at_once=3, reserved=2, is_urgent=lambda data: data == b"stop")
+        payloads = [*10 * [b"other"], *5 * [b"stop"], b"other"]
+        asked = [asyncio.create_task(visitor.request("here.north", data, 30)) for data in payloads]
+        await until(lambda: north.counters.busy == 11, "three and two are being answered")
+        assert running == [*3 * [b"other"], *2 * [b"stop"]]
+        for task in asked:
+            task.cancel()
+        await asyncio.gather(*asked, return_exceptions=True)
+        assert visitor.status()["requests"] == 0

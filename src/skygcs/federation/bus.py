@@ -313,9 +313,18 @@ class Bus:
 
         return await self._subscribed(subject, received)
 
-    async def serve(self, subject: str, on_request: OnRequest, *, at_once: int = MAX_ANSWERING) -> Subscription:
+    async def serve(
+        self,
+        subject: str,
+        on_request: OnRequest,
+        *,
+        at_once: int = MAX_ANSWERING,
+        reserved: int = 0,
+        is_urgent: Callable[[bytes], bool] = lambda _: False,
+    ) -> Subscription:
         """Like `subscribe`, for requests: the result of ``on_request`` is the answer; None: no answer, since another
-        station answers. At most ``at_once`` run at the same time; further requests are counted and not answered."""
+        station answers. At most ``at_once`` run at the same time, and ``reserved`` more whose payload ``is_urgent``;
+        further requests are counted and not answered."""
         answering: set[asyncio.Task[None]] = set()
 
         def received(message: Msg) -> None:
@@ -323,7 +332,7 @@ class Bus:
                 return
             if not message.reply.startswith(INBOX):  # this station would publish where the sender may not
                 self.counters.bad_reply_to += 1
-            elif len(answering) >= at_once:
+            elif len(answering) >= at_once + (reserved if is_urgent(message.data) else 0):
                 self.counters.busy += 1
             else:
                 task = self._loop.create_task(self._respond(message, on_request), name=f"answer {subject}")

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import structlog
 from pydantic_core import from_json
 
-from skygcs.core.federation.order_gate import MAX_ENDING, MAX_RUNNING
+from skygcs.core.federation.order_gate import MAX_ENDING, MAX_RUNNING, MAX_STOPS
 from skygcs.core.federation.order_messages import ENDS_FLIGHT, STOP, Json, Status, status_of
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.daemon_clock import DaemonClock
@@ -173,7 +173,7 @@ class DaemonOrders:
             least = min(pool, key=lambda connection: connection.in_flight, default=None)
             if least is not None and least.in_flight < IN_FLIGHT:
                 return least
-            if not ends_flight or len(pool) * IN_FLIGHT >= MAX_ENDING:
+            if not ends_flight or len(pool) * IN_FLIGHT >= MAX_ENDING + MAX_STOPS:  # the gate bounds each
                 return None
             pool.append(await self._opened())
             return pool[-1]

@@ -11,7 +11,7 @@ from skygcs.core.federation.remote_sites import CONTESTED_S, RemoteSites
 from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.bus import Message
 from skygcs.federation.daemon_orders import DaemonOrders
-from skygcs.federation.orders_taken import MAX_MESSAGES, OrdersTaken
+from skygcs.federation.orders_taken import MAX_MESSAGES, MAX_STOP_MESSAGES, OrdersTaken, names_stop
 from skygcs.federation.station import Station
 from skygcs.rpc.client import connect
 
@@ -62,7 +62,9 @@ class OrdersTakenPart:
         async def answer(message: Message) -> bytes:
             return await self._taken.answer(message.subject, message.data, message.sender)
 
-        subscription = await self._station.bus.serve(f"cmd.{self._site}.*", answer, at_once=MAX_MESSAGES)
+        subscription = await self._station.bus.serve(
+            f"cmd.{self._site}.*", answer, at_once=MAX_MESSAGES, reserved=MAX_STOP_MESSAGES, is_urgent=names_stop
+        )
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._daemon.run(), name="daemon of the orders")

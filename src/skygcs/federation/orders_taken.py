@@ -40,7 +40,15 @@ MAX_QUESTION_WAIT_S = 0.8
 MAX_MESSAGES = 1024
 """Messages answered at the same time: a stop for every vehicle of a full site, and as many questions, with room."""
 
+MAX_STOP_MESSAGES = 1024
+"""Further ones that name an emergency stop: no flood of other orders and questions keeps a stop out."""
+
 _log = structlog.get_logger(__name__)
+
+
+def names_stop(payload: bytes) -> bool:
+    """True for every message that may be an emergency stop of a skygcs, before it is decoded."""
+    return STOP.encode() in payload
 
 
 class Daemon(Protocol):

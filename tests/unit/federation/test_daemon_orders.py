@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.federation.order_gate import MAX_ENDING
+from skygcs.core.federation.order_gate import MAX_ENDING, MAX_STOPS
 from skygcs.federation.daemon_orders import Carried, DaemonOrders
 from skygcs.rpc.client import connect
 from skygcs.rpc.server import RpcServer
@@ -139,11 +139,20 @@ async def test_a_daemon_that_is_stopped_gets_no_order_but_a_stop() -> None:
     await asyncio.gather(stop, running, return_exceptions=True)
 
 
+async def test_stops_find_connections_beside_all_other_orders_that_end_a_flight(tmp_path: Path) -> None:
+    daemon = FakeDaemon(1)
+    daemon.vehicle("alpha").delay_s = 1.0
+    async with served(daemon, tmp_path / "d.sock") as orders:
+        methods = MAX_ENDING * ["vehicles.land"] + MAX_STOPS * ["vehicles.stop"]
+        carried = await asyncio.gather(*(orders.order("alpha", method, {}, soon()) for method in methods))
+        assert {one.status for one in carried} == {"done"}
+
+
 async def test_a_stop_for_every_vehicle_of_a_full_site_finds_connections(tmp_path: Path) -> None:
     daemon = FakeDaemon(1)
     daemon.vehicle("alpha").delay_s = 0.5
     async with served(daemon, tmp_path / "d.sock") as orders:
-        stops = [orders.order("alpha", "vehicles.stop", {"action": "hold"}, soon()) for _ in range(MAX_ENDING + 70)]
+        stops = [orders.order("alpha", "vehicles.stop", {"action": "hold"}, soon()) for _ in range(2 * MAX_ENDING + 70)]
         carried = await asyncio.gather(*stops)
         done = [one for one in carried if one.status == "done"]
         assert len(done) >= MAX_ENDING

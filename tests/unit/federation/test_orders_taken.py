@@ -13,7 +13,7 @@ from skygcs.core.federation.order_gate import STOP_LATE_S
 from skygcs.core.federation.order_messages import STOP, OrderRequest, OutcomeQuestion, vehicle_token
 from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import Carried
-from skygcs.federation.orders_taken import ANSWER_S, OrdersTaken
+from skygcs.federation.orders_taken import ANSWER_S, OrdersTaken, names_stop
 
 pytestmark = pytest.mark.looptime
 
@@ -153,4 +153,12 @@ async def test_nothing_that_comes_raises(tmp_path: Path) -> None:
         daemon.fails = fault
         assert (await home.give(home.order(number)))["status"] == "unknown"
         assert (await home.ask(home.order(number)))["status"] == "unknown"
+    await home.taken.close()
+
+
+async def test_a_stop_is_known_before_it_is_decoded(tmp_path: Path) -> None:
+    home = Home(tmp_path / "orders.jsonl", Daemon())
+    assert names_stop(home.order(1, method=STOP).encoded())
+    others = (home.order(1).encoded(), OutcomeQuestion(home.order(1, method=STOP).key).encoded(), b"")
+    assert not any(names_stop(payload) for payload in others)
     await home.taken.close()

@@ -14,7 +14,7 @@ only by the site that commands the vehicle. Pure; times are seconds of the home 
     new, may be a copy of one refused without record    nothing                     refused: too many
     new, a newer one of the same station came before    nothing (a stop is done)    refused
     new, another site commands the vehicle              nothing (a stop is done)    refused
-    new, too many are being carried out                 nothing                     refused
+    new, too many of its kind are being carried out     nothing                     refused
     any other new order                                 it is carried out           running, then its outcome
 
     the question for an outcome                         what is done                status of the answer
@@ -37,6 +37,7 @@ import math
 from collections import Counter, OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 from skygcs.core.federation.order_messages import (
     ENDS_FLIGHT,
@@ -73,6 +74,13 @@ MAX_RUNNING = 60
 
 MAX_ENDING = 320
 """The same limit for orders that end a flight: one for each vehicle that a daemon can have, and some to spare."""
+
+MAX_STOPS = 320
+"""The same limit for emergency stops, which no other order may keep out."""
+
+_Kind = Literal["stop", "ending", "other"]
+
+_MOST_RUNNING: dict[_Kind, int] = {"stop": MAX_STOPS, "ending": MAX_ENDING, "other": MAX_RUNNING}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +125,7 @@ class _Known:
     forget_after_s: float
     """The earliest time at which the key may be forgotten."""
     noted_s: float
-    ends_flight: bool = False
+    kind: _Kind = "other"
 
 
 class OrderGate:
@@ -135,8 +143,8 @@ class OrderGate:
         """Latest deadline of an order that was refused without keeping its key: True for stops, False for others."""
         self._remembers_since_s = now_s
         self._newest = _NewestOrders()
-        self._running = {True: 0, False: 0}
-        """Number of orders being carried out: True for those that end a flight, False for others."""
+        self._running: Counter[_Kind] = Counter()
+        """Number of orders being carried out."""
 
     def __len__(self) -> int:
         return len(self._known)
@@ -178,15 +186,15 @@ class OrderGate:
         status, why = self._refusal(request, now_s, not_held) or self._full(request, now_s) or ("running", "")
         self.counters[status] += 1
         reply = OrderReply(request.key, status, why)
-        is_stop, ends_flight = request.method == STOP, request.method in ENDS_FLIGHT
+        is_stop, kind = request.method == STOP, _kind(request.method)
         deadline_s = min(request.deadline_s, now_s + MAX_AHEAD_S)
         if not self._has_room(now_s, stop=is_stop):
             self._unrecorded_until_s[is_stop] = max(self._unrecorded_until_s[is_stop], deadline_s)
             return Refuse(reply)
-        self._known[request.key] = _Known(reply, deadline_s + STOP_LATE_S, now_s, ends_flight)
+        self._known[request.key] = _Known(reply, deadline_s + STOP_LATE_S, now_s, kind)
         if status != "running":
             return Refuse(reply)
-        self._running[ends_flight] += 1
+        self._running[kind] += 1
         self._newest.note(_series(request), request.seq)
         return Begin()
 
@@ -196,7 +204,7 @@ class OrderGate:
         if known is None or known.reply.status != "running":
             return
         known.reply, known.noted_s = reply, now_s
-        self._running[known.ends_flight] -= 1
+        self._running[known.kind] -= 1
         self.counters[reply.status] += 1
 
     def asked(self, question: OutcomeQuestion, now_s: float) -> OrderReply:
@@ -248,9 +256,9 @@ class OrderGate:
 
     def _full(self, request: OrderRequest, now_s: float) -> tuple[Status, str] | None:
         """Why the limits do not permit a further order; None if they do."""
-        ends_flight = request.method in ENDS_FLIGHT
-        most = MAX_ENDING if ends_flight else MAX_RUNNING
-        if self._running[ends_flight] >= most:
+        kind = _kind(request.method)
+        most = _MOST_RUNNING[kind]
+        if self._running[kind] >= most:
             return "refused", f"{most} orders are being carried out at {self._site}"
         is_stop = request.method == STOP
         if not self._has_room(now_s, stop=is_stop) or request.deadline_s <= self._unrecorded_until_s[is_stop]:
@@ -279,6 +287,13 @@ class OrderGate:
     def _forget(self, key: str) -> None:
         self._remembers_since_s = max(self._remembers_since_s, self._known.pop(key).noted_s)
         self.counters["forgotten"] += 1
+
+
+def _kind(method: str) -> _Kind:
+    """Orders of one kind share their places among those that are carried out."""
+    if method == STOP:
+        return "stop"
+    return "ending" if method in ENDS_FLIGHT else "other"
 
 
 _Series = tuple[str, str, str]

@@ -13,8 +13,10 @@ from skygcs.core.federation import order_gate
 from skygcs.core.federation.order_gate import (
     KEEP_S,
     MAX_AHEAD_S,
+    MAX_ENDING,
     MAX_KEYS,
     MAX_RUNNING,
+    MAX_STOPS,
     STOP_KEYS,
     STOP_LATE_S,
     Begin,
@@ -111,6 +113,20 @@ def test_orders_that_end_a_flight_have_places_of_their_own() -> None:
     assert isinstance(gate.admit(order(MAX_RUNNING + 1, method="vehicles.land"), NOW), Begin)
     gate.ended(OrderReply(key(0), "done", ""), NOW)
     assert isinstance(gate.admit(order(MAX_RUNNING + 2, method="vehicles.goto"), NOW), Begin)
+
+
+def test_no_flood_of_other_orders_and_questions_keeps_a_stop_out() -> None:
+    gate = OrderGate("north", NOW)
+    for number in range(MAX_ENDING):
+        assert isinstance(gate.admit(order(number, method="vehicles.land"), NOW), Begin)
+    assert status(gate.admit(order(MAX_ENDING, method="vehicles.rtl"), NOW)) == "refused"
+    for number in range(MAX_ENDING + 1, 2 * MAX_KEYS):
+        gate.asked(OutcomeQuestion(key(number)), NOW)
+    for number in range(2 * MAX_KEYS, 2 * MAX_KEYS + MAX_STOPS):
+        assert isinstance(gate.admit(order(number, method=STOP), NOW), Begin)
+    assert status(gate.admit(order(2 * MAX_KEYS + MAX_STOPS, method=STOP), NOW)) == "refused"
+    gate.ended(OrderReply(key(2 * MAX_KEYS), "done", ""), NOW)
+    assert isinstance(gate.admit(order(2 * MAX_KEYS + MAX_STOPS + 1, method=STOP), NOW), Begin)
 
 
 def test_a_full_table_forgets_nothing_that_may_still_come() -> None:
