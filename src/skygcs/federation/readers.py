@@ -13,6 +13,7 @@ import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import structlog
@@ -20,7 +21,7 @@ from pydantic_core import from_json, to_json
 
 from skygcs.core.federation.order_messages import MAX_SEQ
 from skygcs.core.federation.received_json import cleaned, is_number
-from skygcs.core.federation.remote_sites import MAX_SITES, RemoteSites
+from skygcs.core.federation.remote_sites import FORGET_AFTER_S, MAX_SITES, RemoteSites
 from skygcs.core.federation.site_names import SITE_NAME
 from skygcs.core.federation.state_batch import decode_batch
 from skygcs.core.token_bucket import TokenBucket
@@ -45,15 +46,30 @@ PING_WITHIN_S = 1.0
 """Time limit of the answer to a ping."""
 
 MAX_EVENT_BYTES = 16_384
+"""Longest event; longer ones are dropped and counted."""
+
 MAX_UNIX_S = 1e11
 """Latest time of an event, the year 5138: a time beyond it cannot be shown."""
-
-"""Longest event; longer ones are dropped and counted."""
 
 MAX_EVENTS = 500
 """Events of other sites that are kept for events.recent."""
 
+MAX_SENDERS = 2 * MAX_SITES
+"""Names under which batches or events are taken, also those that no batch could be read of."""
+
 _log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class _Sender:
+    event_rate: TokenBucket
+    heard_at: float = -math.inf
+    """When its last message came."""
+    read_at: float = -math.inf
+    """When a batch of it was last read."""
+    event_run: str | None = None
+    event_seq: int = 0
+    """Of its last event."""
 
 
 class Readers:
@@ -81,9 +97,7 @@ class Readers:
         self.on_event: list[Callable[[str, Mapping[str, Any]], None]] = []
         """Called with the site's name and the event."""
         self._waiting: dict[str, bytes] = {}
-        self._read_at: dict[str, float] = {}
-        self._event_rates: dict[str, TokenBucket] = {}
-        self._event_at: dict[str, tuple[str, int]] = {}
+        self._senders: dict[str, _Sender] = {}
         self._pinged_at: dict[str, float] = {}
         self._answered: Counter[str] = Counter()
         """Number of answered pings by site."""
@@ -108,7 +122,9 @@ class Readers:
         """Keep the newest batch of the site, and read it at the end of this turn of the loop, or LEAST_APART_S after
         the last one."""
         site = _site_of(message.subject)
-        if site is None or (site not in self._read_at and len(self._read_at) >= 2 * MAX_SITES):
+        now = self._clock.now_s()
+        sender = None if site is None else self._sender(site, now)
+        if site is None or sender is None:
             self.counters["batches_bad"] += 1
             return
         if site in self._waiting:
@@ -116,12 +132,12 @@ class Readers:
             self._waiting[site] = message.data
             return
         self._waiting[site] = message.data
-        wait_s = self._read_at.setdefault(site, -math.inf) + LEAST_APART_S - self._clock.now_s()
-        asyncio.get_running_loop().call_later(max(0.0, wait_s), self._read, site)
+        wait_s = sender.read_at + LEAST_APART_S - now
+        asyncio.get_running_loop().call_later(max(0.0, wait_s), self._read, site, sender)
 
-    def _read(self, site: str) -> None:
+    def _read(self, site: str, sender: _Sender) -> None:
         data, now = self._waiting.pop(site), self._clock.now_s()
-        self._read_at[site] = now
+        sender.read_at = now
         try:
             batch = decode_batch(data)
             if batch.site != site:
@@ -146,7 +162,9 @@ class Readers:
         site = _site_of(message.subject)
         if site is None or site == self._own_site:
             return
-        if not self._takes_event(site):
+        now = self._clock.now_s()
+        sender = self._sender(site, now)
+        if sender is None or not sender.event_rate.take(now):
             self.counters["events_beyond_rate"] += 1
             return
         try:
@@ -161,23 +179,27 @@ class Readers:
         except (ValueError, KeyError, TypeError):
             self.counters["events_bad"] += 1
             return
-        last = self._event_at.get(site)
-        if last is not None and last[0] == run and seq > last[1] + 1:
-            self.counters["events_lost"] += seq - last[1] - 1
-        if last is not None or len(self._event_at) < MAX_SITES:
-            self._event_at[site] = (run, seq)
+        if sender.event_run == run and seq > sender.event_seq + 1:
+            self.counters["events_lost"] += seq - sender.event_seq - 1
+        sender.event_run, sender.event_seq = run, seq
         self.recent.append({**event, "site": site})
         for observe in self.on_event:
             observe(site, event)
 
-    def _takes_event(self, site: str) -> bool:
-        now = self._clock.now_s()
-        rate = self._event_rates.get(site)
-        if rate is None:
-            if len(self._event_rates) >= MAX_SITES:
-                return False
-            rate = self._event_rates[site] = TokenBucket(EVENTS_PER_S, EVENT_BURST, now)
-        return rate.take(now)
+    def _sender(self, site: str, now: float) -> _Sender | None:
+        """What is kept of a site that is heard now; None: all MAX_SENDERS places are taken by sites that were heard
+        within FORGET_AFTER_S."""
+        sender = self._senders.get(site)
+        if sender is None:
+            if len(self._senders) >= MAX_SENDERS:
+                longest_silent = min(self._senders, key=lambda other: self._senders[other].heard_at)
+                if now - self._senders[longest_silent].heard_at < FORGET_AFTER_S:
+                    return None
+                del self._senders[longest_silent]
+                self.counters["senders_forgotten"] += 1
+            sender = self._senders[site] = _Sender(TokenBucket(EVENTS_PER_S, EVENT_BURST, now))
+        sender.heard_at = now
+        return sender
 
     # -- the offset of clocks
 

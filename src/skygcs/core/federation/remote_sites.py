@@ -194,6 +194,7 @@ class RemoteSites:
         if now - site.received_at < FORGET_AFTER_S:
             return False
         del self._sites[name]
+        self.counters["sites_forgotten"] += 1
         return True
 
     def _check_clock(self, site: _Site, now: float) -> None:

@@ -161,6 +161,7 @@ def test_sites_are_bounded_and_the_one_that_was_silent_for_an_hour_makes_room() 
     assert sites.counters["sites_beyond_limit"] == 1
     assert sites.take(batch(1, 0.0, site="late"), 3601.0)
     assert "s0" not in sites and len(sites.names) == remote_sites.MAX_SITES
+    assert sites.counters["sites_forgotten"] == 1
 
 
 @given(st.lists(st.tuples(st.floats(0, 5), st.floats(0, 3), st.floats(0, 0.4)), min_size=1, max_size=20))
