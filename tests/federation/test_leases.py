@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from bench.federation.leases import killed, stopped, without_hub
+from skygcs.core.federation.lease import TTL_S
+from skygcs.errors import RpcError
 from skygcs.federation.hub_config import LEASES
-from support.hub import Hub, until
+from support.hub import Hub, RawClient, until
 from support.lease_races import USERS, Racer, race
 from support.process import DaemonProcess
 from support.sharing_sites import Flight, home_with_flight, sharing_sites
@@ -37,6 +39,42 @@ async def test_a_store_that_forgets_keys_while_their_holders_send_is_not_used(hu
         finally:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_store_that_is_made_again_under_live_connections_takes_nothing_from_who_holds_it(
+    tmp_path: Path,
+) -> None:
+    hub = Hub(tmp_path, USERS)
+    await hub.start()
+    try:
+        async with hub.raw(hub.witness) as admin, hub.bus("north") as north_bus, hub.bus("south") as south_bus:
+            await made_again(admin, Racer("north", north_bus, ["alpha"]), Racer("south", south_bus, ["alpha"]))
+    finally:
+        hub.process.stop()
+
+
+async def made_again(admin: RawClient, north: Racer, south: Racer) -> None:
+    running = [asyncio.create_task(racer.leases.run()) for racer in (north, south)]
+    try:
+        await until(lambda: all(r.states().total() for r in (north, south)), "the parts run")
+        await north.call("federation.take", "alpha")
+        before = north.link.gate.status_of(0, 0.0)
+        await admin.jetstream().delete_stream(f"KV_{LEASES}")
+        await admin.jetstream().create_key_value(bucket=LEASES, ttl=TTL_S)
+        taking = asyncio.create_task(south.call("federation.take", "alpha"))
+        held = set()
+        while not taking.done():
+            held.add((bool(north.link.held()), bool(south.link.held())))
+            await asyncio.sleep(0.01)
+        with pytest.raises(RpcError, match="flown by setpoints of north"):
+            await taking
+        after = north.link.gate.status_of(0, 0.0)
+        assert before is not None and after is not None
+        assert (held, after["hub"] != before["hub"]) == ({(True, False)}, True)
+    finally:
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
 
 
 async def test_the_holder_is_killed_and_the_other_site_takes_over(hub: Hub, tmp_path: Path) -> None:

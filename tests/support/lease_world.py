@@ -10,12 +10,14 @@ from random import Random
 
 from skygcs.core.federation.lease import (
     TTL_S,
+    VALID,
     VALID_S,
     Actions,
     Answer,
     Ask,
     Entry,
     Grant,
+    Inspect,
     Lease,
     LeaseConfig,
     Look,
@@ -23,6 +25,7 @@ from skygcs.core.federation.lease import (
     Revoke,
     Write,
 )
+from skygcs.core.federation.lease_store import LeaseStore, StoreQuestion
 from skygcs.core.routing.authority import AuthorityGate
 
 VEHICLE, SYSID = "alpha", 7
@@ -41,9 +44,14 @@ class FakeHub:
 
     name: str = "hub-0"
     alive: bool = True
+    created: int = 0
     revision: int = 0
     entry: Entry | None = None
     written_at: float = 0.0
+
+    @property
+    def identity(self) -> str:
+        return f"{self.created} {self.name}"
 
     def read(self, now: float) -> Entry | None:
         if self.entry is not None and now >= self.written_at + TTL_S:
@@ -97,10 +105,14 @@ class Site:
     def restart_bridge(self) -> None:
         """The bridge anew: it goes on with what the daemon has."""
         self.lease = Lease(LeaseConfig(VEHICLE, self.home, self.name, self.run, self.goes_on_alone))
+        self.store = LeaseStore()
         self.bridge_inbox.clear()
         self.connected_to = None
         status = self.gate.status_of(SYSID, self.now())
         assert status is not None
+        if status["hub"]:
+            self.lease.remember(status["hub"])
+            self.store.note(status["token"], status["hub"])
         if status["held"]:
             self.lease.adopt(self.now() + status["remaining_s"], status["token"], status["hub"])
 
@@ -115,26 +127,76 @@ class Site:
         for action in actions:
             match action:
                 case Write():
-                    self.world.to_hub(self, lambda hub, w=action: self._stored(hub, w))
+                    self._write(action)
                 case Look():
                     self.world.to_hub(self, self._looked)
                 case Grant():
                     self.to_daemon(lambda g=action: self._granted(g))
                 case Revoke():
                     self.to_daemon(lambda r=action: self._revoke(r))
+                case Inspect():
+                    self._inspect(lambda same: None)
                 case Ask():
                     self.world.ask(self, action)
                 case Report():
                     self.reports.append(action.text)
 
-    def _stored(self, hub: FakeHub, write: Write) -> None:
-        answer = hub.write(write, self.world.now)
+    def _write(self, write: Write) -> None:
+        """A renewal at once; any other write after the store was asked whether it is the same."""
         lease = self.lease
-        self.world.back(self, lambda: self._to(lease, lambda: lease.answered(write.number, answer, self.now())))
+        if lease.state in VALID and write.revision is not None:
+            self.world.to_hub(self, lambda hub: self._stored(hub, write, self.store.question()))
+            return
+
+        def inspected(same: bool) -> None:
+            question = self.store.question()
+            if same:
+                self.world.to_hub(self, lambda hub: self._stored(hub, write, question))
+            elif lease is self.lease:
+                self.carry_out(lease.answered(write.number, "failed", self.now()))
+
+        self._inspect(inspected)
+
+    def _inspect(self, then: Callable[[bool], None]) -> None:
+        question, lease, connected_to = self.store.question(), self.lease, self.connected_to
+
+        def answer(hub: FakeHub) -> None:
+            identity, revision = hub.identity, hub.revision
+
+            def came() -> None:
+                if lease is not self.lease or connected_to != self.connected_to:
+                    return
+                changed = self.store.found(question, identity, revision, self.now())
+                if changed:
+                    self.carry_out(self.lease.hub_up(self.store.name, self.now()))
+                then(not changed)
+
+            self.world.back(self, came)
+
+        self.world.to_hub(self, answer)
+
+    def _stored(self, hub: FakeHub, write: Write, question: StoreQuestion) -> None:
+        answer = hub.write(write, self.world.now)
+        lease, store = self.lease, self.store
+
+        def came() -> None:
+            if isinstance(answer, int) and store.written(question, answer, self.now()):
+                self._to(lease, lambda: lease.hub_up(store.name, self.now()))
+            self._to(lease, lambda: lease.answered(write.number, answer, self.now()))
+
+        self.world.back(self, came)
 
     def _looked(self, hub: FakeHub) -> None:
-        entry, lease = hub.read(self.world.now), self.lease
-        self.world.back(self, lambda: self._to(lease, lambda: lease.seen(entry, self.now())))
+        entry, lease, known_as = hub.read(self.world.now), self.lease, self.store.name
+
+        def came() -> None:
+            if known_as != self.store.name:
+                return
+            if entry is not None and lease is self.lease:
+                self.store.note(entry.revision)
+            self._to(lease, lambda: lease.seen(entry, self.now()))
+
+        self.world.back(self, came)
 
     def _to(self, lease: Lease, call: Callable[[], Actions]) -> None:
         """Only if the bridge is still the one that asked."""
@@ -186,7 +248,8 @@ class Site:
         if self.connected_to is None:
             if reachable:
                 self.connected_to = hub.name
-                self.carry_out(self.lease.hub_up(hub.name, self.now()))
+                self.store.found(self.store.question(), hub.identity, hub.revision, self.now())
+                self.carry_out(self.lease.hub_up(self.store.name, self.now()))
             return
         if reachable and self.connected_to == hub.name:
             self.silent_since = None
@@ -259,6 +322,21 @@ class World:
     def replace_hub(self) -> None:
         """Another hub that knows nothing."""
         self.hub = FakeHub(f"hub-{next(self._hubs)}")
+
+    def recreate_bucket(self) -> None:
+        """Deleted and created again, while the sites are connected."""
+        self.hub.created += 1
+        self.hub.revision, self.hub.entry = 0, None
+
+    def restore_bucket(self) -> None:
+        """From a snapshot older than what any site has seen, while they are connected: the creation is the same."""
+        self.hub.revision, self.hub.entry = max(0, min(1, self.hub.revision - 1)), None
+
+    def cut_power(self, revision: int) -> None:
+        """The hub starts again at once without its last writes; keys that it still has would have to expire again."""
+        hub = self.hub
+        lost = max(0, hub.revision - revision)
+        self.hub = FakeHub(f"hub-{next(self._hubs)}", created=hub.created, revision=lost)
 
     @property
     def holders(self) -> list[str]:

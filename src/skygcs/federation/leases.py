@@ -29,6 +29,7 @@ from skygcs.core.federation.lease import (
     Ask,
     Entry,
     Grant,
+    Inspect,
     Lease,
     LeaseConfig,
     Look,
@@ -39,6 +40,7 @@ from skygcs.core.federation.lease import (
     decode_entry,
     encode_entry,
 )
+from skygcs.core.federation.lease_store import LeaseStore
 from skygcs.core.federation.received_json import printable
 from skygcs.core.federation.state_batch import RowLease
 from skygcs.errors import BusError, RpcError
@@ -98,7 +100,8 @@ class Leases:
         self._since_s: dict[str, float] = {}
         """By vehicle, unix seconds since this site holds or wants the lease."""
         self._store: KeyValue | None = None
-        self._hub = ""
+        self._known = LeaseStore()
+        self._inspecting = False
         self._looking: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._to_daemon: dict[str, Grant | Revoke] = {}
@@ -190,9 +193,12 @@ class Leases:
 
     def _on_hub(self) -> None:
         if not self._bus.connected:
-            self._store = None
-            for name, lease in self._leases.items():
-                self._carry_out(name, lease, lease.hub_down(self._clock()))
+            self._lose_store()
+
+    def _lose_store(self) -> None:
+        self._store = None
+        for name, lease in self._leases.items():
+            self._carry_out(name, lease, lease.hub_down(self._clock()))
 
     async def _keep_store(self) -> None:
         """Open the store after each new connection to the hub."""
@@ -208,16 +214,49 @@ class Leases:
     async def _open_store(self) -> None:
         connections = self._bus.counters.connections
         store = await self._bus.key_value(LEASES)
-        with store_errors(LEASES):
-            info = await self._bus.jetstream().stream_info(f"KV_{LEASES}")
+        await self._inspect()
         if not self._bus.connected or connections != self._bus.counters.connections:
             return  # another connection meanwhile
+        self._store = store
+        self._hub_up()
+
+    def _hub_up(self) -> None:
+        for name, lease in self._leases.items():
+            self._carry_out(name, lease, lease.hub_up(self._known.name, self._clock()))
+
+    async def _inspect(self) -> bool:
+        """Ask the store about itself. True if it is another one than before. Raises BusError."""
+        question = self._known.question()
+        with store_errors(LEASES):
+            info = await self._bus.jetstream().stream_info(f"KV_{LEASES}")
         if info.config.max_age != TTL_S:  # a shorter one gives a lease away while its holder still sends
             text = f"the hub's store {LEASES} keeps keys for {info.config.max_age or 0:g} s, not {TTL_S:g} s"
             raise BusError(LEASES, f"{text}: remove it there, and make it with `skygcs federation stores`")
-        self._store, self._hub = store, str(info.created)
-        for name, lease in self._leases.items():
-            self._carry_out(name, lease, lease.hub_up(self._hub, self._clock()))
+        identity = f"{info.created} {self._bus.server_info.get('server_id')}"
+        return self._known.found(question, identity, info.state.last_seq, self._clock())
+
+    async def _inspected(self) -> bool:
+        """True if the open store is the one that it was. If it is not, the leases begin anew there; without an answer
+        the store is opened again."""
+        store = self._store
+        try:
+            changed = await self._inspect()
+        except BusError as error:
+            if store is not None and store is self._store:
+                self.problem = str(error)
+                self._lose_store()
+            return False
+        if changed and store is not None and store is self._store:
+            self._hub_up()
+        return not changed and store is self._store
+
+    async def _inspect_once(self) -> None:
+        """For readings: any number of vehicles share one question."""
+        self._inspecting = True
+        try:
+            await self._inspected()
+        finally:
+            self._inspecting = False
 
     # -- the daemon
 
@@ -245,13 +284,13 @@ class Leases:
             lease = Lease(LeaseConfig(name, config.home, site, run, config.without_hub == "continue"))
             if held["hub"]:
                 lease.remember(held["hub"])
+                self._known.note(held["token"], held["hub"])
             if held["held"]:
                 lease.adopt(found["now_s"] + held["remaining_s"], held["token"], held["hub"])
             made[name] = lease
         self._leases = made
-        if self._store is not None:
-            for name, lease in made.items():
-                self._carry_out(name, lease, lease.hub_up(self._hub, self._clock()))
+        if self._store is not None and await self._inspected():  # its tokens may be above the store's revisions
+            self._hub_up()
 
     async def _grant(self) -> None:
         """Pass the newest grant or revocation of each vehicle on to the daemon."""
@@ -302,6 +341,9 @@ class Leases:
                 case Look():
                     if name not in self._looking:
                         self._start(self._look(name, lease), f"read the lease of {name}")
+                case Inspect():
+                    if not self._inspecting:
+                        self._start(self._inspect_once(), "ask the store of leases")
                 case Ask():
                     self._start(self._ask(name, lease, action), f"ask for {name}")
                 case Report():
@@ -322,11 +364,14 @@ class Leases:
             self._since_s[name] = time.time()
         value = encode_entry(write.holder, write.run, self._since_s.setdefault(name, time.time()), write.wanted_by)
         answer: Answer = "failed"
-        store = self._store
-        if store is not None:
+        store, renews = self._store, lease.state in VALID and write.revision is not None
+        if store is not None and (renews or await self._inspected()) and store is self._store:
+            question = self._known.question()
             try:
                 with store_errors(LEASES):
                     answer = await store.update(self._key(name), value, last=write.revision or 0)
+                if self._known.written(question, answer, self._clock()):
+                    self._hub_up()
             except nats.js.errors.KeyWrongLastSequenceError:
                 answer = "conflict"
             except BusError:
@@ -342,17 +387,19 @@ class Leases:
             if store is None:
                 return
             entry: Entry | None = None
+            known_as = self._known.name
             try:
                 with store_errors(LEASES):
                     found = await store.get(self._key(name))
                 entry = decode_entry(found.value or b"", found.revision or 0)
+                self._known.note(entry.revision, known_as)
             except nats.js.errors.KeyNotFoundError:
                 entry = None
             except BusError:
                 return
         finally:
             self._looking.discard(name)
-        if store is self._store:
+        if store is self._store and known_as == self._known.name:
             self._carry_out(name, lease, self._if_current(name, lease, lambda: lease.seen(entry, self._clock())))
 
     def _if_current(self, name: str, lease: Lease, call: Callable[[], Actions]) -> Actions:

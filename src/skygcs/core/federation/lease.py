@@ -28,8 +28,8 @@ With "continue" no other site takes the lease by itself: a home that goes on alo
 where a person forced it.
 
 A released key has no holder and names the site that asked for it; the home keeps a released key written. After a change
-of the hub (another bucket) a site that holds nothing writes nothing for NEW_HUB_S, because an older holder may be valid
-until then; a site whose lease is valid writes it there at once.
+of the hub (another store, see `lease_store`) a site that holds nothing writes nothing for NEW_HUB_S, because an older
+holder may be valid until then; a site whose lease is valid writes it there at once.
 
 Pure: time comes in as ``now``, the holder's clock, which also runs while the machine sleeps; every method returns the
 actions to carry out. Every write ends with a call of `answered`, or `tick` gives it up.
@@ -132,6 +132,12 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
+class Inspect:
+    """A lower revision than before was read: ask the store about itself, and call `Lease.hub_up` if `LeaseStore` finds
+    that it is another one. If it is not, the reading was old and came late."""
+
+
+@dataclass(frozen=True, slots=True)
 class Ask:
     """Ask the holder to release the lease and call `Lease.asked` with its answer."""
 
@@ -165,7 +171,7 @@ class Report:
     text: str
 
 
-Action = Write | Look | Ask | Grant | Revoke | Report
+Action = Write | Look | Inspect | Ask | Grant | Revoke | Report
 Answer = Literal["conflict", "failed"] | int
 """Result of a `Write`: the new revision; "conflict": the key had another revision; "failed": no answer, or no hub."""
 
@@ -264,7 +270,7 @@ class Lease:
     # -- the hub
 
     def hub_up(self, hub: str, now: float) -> Actions:
-        """The bridge has connected. ``hub``: identifies the hub's bucket by the time of its creation."""
+        """The bridge has connected, or the store is another one now. ``hub``: its name by `LeaseStore`."""
         if hub != self._hub:
             self._usable_at = now + NEW_HUB_S
             self._vanished, self._revision, self._entry = False, 0, None
@@ -285,7 +291,7 @@ class Lease:
         """The result of a `Look`; ``entry`` None: the key does not exist."""
         before = self._entry
         if entry is not None and entry.revision < max(self._revision, 0 if before is None else before.revision):
-            return []  # an older answer that came late
+            return [Inspect()]  # an older answer that came late, or the store's revisions went back
         if entry is not None:
             self._vanished = False
         elif before is not None:

@@ -16,6 +16,7 @@ from skygcs.core.federation.lease import (
     VALID_S,
     Entry,
     Grant,
+    Inspect,
     Lease,
     LeaseConfig,
     State,
@@ -201,6 +202,63 @@ def test_a_released_home_stays_so_until_somebody_takes_it() -> None:
     w.advance_until(lambda: w.holders == ["north"], TTL_S + 1.0)
 
 
+def go_back(w: World, kind: str, lost: int = 3) -> None:
+    match kind:
+        case "recreated":
+            w.recreate_bucket()
+        case "restored":
+            w.restore_bucket()
+        case "power cut":
+            w.cut_power(lost)
+
+
+@pytest.mark.parametrize("holder", ["north", "south"])
+@pytest.mark.parametrize("kind", ["recreated", "restored", "power cut"])
+def test_a_hub_whose_revisions_go_back_takes_nothing_from_who_holds_it(kind: str, holder: str) -> None:
+    w = world(3, goes_on_alone=False)
+    w.sites[holder].lease.take(w.sites[holder].now())
+    w.advance(20.0)
+    go_back(w, kind)
+    for _ in range(200):
+        w.advance(0.05)
+        assert w.holders == [holder], w.describe()
+
+
+@pytest.mark.parametrize("kind", ["recreated", "restored", "power cut"])
+def test_a_hub_whose_revisions_go_back_gives_nothing_away_while_an_older_lease_is_valid(kind: str) -> None:
+    w = world(goes_on_alone=False)
+    north, south = w.sites["north"], w.sites["south"]
+    w.advance(5.0)
+    w.advance_until(lambda: north.lease.valid_until - north.now() > VALID_S - 0.1, 1.5)
+    north.cut = True  # it cannot write its lease there
+    go_back(w, kind)
+    south.lease.take(south.now())
+    w.advance_until(lambda: w.holders == ["south"], NEW_HUB_S + 1.5)
+    assert w.both == []
+
+
+def test_a_site_that_was_away_does_not_take_what_a_hub_forgot_in_a_power_cut() -> None:
+    w = world(goes_on_alone=False)
+    north, south = w.sites["north"], w.sites["south"]
+    south.cut = True  # it does not learn the last revisions
+    w.advance(5.0)
+    w.advance_until(lambda: north.lease.valid_until - north.now() > VALID_S - 0.1, 1.5)
+    north.cut, south.cut = True, False
+    w.cut_power(2)
+    w.advance(0.2)
+    assert south.lease.take(south.now()) is None
+    w.advance_until(lambda: w.holders == ["south"], NEW_HUB_S + 1.5)
+    assert w.both == []
+
+
+def test_a_low_revision_that_was_read_has_the_store_asked_and_changes_nothing_by_itself() -> None:
+    lease = Lease(LeaseConfig("alpha", "south", "north", "run"))
+    lease.hub_up("hub", 0.0)
+    lease.seen(Entry(7, "south", "run of south"), 0.0)
+    assert lease.seen(Entry(5, None, "run of south"), 0.1) == [Inspect()]
+    assert lease.holder == "south"
+
+
 PAUSES = st.sampled_from([0.1, 0.5, 1.0, 2.0, 2.6, 3.1, 5.0])
 """Between two events: shorter and longer than a renewal, a validity and a TTL."""
 
@@ -257,6 +315,11 @@ class LeaseMachine(RuleBasedStateMachine):
         if new:
             self.world.replace_hub()
         self.world.hub.alive = alive
+        self.world.advance(for_s)
+
+    @rule(kind=st.sampled_from(["recreated", "restored", "power cut"]), lost=st.integers(1, 10), for_s=PAUSES)
+    def revisions_go_back(self, kind: str, lost: int, for_s: float) -> None:
+        go_back(self.world, kind, lost)
         self.world.advance(for_s)
 
     @rule(number=st.integers(0, 2), force=st.booleans(), for_s=PAUSES)
