@@ -31,6 +31,7 @@ ALL_SITES = "all sites"
 MAX_NAME_CHARS = 64
 """Longest name of a vehicle, group, or station in messages of the hub."""
 
+_APPENDED_COMPID = re.compile(r"-[0-9]{1,3}\Z")
 _COMPONENT_ID = re.compile(r"\d{1,3}")
 _PLAIN = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_-")
 
@@ -103,8 +104,10 @@ def qualified(site: str, vehicle: str) -> str:
 @functools.lru_cache(maxsize=4096)
 def is_vehicle_name(name: str) -> bool:
     """True for a name that a vehicle may have in messages of the hub: one that a fleet file may give it, of at most
-    MAX_NAME_CHARS, without the slash behind a site's name."""
-    return len(name) <= MAX_NAME_CHARS and "/" not in name and name_problem(name) is None
+    MAX_NAME_CHARS, without the slash behind a site's name. A daemon appends the component id to the name of a system's
+    second autopilot (alpha-2)."""
+    given = _APPENDED_COMPID.sub("", name)
+    return len(name) <= MAX_NAME_CHARS and "/" not in name and name_problem(given) is None
 
 
 def subject_token(name: str) -> str:

@@ -199,7 +199,24 @@ def test_ages_grow_and_what_has_none_has_none() -> None:
     assert replace(batch(later), seq=18).vehicles == (later,)
 
 
-HOSTILE = ("\x1b]0;mine\x07", "a\nb", "\x9b2J", "\u202eevil", "\u2028", "all", "7", "a,b", "a-b", "a b", "a/b", "")
+HOSTILE = (
+    "\x1b]0;mine\x07",
+    "a\nb",
+    "\x9b2J",
+    "\u202eevil",
+    "\u2028",
+    "all",
+    "7",
+    "a,b",
+    "a-b",
+    "2-5",
+    "a-2-3",
+    "-2",
+    "a-2\n",
+    "a b",
+    "a/b",
+    "",
+)
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -237,3 +254,8 @@ def test_numbers_without_bounds_are_refused(number: str) -> None:
         assert known in encoded
         with pytest.raises(ValueError):
             decode_batch(encoded.replace(known, known.replace("17", number) if ":" in known else number).encode())
+
+
+def test_the_second_autopilot_of_a_system_is_sent_by_the_name_that_the_daemon_gives_it() -> None:
+    second = row_from_state(STATE | {"name": "alpha-191"})
+    assert second is not None and decode_batch(encode_batch(batch(second))).vehicles == (second,)
