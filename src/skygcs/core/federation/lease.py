@@ -213,7 +213,8 @@ class Lease:
         self.valid_until = -math.inf
         self._hub: str | None = None
         self._connected = False
-        self._away_since = -math.inf
+        self._away_since: float | None = None
+        """When the hub was lost; from the first call on if it was not there. None: it was there, or no call yet."""
         self._usable_at = math.inf
         self._others_from = -math.inf
         """Until then only the home takes it by itself; the home may not have reconnected yet."""
@@ -251,6 +252,7 @@ class Lease:
 
     def tick(self, now: float) -> Actions:
         """The actions that are due now."""
+        self._note_away(now)
         out: Actions = []
         pending = self._pending
         if pending is not None and now >= pending.sent_s + REPLY_S:
@@ -275,6 +277,7 @@ class Lease:
             self._usable_at = now + NEW_HUB_S
             self._vanished, self._revision, self._entry = False, 0, None
         self._hub, self._connected, self._known, self._pending = hub, True, False, None
+        self._away_since = None
         self._absent_since = None
         self._others_from = now + RECONNECT_S
         self._next_write = self._next_look = now
@@ -282,9 +285,8 @@ class Lease:
 
     def hub_down(self, now: float) -> Actions:
         """The connection to the hub is lost."""
-        if self._connected:
-            self._away_since = now
         self._connected, self._known = False, False
+        self._note_away(now)
         return self._failed(now) if self._pending is not None else []
 
     def seen(self, entry: Entry | None, now: float) -> Actions:
@@ -577,13 +579,21 @@ class Lease:
             return "the hub is there: take it without --without-hub"
         if not force:
             return "another site may command it: insist with --force if none does"
-        wait_s = self._away_since + WITHOUT_HUB_AFTER_S - now
+        wait_s = self._note_away(now) + WITHOUT_HUB_AFTER_S - now
         if wait_s > 0:
             return f"another site may hold it for {wait_s:.1f} s more: try again then"
         self.state, self._next_grant, self._released = State.ALONE, now, False
         self.valid_until = now + VALID_S
         self._token, self._revision = self._token + 1, 0  # the last one may have been revoked
         return None
+
+    def _note_away(self, now: float) -> float:
+        """Since when the hub is away; ``now`` if it is there."""
+        if self._connected:
+            return now
+        if self._away_since is None:
+            self._away_since = now
+        return self._away_since
 
     def _entry_is_old(self, now: float) -> bool:
         """True if the key has to be read again: the store reports neither a renewal nor an expiry."""

@@ -202,6 +202,20 @@ def test_a_released_home_stays_so_until_somebody_takes_it() -> None:
     w.advance_until(lambda: w.holders == ["north"], TTL_S + 1.0)
 
 
+def test_a_home_whose_bridge_has_just_started_without_the_hub_is_not_taken_before_other_leases_are_over() -> None:
+    for first_tick in (True, False):
+        lease = Lease(LeaseConfig("alpha", "north", "north", "run"))
+        if first_tick:
+            assert lease.tick(100.0) == []
+        refusal = lease.take(100.0, force=True, without_hub=True)
+        assert refusal == "another site may hold it for 4.0 s more: try again then"
+        lease.tick(101.0)
+        refusal = lease.take(101.0, force=True, without_hub=True)
+        assert refusal == "another site may hold it for 3.0 s more: try again then"
+        assert lease.take(104.0, force=True, without_hub=True) is None
+        assert lease.state is State.ALONE
+
+
 def go_back(w: World, kind: str, lost: int = 3) -> None:
     match kind:
         case "recreated":
