@@ -15,6 +15,7 @@ from skygcs.cli.status import commander_word
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.rpc.methods import METHODS
+from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.sim.firmware_modes import Px4Mode
 from support.flown import Flown, flown
 from support.pymav import PymavPeer
@@ -189,6 +190,9 @@ async def test_every_order_is_refused_in_words_and_only_a_stop_passes(
             answer = await gcs(method, **{one: "v1"}, **given)
             assert WORDS in str(answer), (method, answer)
             assert gcs.now == since, f"{method} waited for the vehicle"
+            METHODS[method].result.model_validate(answer)  # clients index its keys
+            if method.startswith("logs."):
+                assert answer["outcomes"]["v1"]["logs"] == answer["outcomes"]["v1"]["files"] == []
         for method, params in COMPONENT_ORDERS:
             answer = await gcs(method, targets="v1/100", **params)
             assert answer["outcomes"]["v1/100"]["message"] == f"refused: {WORDS}", (method, answer)
@@ -200,6 +204,21 @@ async def test_every_order_is_refused_in_words_and_only_a_stop_passes(
         await gcs.done("vehicles.stop", action="land")
         assert gcs.sim().mode == Px4Mode.LAND
         assert {name for name, _ in sent(gcs, since)} <= {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
+
+
+async def test_a_fault_in_an_order_has_the_keys_of_its_outcomes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def faulty(*_: object) -> None:
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr(VehicleFence, "status", faulty)
+    async with shared(tmp_path, monkeypatch) as (gcs, _):
+        outcome = (await gcs("fence.status", targets="v1"))["outcomes"]["v1"]
+        assert outcome["result"] == "failed" and outcome["fence"] is None and outcome["record"] is None
+        (reported,) = gcs.texts(0.0, "fault")
+        assert reported == "read_fence failed inside skygcs: RuntimeError('a bug')"
+        gcs.told.clear()
 
 
 async def test_the_state_says_who_commands_it_as_status_shows_it(

@@ -28,6 +28,7 @@ from skygcs.events import Event
 from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
+from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plans import Plans
 from skygcs.runtime.preflight_run import Unheard, examine_all
@@ -48,7 +49,7 @@ MAX_VEHICLES = 300
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome; orders of the
-fence return a FenceOutcome."""
+fence return a FenceOutcome, those of the onboard logs a LogsOutcome."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.command: ComponentActor.command,
@@ -517,7 +518,9 @@ class Fleet:
                 vehicle.commands.end_broadcast(broadcast)
             for actor in places:
                 self.monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
-        refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in refusals.items()}
+        refused = {
+            actor.name: _shaped(order, actor.refuse(order.__name__, reason)) for actor, reason in refusals.items()
+        }
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
     async def _guarded(self, actor: Actor, order: Order, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
@@ -529,7 +532,8 @@ class Fleet:
             self._on_event(
                 Event("fault", actor.name, actor.sysid, f"{order.__name__} failed inside skygcs: {error!r}", {})
             )
-            return Outcome(False, "failed", f"failed inside skygcs: {error!r}")
+            failed: Outcome = _shaped(order, Outcome(False, "failed", f"failed inside skygcs: {error!r}"))
+            return failed
         return outcome
 
     def _going(
@@ -767,6 +771,17 @@ class Fleet:
         if config.name in taken:
             config = config.model_copy(update={"name": f"{config.name}-{compid}"})
         return config
+
+
+def _shaped(order: Order, outcome: Outcome) -> Any:
+    """An outcome that the order itself did not make, with the keys of those that it makes."""
+    if order in (VehicleActor.set_fence, VehicleActor.read_fence, VehicleActor.test_fence):
+        return FenceOutcome(outcome)
+    if order in (VehicleActor.list_logs, VehicleActor.get_logs):
+        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.onboard_logs has imported it
+
+        return LogsOutcome.without_logs(outcome)
+    return outcome
 
 
 def _companion_names(config: FleetConfig) -> dict[str, str]:

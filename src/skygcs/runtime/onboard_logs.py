@@ -16,11 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import LOG_DATA, LOG_ENTRY
 from skygcs.core.protocols.base import Chunk, Effect, Report, Send
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -65,6 +66,11 @@ class LogsOutcome:
     files: tuple[StoredLog, ...] = ()
     sent: int = 0
     elapsed_s: float = 0.0
+
+    @classmethod
+    def without_logs(cls, outcome: Outcome) -> Self:
+        """The outcome of an order that did not reach the logs."""
+        return cls(outcome.ok, outcome.result, outcome.message)
 
     def as_dict(self) -> dict[str, Any]:
         """As an `Outcome`, with the logs."""
