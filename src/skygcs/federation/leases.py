@@ -441,12 +441,14 @@ class Leases:
         return to_json({"refusal": refusal})
 
     async def _busy(self, name: str) -> str | None:
-        """What this site does with a vehicle now; None for nothing, or if the daemon does not answer."""
+        """What this site does with a vehicle now; None for nothing. A daemon that does not answer may be flying it."""
         try:
             async with asyncio.timeout(BUSY_WITHIN_S):
                 state = await self._link.call("vehicles.get", target=name)
-        except (TimeoutError, RpcError):
-            return None
+        except (TimeoutError, RpcError) as error:
+            if isinstance(error, RpcError) and error.code == error_codes.TARGET_ERROR:
+                return None  # it has not been heard
+            return f"the daemon of {self._station.name} does not say what it does with it"
         control = state.get("control") or {}
         return f"it is flown by setpoints of {self._station.name}" if control.get("state") in FLYING else None
 
