@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import shlex
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*sorted(ROOT.glob("docs/**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-BLOCK = re.compile(r"^```([\w ]*)\n(.*?)^```$", re.M | re.S)
+BLOCK = re.compile(r"^( *)```([\w ]*)\n(.*?)^\1```$", re.M | re.S)
+"""Its indent, within a list; its language; its text."""
 SHELL = ("", "sh", "bash")
 MANUAL = re.compile(r" {3,}[a-z]")
 """Within a line of plain text: a synopsis with an explanation behind it."""
@@ -20,7 +22,8 @@ def label(page: Path) -> str:
 
 
 def blocks(page: Path, *languages: str) -> Iterator[str]:
-    return (text for language, text in BLOCK.findall(page.read_text(encoding="utf-8")) if language in languages)
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return (textwrap.dedent(text) for _, language, text in found if language in languages)
 
 
 def commands(page: Path) -> Iterator[list[str]]:
