@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any
 
@@ -88,7 +89,23 @@ def _command(name: str) -> Any:
     importlib.import_module(f"skygcs.cli.{_MODULE_OF[name]}").add_to(made)
     made.registered_commands = [c for c in made.registered_commands if command_name(c) == name]
     made.registered_groups = [g for g in made.registered_groups if g.name == name]
-    return without_bool(get_group(made).commands[name])
+    return literal_help(without_bool(get_group(made).commands[name]))
+
+
+def literal_help(command: Any) -> Any:
+    """The same command, whose help shows square brackets as they are written: typer reads [federation] as a style of
+    rich, and shows nothing of it."""
+    command.help = _escaped(command.help)
+    for option in command.params:
+        option.help = _escaped(getattr(option, "help", None))
+    for inner in getattr(command, "commands", {}).values():
+        literal_help(inner)
+    return command
+
+
+def _escaped(text: str | None) -> str | None:
+    """What rich.markup.escape returns; importing rich for it would take longer than the command."""
+    return text and re.sub(r"\[(?=[a-z#/@])", r"\\[", text)
 
 
 def without_bool(command: Any) -> Any:

@@ -20,14 +20,14 @@ def examples_dir() -> Path:
 
 
 def scenarios() -> dict[str, str]:
-    """Names of the examples, and the first line of each: what it is for."""
+    """Names of the examples, and the first line of each: what it is for, in one sentence or more."""
     found = {}
     for path in sorted(examples_dir().glob(f"*{SUFFIX}")):
         first = path.read_text(encoding="utf-8").partition("\n")[0]
         found[path.stem] = first.removeprefix("#").strip()
     for path in sorted(examples_dir().glob(f"*/{HUB}")):
         first = path.read_text(encoding="utf-8").partition("\n")[0]
-        found[path.parent.name] = first.removeprefix("#").partition(":")[0].strip()
+        found[path.parent.name] = first.removeprefix("#").strip()
     return found
 
 

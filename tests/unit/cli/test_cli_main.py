@@ -41,6 +41,14 @@ def test_help_lists_all_and_a_wrong_name_gets_a_proposal() -> None:
     assert wrong.exit_code == 2 and "Did you mean" in wrong.output and "'status'" in wrong.output
 
 
+def test_help_shows_square_brackets_as_they_are_written() -> None:
+    def text(*line: str) -> str:
+        return " ".join(CliRunner().invoke(app, [*line, "--help"], env={"COLUMNS": "200"}).output.split())
+
+    assert "with [federation] those of all sites" in text() and "with [federation] those" in text("status")
+    assert "[default: unchanged]" in text("origin", "set")
+
+
 HEAVY = ("numpy", "matplotlib", "pydantic", "serial", "pymavlink", "pyarrow", "uvloop", "skygcs.config.models")
 
 

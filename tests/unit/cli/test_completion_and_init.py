@@ -16,6 +16,8 @@ from skygcs.cli.main import app
 from skygcs.config.examples import scenarios
 from skygcs.config.hub_inventory import load_inventory
 from skygcs.config.loader import load_fleet
+from skygcs.config.models import SimulatedLinkConfig
+from skygcs.core.geo import distance_m
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
 
@@ -26,6 +28,7 @@ def test_every_example_is_a_scenario_with_its_purpose(capsys: pytest.CaptureFixt
     assert write_example(None, Path(), force=False) == 0
     out = capsys.readouterr().out
     assert all(name in out and purpose in out for name, purpose in scenarios().items())
+    assert [purpose for purpose in scenarios().values() if not purpose.endswith(".")] == [], "a sentence broken off"
 
 
 def test_what_init_writes_of_several_stations_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,6 +56,16 @@ def test_what_init_writes_stands_alone(scenario: str, tmp_path: Path, capsys: py
     assert text.count("#") > 3, "it is commented"
     assert check(folder / "fleet.toml") == 0
     assert str(folder / "logs") in capsys.readouterr().out or "log_dir" not in text
+
+
+def test_the_sites_of_the_example_stand_apart() -> None:
+    """On one map, and without a warning that their vehicles meet."""
+    places: list[float] = []
+    for name in ("north", "south"):
+        link = load_fleet(ROOT / "configs" / "federation" / f"{name}.toml").links["sim"]
+        assert isinstance(link, SimulatedLinkConfig)
+        places += (link.lat_deg, link.lon_deg)
+    assert 20.0 < distance_m(*places) < 100.0
 
 
 def test_init_overwrites_nothing_and_names_what_there_is(tmp_path: Path) -> None:
