@@ -12,6 +12,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from skygcs.errors import RpcError
 from skygcs.federation.process import ONE_BRIDGE
 from skygcs.rpc.client import Client
 from support.fake_daemon import FakeDaemon
@@ -71,6 +74,19 @@ async def test_the_second_bridge_of_a_site_stands_by_and_both_say_so(hub: Hub, t
             sites = (await boss.call("federation.sites"))["sites"]
             assert [(found["site"], found["contested"], found["restarts"]) for found in sites] == [("south", False, 0)]
         assert len(given(south, "alpha")) == 2 and given(twin, "alpha") == []
+
+
+async def test_a_bridge_that_stands_by_says_which_one_to_ask_for_a_vehicle(hub: Hub, tmp_path: Path) -> None:
+    shared = {"vehicles": {"alpha": {"home": "south"}}}
+    (tmp_path / "twin").mkdir()
+    async with site(hub, "south", tmp_path, daemon=FakeDaemon(1), **shared) as first:
+        await until(lambda: state(first) == "active", "the first one acts")
+        async with site(hub, "south", tmp_path / "twin", daemon=FakeDaemon(1), **shared) as second:
+            await until(lambda: state(second) == "standby" and other(second), "the second one stands by")
+            async with second.client() as gcs:
+                which = rf"alpha: another bridge of south \(host .+, process {os.getpid()}\) leads"
+                with pytest.raises(RpcError, match=which):
+                    await gcs.call("federation.take", vehicle="alpha")
 
 
 async def test_a_bridge_that_was_killed_is_back_although_another_stands_by(hub: Hub, tmp_path: Path) -> None:

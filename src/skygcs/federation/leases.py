@@ -112,6 +112,8 @@ class Leases:
         self._changed = asyncio.Event()
         self._daemon_silent = False
         self.problem: str | None = None
+        self.why_standby: Callable[[], str | None] = lambda: None
+        """Which bridge of this site to ask instead of this one."""
         link.on_change(self._on_daemon)
         self._bus.on_change(self._on_hub)
         station.methods["federation.take"] = self._take
@@ -501,7 +503,8 @@ class Leases:
             raise RpcError(error_codes.REFUSED, f"[federation.vehicles] does not name {name}; it names: {known}")
         lease = self._leases.get(name)
         if lease is None:
-            raise RpcError(error_codes.REFUSED, f"{name}: {self.problem or 'the daemon of this site is away'}")
+            why = self.why_standby() or self.problem or "the daemon of this site is away"
+            raise RpcError(error_codes.REFUSED, f"{name}: {why}")
         return name, lease
 
     # -- private

@@ -65,6 +65,14 @@ class OneBridge:
         """Another bridge has acted as this site since this one began."""
         return self._election.stood_by
 
+    def why_standby(self) -> str | None:
+        """Which bridge to ask instead of this one; None unless this one stands by."""
+        if self.state is not BridgeState.STANDBY:
+            return None
+        other = self._election.other(self._clock())
+        which = "" if other is None else f" (host {other.host}, process {other.pid})"
+        return f"another bridge of {self._site}{which} leads and this one stands by: ask there"
+
     async def run(self) -> None:
         """Claim until it is cancelled."""
         subject = f"bridge.{self._site}"

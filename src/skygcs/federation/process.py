@@ -239,6 +239,7 @@ def make_parts(station: Station) -> dict[str, Part]:
             from skygcs.federation.leases import Leases
 
             leases = parts[LEASES] = Leases(station, daemon)
+            leases.why_standby = one.why_standby
             publisher.lease_of, taken.not_held = leases.lease_of, leases.not_held
         parts["logs"] = SiteLogs(station.bus, station.site, station.run_id, station.fleet.daemon.log_dir)
     if station.config.metrics is not None:

@@ -55,7 +55,11 @@ class HoldingDaemon:
     async def run(self) -> None:
         self.client = object()
         self._on_change()
-        await asyncio.Event().wait()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.client = None
+            self._on_change()
 
     async def call(self, method: str, **params: Any) -> Any:
         match method:
@@ -69,8 +73,8 @@ class HoldingDaemon:
 
 
 @contextlib.asynccontextmanager
-async def holder(state: Callable[[], Awaitable[Any]]) -> AsyncIterator[tuple[Leases, AwayBus]]:
-    """The home of alpha, which it holds."""
+async def holder(state: Callable[[], Awaitable[Any]]) -> AsyncIterator[tuple[Leases, AwayBus, dict[str, Any]]]:
+    """The home of alpha, which it holds; its bus, and its methods for clients of the station."""
     bus = AwayBus()
     shared = {"alpha": SharedVehicle(home="north")}
     station: Any = SimpleNamespace(
@@ -81,7 +85,7 @@ async def holder(state: Callable[[], Awaitable[Any]]) -> AsyncIterator[tuple[Lea
     try:
         while leases.not_held("alpha") is not None:  # noqa: ASYNC110 - it signals nothing
             await asyncio.sleep(0.05)
-        yield leases, bus
+        yield leases, bus, station.methods
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
@@ -126,8 +130,20 @@ UNANSWERED = "the daemon of north does not say what it does with it; `--force` t
 async def test_a_vehicle_that_may_be_flown_is_not_given_away_without_force(
     state: Callable[[], Awaitable[Any]], refusal: str | None
 ) -> None:
-    async with holder(state) as (leases, bus):
+    async with holder(state) as (leases, bus, _):
         assert await asked(bus) == refusal
         assert (leases.not_held("alpha") is None) == (refusal is not None)
         assert await asked(bus, force=True) is None
         assert leases.not_held("alpha") is not None
+
+
+@pytest.mark.parametrize("method", ["federation.take", "federation.release"])
+async def test_a_bridge_that_stands_by_says_which_one_to_ask(method: str) -> None:
+    async with holder(lambda: _state(None)) as (leases, _, methods):
+        pass
+    # it stands by: the part does not run any more
+    with pytest.raises(RpcError, match="alpha: the daemon of this site is away"):
+        await methods[method]({"vehicle": "alpha"})
+    leases.why_standby = lambda: "another bridge of north leads"
+    with pytest.raises(RpcError, match="alpha: another bridge of north leads"):
+        await methods[method]({"vehicle": "alpha"})

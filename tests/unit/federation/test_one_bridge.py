@@ -106,12 +106,15 @@ async def test_the_second_one_stands_by_and_takes_over_after_the_first_has_ended
             assert (one.state, two.state) == (ACTIVE, STANDBY)
             assert two.status()["other"] == {"state": "active", "host": "host-b", "pid": 11}
             assert one.status()["other"] == {"state": "standby", "host": "host-a", "pid": 22}
+            leader = "another bridge of south (host host-b, process 11) leads and this one stands by: ask there"
+            assert (one.why_standby(), two.why_standby()) == (None, leader)
             (event,) = second.events
             assert event.kind == "warning" and "host-b, process 11" in event.text and "end one of the two" in event.text
             (event,) = first.events
             assert "host-a, process 22" in event.text and "stands by: end it" in event.text
         await asyncio.sleep(TAKE_OVER_S - 1.5)
         assert two.state is STANDBY  # a bridge that was killed has time to come back
+        assert two.why_standby() == "another bridge of south leads and this one stands by: ask there"
         await asyncio.sleep(4.0)
         assert two.state is ACTIVE and "the other bridge is gone" in second.events[-1].text
 
