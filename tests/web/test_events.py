@@ -73,10 +73,23 @@ def test_an_alarm_sounds_after_a_gesture_until_it_is_acknowledged_or_muted(stati
         context.close()
 
 
+def test_an_alarm_at_the_moment_in_which_the_list_appears_is_in_it(station, open_page) -> None:
+    page = open_page(station)
+    until(page, "skygcs.store.state.events.length > 0")
+    page.evaluate(f"""() => new MutationObserver((changes, observer) => {{
+        if (!document.querySelector(".eventspanel")) return;
+        observer.disconnect();
+        ({ALARM})("battery critically low");
+    }}).observe(document, {{childList: true, subtree: true}})""")
+    page.get_by_role("navigation", name="Pages").get_by_role("button", name="Events").click()
+    expect(page.locator(".events li", has_text="battery critically low")).to_be_visible(timeout=3_000)
+    assert not page.errors
+
+
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_events_fit_a_phone(station, open_page, shot, theme) -> None:
     page = open_page(station, width=390, height=800, theme=theme, touch=True, path="/#events")
-    until(page, "skygcs.store.state.vehicles.size === 3")
+    until(page, "skygcs.store.state.vehicles.size === 3 && skygcs.store.state.events.length > 0")
     alarm(page, "battery critically low: return to launch")
     expect(page.locator(".events li", has_text="battery critically low")).to_be_visible()
     assert fits(page)

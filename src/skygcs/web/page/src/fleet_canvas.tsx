@@ -1,8 +1,8 @@
 // The canvas as a part of the page: pointer, wheel, fingers and keys, and the buttons on it.
 
-import { useEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { hideFences, showFences } from "./fences.ts";
-import { useStore } from "./hooks.ts";
+import { useChanges, useStore } from "./hooks.ts";
 import type { PanelProps } from "./panels/registry.ts";
 import { beginPlannedPaths } from "./planned_paths.ts";
 import { beginInput } from "./view/input.ts";
@@ -11,8 +11,7 @@ export function FleetCanvas({ store, connection, view }: PanelProps) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const readout = useRef<HTMLOutputElement>(null);
   const band = useRef<HTMLDivElement>(null);
-  const [, redraw] = useReducer((n: number) => n + 1, 0);
-  useEffect(() => view.onChange(() => redraw(0)), [view]);
+  useChanges(view);
   useEffect(() => beginPlannedPaths(store, connection, view), [store, connection, view]);
   useEffect(() => {
     const element = canvas.current;

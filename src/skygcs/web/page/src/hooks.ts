@@ -1,6 +1,6 @@
 // Parts of the store as component state.
 
-import { useEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useReducer, useRef, useState } from "preact/hooks";
 import type { State, Store } from "./store.ts";
 
 /** A part of the state; the component is drawn again when it changed. */
@@ -19,6 +19,18 @@ export function useStore<T>(store: Store, pick: (state: State) => T): T {
     return store.subscribe(check);
   }, [store]);
   return value;
+}
+
+/** What calls its listeners at each change, and returns what removes a listener. */
+export interface Changing {
+  onChange(listener: () => void): () => void;
+}
+
+/** Draws the component again at each change of ``source``. It listens before anything else can happen: an effect that
+ * waits for the next frame would miss what comes until then, and the frames of a hidden page do not come. */
+export function useChanges(source: Changing): void {
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  useLayoutEffect(() => source.onChange(() => redraw(0)), [source]);
 }
 
 /** Draws the component again so often, for ages and what changes at every update. Returns the page's time. */

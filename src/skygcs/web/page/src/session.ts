@@ -26,8 +26,9 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   }
 
   async function fetchEvents(): Promise<void> {
+    const askedAfter = store.state.eventsSeen;
     const events = await connection.call<FleetEvent[]>("events.recent", { limit: RECENT_EVENTS });
-    store.dispatch({ type: "recentEvents", events });
+    store.dispatch({ type: "recentEvents", events, askedAfter });
   }
 
   async function greet(): Promise<void> {

@@ -111,7 +111,7 @@ export type Action =
   | { type: "search"; search: string }
   | { type: "unfold"; site: string }
   | { type: "event"; event: FleetEvent }
-  | { type: "recentEvents"; events: readonly FleetEvent[] }
+  | { type: "recentEvents"; events: readonly FleetEvent[]; askedAfter: number }
   | { type: "goals"; goals: ReadonlyMap<string, Vec3> }
   | { type: "orderBegun"; order: OrderRun }
   | {
@@ -156,7 +156,7 @@ export function reduce(state: State, action: Action): State {
     case "event":
       return addEvents(state, [action.event]);
     case "recentEvents":
-      return addEvents({ ...state, events: [] }, action.events);
+      return addEvents({ ...state, events: [] }, [...action.events, ...cameMeanwhile(state, action)]);
     case "goals":
       return { ...state, goals: new Map([...state.goals, ...action.goals]) };
     case "orderBegun":
@@ -245,6 +245,12 @@ function select(state: State, names: readonly string[], how: "only" | "add" | "t
   }
   const newest = wanted.filter((name) => selection.has(name)).at(-1);
   return { ...state, selection, shown: newest ?? lastOf(selection) };
+}
+
+/** Events that came while the recent ones were asked for (``askedAfter``: `eventsSeen` then), and later than the answer. */
+function cameMeanwhile(state: State, { events, askedAfter }: Extract<Action, { type: "recentEvents" }>): readonly FleetEvent[] {
+  const newest_s = Math.max(...events.map((event) => event.time_unix_s));
+  return state.events.filter((event) => event.id > askedAfter && event.time_unix_s > newest_s);
 }
 
 function addEvents(state: State, events: readonly FleetEvent[]): State {

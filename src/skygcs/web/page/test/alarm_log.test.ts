@@ -23,7 +23,7 @@ function logged(): { log: AlarmLog; feed: (action: Action) => void; clock: { ms:
 
 test("an alarm sounds until it is acknowledged, and not for ever", () => {
   const { log, feed, clock } = logged();
-  feed({ type: "recentEvents", events: [] });
+  feed({ type: "recentEvents", events: [], askedAfter: 0 });
   feed({ type: "event", event: failsafe(NOW) });
   assert.deepEqual([log.open, log.sounding], [1, true]);
   clock.ms = SOUNDS_S * 1000 + 1;
@@ -44,13 +44,13 @@ test("muted it does not sound, and is open all the same", () => {
 test("what was long before the page is history, what comes again after a reconnect keeps its mark", () => {
   const { log, feed } = logged();
   const recent = [failsafe(NOW - FRESH_S - 1), failsafe(NOW - 10)];
-  feed({ type: "recentEvents", events: recent });
+  feed({ type: "recentEvents", events: recent, askedAfter: 0 });
   assert.deepEqual([log.open, log.sounding], [1, false]);
   log.acknowledgeAll();
-  feed({ type: "recentEvents", events: recent });
+  feed({ type: "recentEvents", events: recent, askedAfter: 0 });
   assert.equal(log.open, 0);
   // what came while the connection was lost is not history
-  feed({ type: "recentEvents", events: [...recent, failsafe(NOW - FRESH_S - 50, "charlie")] });
+  feed({ type: "recentEvents", events: [...recent, failsafe(NOW - FRESH_S - 50, "charlie")], askedAfter: 0 });
   assert.equal(log.open, 1);
 });
 

@@ -67,6 +67,16 @@ test("a vehicle that the daemon does not hear is not heard, although its ages ar
   assert.equal(isHeard(only(state), 1000), false);
 });
 
+test("an event that came while the recent ones were on their way stays", () => {
+  const at = (time_unix_s: number) => ({ time_unix_s, kind: "failsafe", vehicle: "a", sysid: 1, text: String(time_unix_s), data: {} });
+  const live = [1, 2, 3, 4].map(at).reduce((state, event) => reduce(state, { type: "event", event }), EMPTY);
+  const asked = reduce(live, { type: "recentEvents", events: [at(0), at(3)], askedAfter: 2 });
+  assert.deepEqual(asked.events.map(({ text }) => text), ["0", "3", "4"]);
+  // of before the question nothing stays: after a new connection everything is shown anew
+  const anew = reduce(live, { type: "recentEvents", events: [], askedAfter: live.eventsSeen });
+  assert.deepEqual(anew.events, []);
+});
+
 test("events, orders and trails are bounded", () => {
   let state = EMPTY;
   const event = { time_unix_s: 1, kind: "armed", vehicle: "a", sysid: 1, text: "", data: {} };

@@ -1,8 +1,8 @@
 // All events in one list: severity, filter, acknowledgement, and the sound for what needs a person.
 
-import { useEffect, useReducer, useState } from "preact/hooks";
+import { useReducer, useState } from "preact/hooks";
 import { timeText } from "../format.ts";
-import { useStore } from "../hooks.ts";
+import { useChanges, useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
 import { keyOf, SEVERITIES, shownEvents, type JudgedEvent, type Severity } from "./event_severity.ts";
 import type { PanelProps } from "./registry.ts";
@@ -12,8 +12,7 @@ const NAMES: Readonly<Record<Severity, string>> = { alarm: "Alarms", warning: "W
 const SHOWN = 300;
 
 export default function EventsPanel({ store }: PanelProps) {
-  const [, redraw] = useReducer((n: number) => n + 1, 0);
-  useEffect(() => alarmLog.onChange(() => redraw(0)), []);
+  useChanges(alarmLog);
   const selection = useStore(store, (state) => state.selection);
   const [severities, setSeverities] = useState<ReadonlySet<Severity>>(new Set(SEVERITIES));
   const [words, setWords] = useState("");

@@ -26,7 +26,7 @@ export class ParamBooks {
   private readonly listeners = new Set<() => void>();
 
   /** Calls the listener after each change; returns what ends that. */
-  subscribe(listener: () => void): () => void {
+  onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
   }

@@ -1,9 +1,9 @@
 // Parameters of one vehicle: search, edits that wait, a file to compare with. Nothing is set before a person says so,
 // and a list that is on its way blocks nothing.
 
-import { useEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useRef, useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
-import { useStore } from "../hooks.ts";
+import { useChanges, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
 import { contentOf, DropZone, Failure, keepFile, useAsk, usePolled } from "./parts.tsx";
@@ -97,8 +97,7 @@ function progressText(loading: ParamStatus["loading"], known: number): string {
 /** The book of a vehicle; the component is drawn again when it changed, by whomever: a list that was asked for before the
  * panel was closed comes into the book all the same. */
 function useBook(name: string): ParamBook {
-  const [, redraw] = useReducer((n: number) => n + 1, 0);
-  useEffect(() => paramBooks.subscribe(() => redraw(0)), []);
+  useChanges(paramBooks);
   return paramBooks.of(name);
 }
 
