@@ -28,6 +28,12 @@ type Mode = "position" | "velocity" | "attitude";
 /** Nothing is being flown. */
 const AT_REST = new Set(["none", "loaded", "checked", "aborted", "landed", "finished"]);
 
+/** Its reason says what went wrong; in every other state it says what is being done. */
+const FAILED = new Set(["stopped", "aborting", "aborted"]);
+
+/** It ended as it was ordered: no step is left. */
+const DONE = new Set(["landed", "finished"]);
+
 export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; follow: (t_s: number) => void }) {
   const { store, checked, follow } = props;
   const orders = useStore(store, mayOrder);
@@ -51,15 +57,16 @@ export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; fo
 }
 
 function StatusView({ status }: { status: PlanStatus }) {
+  const done = DONE.has(status.state);
   return (
     <>
       <p>
         <b>{status.name ?? "plan"}</b>: {status.state.replaceAll("_", " ")}
-        {status.phase !== null && status.phase !== "" ? `, ${status.phase}` : ""}
-        {status.step !== null && status.steps !== null && status.steps > 0 ? ` (step ${status.step} of ${status.steps})` : ""}
-        {status.clock?.finishes_in_s != null ? `, ${status.clock.finishes_in_s.toFixed(0)} s more` : ""}
+        {!done && status.phase !== null && status.phase !== "" ? `, ${status.phase}` : ""}
+        {!done && status.step !== null && status.steps !== null && status.steps > 0 ? ` (step ${status.step} of ${status.steps})` : ""}
+        {!done && status.clock?.finishes_in_s != null ? `, ${status.clock.finishes_in_s.toFixed(0)} s more` : ""}
       </p>
-      {status.reason !== null && status.reason !== "" && <p class="failure">{status.reason}</p>}
+      {status.reason !== null && status.reason !== "" && <p class={FAILED.has(status.state) ? "failure" : "muted"}>{status.reason}</p>}
       {status.waits_for.length > 0 && <p class="muted">Waits for {namesText(status.waits_for)}.</p>}
       {status.vehicles.length > 0 && !AT_REST.has(status.state) && (
         <table class="plain">
@@ -166,7 +173,7 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
     }));
     if (answer !== null) setFound(answer.started ? null : { plan, report: answer.report });
   };
-  if (checked === null) return <p class="note">{status === null || status.state === "none" ? "Open or make a plan to fly it." : ""}</p>;
+  if (checked === null) return status === null || status.state === "none" ? <p class="note">Open or make a plan to fly it.</p> : null;
   const whom = namesText(targets);
   const heights = Object.entries(report?.return_heights ?? {})
     .filter(([, [is, offered]]) => is !== offered)
