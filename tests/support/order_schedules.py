@@ -31,7 +31,13 @@ async def memory_schedule(seed: int, folder: Path) -> tuple[list[str], Counter[s
     await asyncio.sleep(0.2)
     numbers = iter(range(10**6))
     sent = OrdersSent(
-        "south", "site", station, RemoteSites("south", "run"), loop, new_key=lambda: f"{seed:016x}{next(numbers):016x}"
+        "south",
+        "site",
+        station,
+        RemoteSites("south", "run"),
+        loop,
+        clock=loop.time,
+        new_key=lambda: f"{seed:016x}{next(numbers):016x}",
     )
 
     async def fault(_: float) -> None:

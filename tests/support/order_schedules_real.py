@@ -93,7 +93,9 @@ class _Schedule:
             running = asyncio.create_task(bus.run(), name=self.boss_name)
             try:
                 await until(lambda: bus.connected, f"{self.boss_name} is connected")
-                sent = OrdersSent(self.boss_name, "operator", bus, RemoteSites(None, "run"), self.loop)
+                sent = OrdersSent(
+                    self.boss_name, "operator", bus, RemoteSites(None, "run"), self.loop, clock=self.loop.time
+                )
 
                 async def heal() -> None:
                     for proxy in self.proxies.values():

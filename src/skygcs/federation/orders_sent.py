@@ -10,7 +10,7 @@
 
 The deadline of an order is the moment at which this station stops waiting for the first answer, converted to the
 site's clock: an order that is shown as unknown is not begun after that, except an emergency stop, which the site
-accepts 5 s longer. No order is sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site
+accepts 5 s longer. The clocks that are compared run while a computer sleeps, so that no comparison is wrong afterwards. No order is sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site
 refuses an order that arrives after that question.
 
 Each order begins with a ping, which compares the clocks. If the hub finds no subscriber for the order itself, the
@@ -141,8 +141,10 @@ class OrdersSent:
         sites: RemoteSites,
         loop: asyncio.AbstractEventLoop,
         *,
+        clock: Callable[[], float],
         new_key: Callable[[], str] = lambda: secrets.token_hex(16),
     ) -> None:
+        """``clock``: seconds that never go back and go on while the computer sleeps, unlike those of the loop."""
         self.counters: Counter[str] = Counter()
         """Number of orders by status."""
         self._station = station
@@ -150,6 +152,7 @@ class OrdersSent:
         self._bus = bus
         self._sites = sites
         self._loop = loop
+        self._clock = clock
         self._new_key = new_key
         self._run = new_key()[:8]
         self._following = 0
@@ -299,15 +302,16 @@ class OrdersSent:
         """Give one order to one vehicle and return the reply at its end. ``until``: deadline by this loop's clock.
         ``offset``: of the site's clock, or why it is not known."""
         key = self._new_key()
+        left_s = until - self._loop.time()
         if isinstance(offset, str):
             if method != STOP:
                 self.counters["not sent"] += 1
                 return OrderReply(key, "refused", f"{offset}; nothing was sent")
             # a stop is sent all the same: an older comparison, or the two wall clocks, may be right
             best = self._clocks[vehicle.site].best() if vehicle.site in self._clocks else None
-            deadline_s = until + (time.time() - self._loop.time() if best is None else best.offset_s)
+            deadline_s = left_s + (time.time() if best is None else self._clock() + best.offset_s)
         else:
-            deadline_s = until + offset.offset_s - offset.error_s
+            deadline_s = left_s + self._clock() + offset.offset_s - offset.error_s
         request = OrderRequest(key, vehicle.name, method, params, deadline_s, by, self._role, self._run, seq)
         sent = _Sent(request, vehicle.site, OrderReply(key, "unknown", "it has been sent"))
         self._remember(sent)
@@ -366,10 +370,10 @@ class OrdersSent:
         return _read(site, key, payload)
 
     async def _offset(self, site: str) -> ClockOffset | str:
-        """The offset of the site's clock from this loop's, or why it is not known."""
+        """The offset of the site's clock from ours, or why it is not known."""
         clock = self._clocks.get(site)
         if clock is None:
-            clock = self._clocks[site] = _SiteClock(site, self._bus, self._loop)
+            clock = self._clocks[site] = _SiteClock(site, self._bus, self._loop, self._clock)
             if len(self._clocks) > MAX_SITES:
                 self._clocks.popitem(last=False)
         return await clock.offset()
@@ -407,20 +411,21 @@ def _plain_outcome(ok: bool, result: str, message: str, took_s: float = 0.0) -> 
 
 
 class _SiteClock:
-    """The clock of one site, compared with this loop's when an order needs it; simultaneous orders share one ping."""
+    """The clock of one site, compared with ours when an order needs it; simultaneous orders share one ping."""
 
-    def __init__(self, site: str, bus: Requests, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, site: str, bus: Requests, loop: asyncio.AbstractEventLoop, clock: Callable[[], float]) -> None:
         self._site = site
         self._bus = bus
         self._loop = loop
+        self._clock = clock
         self._comparison = ClockComparison()
         self._compared_at = -math.inf
         self._run: object = None
         self._asking: asyncio.Task[str | None] | None = None
 
     async def offset(self) -> ClockOffset | str:
-        """The offset of the site's clock from this loop's, or why it is not known."""
-        if self._loop.time() - self._compared_at > CLOCK_AGE_S:
+        """The offset of the site's clock from ours, or why it is not known."""
+        if self._clock() - self._compared_at > CLOCK_AGE_S:
             if self._asking is None:
                 self._asking = self._loop.create_task(self._ask(), name=f"clock of {self._site}")
                 self._asking.add_done_callback(self._asked)
@@ -436,19 +441,19 @@ class _SiteClock:
 
     def best(self) -> ClockOffset | None:
         """The best comparison of the last minute; None without one."""
-        return self._comparison.best(self._loop.time())
+        return self._comparison.best(self._clock())
 
     def _asked(self, _: object) -> None:
         self._asking = None
 
     async def _ask(self) -> str | None:
         """Compare the clocks once. Returns why it failed, None if it did not."""
-        sent = self._loop.time()
+        sent = self._clock()
         try:
             payload = await self._bus.request(f"here.{self._site}", to_json({"t0_s": sent}), CLOCKS_S)
         except BusError as error:
             return f"{self._site} cannot be reached: {error.reason}"
-        received = self._loop.time()
+        received = self._clock()
         try:
             answer = from_json(payload, allow_inf_nan=False)
             remote_s, run = answer["site_s"], answer.get("run")

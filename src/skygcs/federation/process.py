@@ -216,7 +216,7 @@ def make_parts(station: Station) -> dict[str, Part]:
     readers = Readers(station.bus, sites, station.clock, own_site=station.site, subscribe_hz=subscribe_hz)
     parts["readers"] = readers
     parts["station socket"] = view = StationView(station, sites, readers)  # for CLI, page and programs
-    orders = OrdersSent(station.name, station.config.role, station.bus, sites, station.loop)
+    orders = OrdersSent(station.name, station.config.role, station.bus, sites, station.loop, clock=station.clock.now_s)
     parts["orders to other sites"] = view.orders = orders
     station.methods[OUTCOME] = orders.answer_outcome
     if station.site is not None and (link := station.daemon_link("publisher")) is not None:

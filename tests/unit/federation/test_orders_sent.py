@@ -37,14 +37,23 @@ class South:
         self.silent_clock = False
         self.bus.serve("*.south*", self._answer)
         self.station = MemoryBus(self.hub, self.loop)
-        self.sent = OrdersSent("north", role, self.station, RemoteSites("north", "run"), self.loop)
+        self.slept_s = 0.0
+        """The loop's clock of this computer stood still for so long, and no other one."""
+        sites = RemoteSites("north", "run")
+        self.sent = OrdersSent("north", role, self.station, sites, self.loop, clock=self.station_s)
+
+    def station_s(self) -> float:
+        return self.loop.time() + self.slept_s
+
+    def site_s(self) -> float:
+        return self.station_s() + AHEAD_S
 
     async def _answer(self, subject: str, payload: bytes) -> bytes:
         message = json.loads(payload)
         if subject == "here.south":
             if self.silent_clock:
                 await asyncio.Event().wait()
-            return json.dumps({"t0_s": 0, "site_s": self.loop.time() + AHEAD_S, "run": "a"}).encode()
+            return json.dumps({"t0_s": 0, "site_s": self.site_s(), "run": "a"}).encode()
         if subject == "cmd.south.outcome":
             self.asked_at.append(self.loop.time())
             answer = self.on_question(message)
@@ -101,6 +110,21 @@ async def test_a_site_that_answers_no_ping_gets_no_order_but_a_stop() -> None:
     began = south.loop.time()
     await south.sent.order("vehicles.stop", {"action": "hold"}, [ALPHA], "mia")
     assert south.came[-1]["deadline_s"] == pytest.approx(began + AHEAD_S + FIRST_ANSWER_S, abs=0.02)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+async def test_after_this_computer_has_slept_no_order_is_late(silent: bool) -> None:
+    south = South()
+    await south.land()
+    south.slept_s += 30.0
+    south.silent_clock = silent
+    began_s = south.site_s()
+    await south.sent.order("vehicles.stop", {"action": "hold"}, [ALPHA], "mia")
+    assert south.came[-1]["deadline_s"] == pytest.approx(began_s + FIRST_ANSWER_S, abs=0.05)
+    south.silent_clock = False
+    began_s = south.site_s()
+    await south.land()
+    assert south.came[-1]["deadline_s"] == pytest.approx(began_s + FIRST_ANSWER_S, abs=0.05)
 
 
 async def test_what_runs_is_asked_for_until_it_has_ended() -> None:
