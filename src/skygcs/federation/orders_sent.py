@@ -10,8 +10,9 @@
 
 The deadline of an order is the moment at which this station stops waiting for the first answer, converted to the
 site's clock: an order that is shown as unknown is not begun after that, except an emergency stop, which the site
-accepts 5 s longer. The clocks that are compared run while a computer sleeps, so that no comparison is wrong afterwards. No order is sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site
-refuses an order that arrives after that question.
+accepts 5 s longer. The clocks that are compared run while a computer sleeps, so that no comparison is wrong afterwards.
+No order is sent twice. `outcome` asks for the outcome of an order whose answer was lost; the site refuses an order that
+arrives after that question.
 
 Each order begins with a ping, which compares the clocks. If the hub finds no subscriber for the order itself, the
 status is unknown and not refused, because a copy may still be delivered when the site is back.
