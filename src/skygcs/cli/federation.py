@@ -11,8 +11,9 @@ from skygcs.cli.connection import USAGE_ERRORS, Exit, run, show
 from skygcs.cli.federation_logs import logs
 from skygcs.cli.options import Json
 from skygcs.cli.render import duration, fixed, plural
-from skygcs.errors import RpcError
+from skygcs.errors import RpcError, SkygcsError
 from skygcs.rpc.client import Client
+from skygcs.rpc.error_codes import METHOD_NOT_FOUND
 
 federation = typer.Typer(
     name="federation",
@@ -170,7 +171,7 @@ def take(
     """Command a vehicle from this site: ask its holder for the lease, or take it when it is free."""
 
     async def command(gcs: Client) -> None:
-        answer = await gcs.call("federation.take", vehicle=vehicle, force=force, without_hub=without_hub)
+        answer = await _lease_call(gcs, "federation.take", vehicle=vehicle, force=force, without_hub=without_hub)
         show(answer, json_output, lambda lease: [_lease_line(lease)])
 
     run(command, station=True)
@@ -181,10 +182,21 @@ def release(vehicle: Vehicle, json_output: Json = False) -> None:
     """Give a vehicle's lease up, for another site to take. Control from here ends without an order to the vehicle."""
 
     async def command(gcs: Client) -> None:
-        answer = await gcs.call("federation.release", vehicle=vehicle)
+        answer = await _lease_call(gcs, "federation.release", vehicle=vehicle)
         show(answer, json_output, lambda lease: [_lease_line(lease)])
 
     run(command, station=True)
+
+
+async def _lease_call(gcs: Client, method: str, **params: Any) -> Any:
+    """Raises SkygcsError at a station that has no leases, and so no such method."""
+    try:
+        return await gcs.call(method, **params)
+    except RpcError as error:
+        if error.code != METHOD_NOT_FOUND:
+            raise
+        text = "this station has no leases: they are for sites whose fleet file has [federation.vehicles]"
+        raise SkygcsError(f"{text}; docs/explanation/federation.md") from None
 
 
 federation.command()(logs)

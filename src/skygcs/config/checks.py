@@ -458,8 +458,8 @@ def _vehicles(
             continue  # it exists, and its problem is reported there
         if sysid is None:
             near = near_names(str(vehicle), config.vehicles, n=1)
-            known = ", ".join(config.vehicles) or "this file names none"
-            hint = f"did you mean {near[0]}?" if near else f"there are: {known}; or a system id, 1 to 255"
+            known = f"there are: {', '.join(config.vehicles)}" if config.vehicles else "the fleet file names none"
+            hint = f"did you mean {near[0]}?" if near else f"{known}; or a system id, 1 to 255"
             yield Problem(path, f"there is no vehicle {vehicle!r}; {hint}")
         elif sysid == own_sysid:
             yield Problem(path, f"{sysid} is skygcs's own system id (daemon.sysid), and no vehicle's")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -120,7 +121,7 @@ def write_tables(
 ) -> list[str]:
     """Write the flight of each vehicle, or with ``messages`` each selected message, as a table of its own.
 
-    ``folder`` None: the one table goes to stdout. Returns a line for each file. Raises SkygcsError.
+    ``folder`` None: the one table goes to stdout. Returns a line for each file, by name. Raises SkygcsError.
     """
     with opened_log(path, dialect) as log:
         fill = _fill_messages if messages else _fill_flights
@@ -132,9 +133,15 @@ def write_tables(
             with Outputs(force) as outputs, ExitStack() as closing:
                 new = _new_tables(outputs, closing, folder, log.stem, parquet)
                 counts = _filled(log, selection, fill, new)
-            lines = [f"{file}: {rows:,} rows" for file, rows in zip(outputs.paths, counts, strict=True)]
+            by_name = sorted(zip(outputs.paths, counts, strict=True), key=lambda pair: _by_number(pair[0].name))
+            lines = [f"{file}: {rows:,} rows" for file, rows in by_name]
         log.print_faults()
     return lines
+
+
+def _by_number(name: str) -> list[str | int]:
+    """A key that sorts names by the numbers in them: 2 before 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", name)]
 
 
 def _filled(

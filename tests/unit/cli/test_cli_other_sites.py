@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from skygcs.cli import federation
 from skygcs.cli.connection import client, names_other_sites
 from skygcs.config.station_path import station_socket
-from skygcs.errors import DaemonUnreachable
+from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import SOCKET_VARIABLE
+from skygcs.rpc.error_codes import METHOD_NOT_FOUND
 
 
 @pytest.mark.parametrize(
@@ -37,3 +41,18 @@ def test_which_socket_an_order_needs(
 def test_without_a_station_socket_the_error_says_what_is_needed(tmp_path: Path) -> None:
     with pytest.raises(DaemonUnreachable, match=r"\[federation\]"):
         client(str(tmp_path / "d.sock"), station=True)
+
+
+class StationWithoutLeases:
+    async def call(self, method: str, **_: Any) -> Any:
+        raise RpcError(METHOD_NOT_FOUND, f"no method {method}")
+
+
+@pytest.mark.parametrize("order", ["take", "release"])
+def test_a_station_without_leases_says_what_they_need(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def called(command: Any) -> None:
+        await command(StationWithoutLeases())
+
+    monkeypatch.setattr(federation, "run", lambda command, *, station: asyncio.run(called(command)))
+    with pytest.raises(SkygcsError, match=r"no leases.*\[federation.vehicles\]"):
+        getattr(federation, order)("alpha")

@@ -115,3 +115,8 @@ def test_the_old_key_is_answered_with_the_new_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as found:
         load_fleet(path)
     assert found.value.problems == ["links.p.present_as (line 6): is called translated_sysid now: rename the key"]
+
+
+def test_a_vehicle_that_is_not_there_in_a_file_without_vehicles(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no vehicle 'zoe'; the fleet file names none; or a system id, 1 to 255"):
+        load(tmp_path, LINK + 'vehicles = ["zoe"]')
