@@ -96,7 +96,8 @@ class ControlConfig(_Derived):
         assign(self, "dt_max_s", 1.5 * self.period_s)
         assign(self, "tilt_max_tan", tilt_max_tan)
         assign(self, "integral_xy_max", self.hover_thrust * tilt_max_tan)
-        assign(self, "near_xy_squared", _near(self.acc_xy_max_mps2, self.xy) ** 2)
+        near_xy_mps = _near(self.acc_xy_max_mps2, self.xy)
+        assign(self, "near_xy_squared", near_xy_mps * near_xy_mps)  # `** 2` raises where this is infinite
         assign(self, "near_z_mps", _near(self.acc_z_max_mps2, self.z))
 
 

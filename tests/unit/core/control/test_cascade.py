@@ -274,6 +274,8 @@ CONFIGS = st.just(CONFIG) | st.builds(
     tilt_max_rad=st.floats(0.01, 1.39),
     vel_xy_max_mps=st.floats(0.01, 100),
     vel_z_max_mps=st.floats(0.01, 100),
+    acc_xy_max_mps2=st.none() | st.floats(0.1, 100),
+    acc_z_max_mps2=st.none() | st.floats(0.1, 100),
     period_s=st.floats(0.001, 1.0),
 )
 HAIR = 1 + 1e-9

@@ -49,3 +49,9 @@ def test_all_problems_are_told_at_once():
     with pytest.raises(ConfigError) as error:
         ControlConfig(xy=AxisGains(-1.0, -1.0, 0.02), period_s=2.0)
     assert len(error.value.problems) == 3
+
+
+@pytest.mark.parametrize("pos_p_per_s", [0.0, 5e-324, 1e-300, 1e-160])
+def test_a_position_gain_of_nearly_zero_leaves_the_velocity_unlimited(pos_p_per_s: float) -> None:
+    gains = AxisGains(pos_p_per_s, 0.08, 0.02)
+    assert ControlConfig(xy=gains, acc_xy_max_mps2=2.0).near_xy_squared == math.inf
