@@ -5,7 +5,8 @@ NTP's four time stamps (RFC 5905, section 8); the two of the answering side are 
     offset = remote - (sent + received) / 2          |error| <= (received - sent) / 2
 
 The bound holds however the round trip divides into its two ways. It grows with the age of the sample by DRIFT; the
-sample with the smallest bound of the last WINDOW_S counts.
+sample with the smallest bound of the last WINDOW_S counts. A new sample that contradicts an older one, beyond the
+bounds of both, shows that a clock was set or stood still, as of a paused virtual machine: the older one is dropped.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ WINDOW_S = 60.0
 DRIFT = 6e-4
 """Seconds per second by which two clocks may move apart: Linux slews CLOCK_MONOTONIC by up to 500 ppm while NTP
 corrects it (adjtimex(2)), and two crystals differ by up to 100 ppm."""
+
+ROUNDING_S = 1e-3
+"""A contradiction of less is none: floats of unix seconds are rounded, and clocks of loops to milliseconds."""
 
 MAX_CLOCK_S = 1e11
 """No clock shows more: unix seconds of the year 5138. What a remote sends may be any number, also one that no float can
@@ -49,6 +53,11 @@ class _Sample:
     def error_s(self, now: float) -> float:
         return self.round_trip_s / 2 + (now - self.at) * DRIFT
 
+    def agrees(self, older: _Sample) -> bool:
+        """True if one offset of the clocks explains both."""
+        errors_s = self.error_s(self.at) + older.error_s(self.at)
+        return abs(self.offset_s - older.offset_s) <= errors_s + ROUNDING_S
+
 
 class ClockComparison:
     """The samples of the last minute. One object per connection: a remote that restarted has another clock."""
@@ -64,7 +73,9 @@ class ClockComparison:
         if not 0.0 <= round_trip_s <= WINDOW_S or not possible:
             return False
         wall_offset_s = remote_wall - (wall_received - round_trip_s / 2)
-        self._samples.append(_Sample(received, remote - (sent + received) / 2, wall_offset_s, round_trip_s))
+        sample = _Sample(received, remote - (sent + received) / 2, wall_offset_s, round_trip_s)
+        agreeing = [older for older in self._samples if sample.agrees(older)]
+        self._samples = deque([*agreeing, sample], maxlen=MAX_SAMPLES)
         return True
 
     def best(self, now: float) -> ClockOffset | None:

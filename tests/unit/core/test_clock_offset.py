@@ -80,3 +80,14 @@ def test_a_clock_that_shows_what_no_clock_can_is_left_out(remote_s: float) -> No
     assert not clocks.add(0.0, 0.1, remote_s, wall_received=0.0, remote_wall=0.0)
     assert not clocks.add(0.0, 0.1, 0.0, wall_received=0.0, remote_wall=remote_s)
     assert clocks.best(0.1) is None
+
+
+@pytest.mark.parametrize("step_s", [60.0, -60.0, 0.5])
+def test_after_a_clock_was_set_no_quicker_answer_from_before_counts(step_s: float) -> None:
+    clocks = ClockComparison()
+    clocks.add(0.0, 0.004, 10.0, wall_received=0.0, remote_wall=0.0)
+    clocks.add(0.1, 1.9, 11.0, wall_received=0.0, remote_wall=0.0)  # slow: it agrees with a step of half a second
+    clocks.add(2.0, 2.2, 12.1 + step_s, wall_received=0.0, remote_wall=0.0)
+    best = clocks.best(2.2)
+    assert best is not None
+    assert abs(best.offset_s - 10.0 - step_s) <= best.error_s
