@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 from skygcs.cli.render import table
@@ -32,6 +33,14 @@ from skygcs.errors import ConfigError, KeyFileError, SkygcsError
 
 PIPE_COLUMNS = 160
 """Width where there is no terminal: a table has room for a path."""
+
+EXTRAS = {
+    "metrics": ("prometheus_client",),
+    "web": ("aiohttp",),
+    "companions": ("asyncssh",),
+    "federation": ("nats", "nkeys"),
+}
+"""Tables of the fleet file that need an extra of their own name, and what it installs."""
 
 
 def check(file: Path) -> int:
@@ -106,7 +115,8 @@ def _where(link: LinkConfig) -> str:
 
 
 def _notes(config: FleetConfig) -> list[str]:
-    """Problems that may be solved before the daemon runs: a device that is not plugged in, a file that is missing."""
+    """Problems that may be solved before the daemon runs: a device that is not plugged in, a file or a package
+    that is missing."""
     notes = []
     for name, link in config.links.items():
         if isinstance(link, SerialLinkConfig | XBeeLinkConfig) and not Path(link.device).exists():
@@ -127,6 +137,12 @@ def _notes(config: FleetConfig) -> list[str]:
     for owner, token in tokens.items():
         if token is not None and not token.is_file():
             notes.append(f"{owner}.token_file: the file {token} does not exist now")
+    for table_name, modules in EXTRAS.items():
+        missing = [module for module in modules if find_spec(module) is None]
+        if getattr(config, table_name) is not None and missing:
+            notes.append(
+                f"{table_name}: {', '.join(missing)} is not installed here: pip install 'skygcs[{table_name}]'"
+            )
     return notes + ([] if config.federation is None else _hub_notes(config.federation))
 
 

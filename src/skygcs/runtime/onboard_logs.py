@@ -181,7 +181,7 @@ class VehicleLogs:
         if not vehicle.connected:
             return "the vehicle is lost: nothing is heard from it"
         if vehicle.armed:
-            return "it is armed: ArduPilot sends no logs then, and its card is needed for the log of this flight"
+            return "it is armed: its card is needed for the log of this flight, and an ArduPilot sends none then"
         return None
 
     async def _listed(self, started: float) -> LogsOutcome:

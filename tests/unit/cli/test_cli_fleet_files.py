@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from skygcs.cli.fleet_files import check
+from skygcs.cli import fleet_files
+from skygcs.cli.fleet_files import EXTRAS, check
+from skygcs.config.models import FleetConfig
+from support.public_data import ROOT
 
 FLEET = """
 [daemon]
@@ -135,3 +139,23 @@ def test_servers_that_anybody_may_speak_to_are_noted(tmp_path: Path, capsys: pyt
     noted = [line.split(":")[1].strip() for line in out.splitlines() if "can act as a vehicle" in line]
     assert noted == ["links.wifi", "links.tcp", "links.asked"]
     assert "any host that reaches 0.0.0.0:14550" in out
+
+
+def test_a_package_that_a_table_needs_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text("[metrics]\n")
+    assert check(path) == 0 and "not installed" not in capsys.readouterr().out
+    monkeypatch.setattr(fleet_files, "find_spec", lambda module: None)
+    assert check(path) == 0
+    notes = [line for line in capsys.readouterr().out.splitlines() if "not installed" in line]
+    assert notes == ["note: metrics: prometheus_client is not installed here: pip install 'skygcs[metrics]'"]
+
+
+def test_the_extras_are_those_of_the_package() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for name, modules in EXTRAS.items():
+        assert hasattr(FleetConfig(), name)
+        for module in modules:
+            assert any(package.startswith(module.replace("_", "-")) for package in extras[name]), f"{module} of {name}"
