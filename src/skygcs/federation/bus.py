@@ -159,6 +159,11 @@ class Subscription:
                 await made.unsubscribe()
 
 
+def _is_no_eof_notice(record: logging.LogRecord) -> bool:
+    """False for asyncio's notice at the end of each TLS connection whose reader is a stream, as that of nats-py is."""
+    return "eof_received() has no effect" not in record.getMessage()
+
+
 class _Client(NatsClient):
     """A client of nats-py that, if ``needs_tls``, signs nothing on a connection without TLS.
 
@@ -415,6 +420,7 @@ class Bus:
         """Keep the station connected until it is cancelled."""
         pause_s = FIRST_PAUSE_S
         logging.getLogger("nats").setLevel(logging.CRITICAL)  # it logs a traceback for each message of a broken hub
+        logging.getLogger("asyncio").addFilter(_is_no_eof_notice)
         try:
             for server in itertools.cycle(self.options.servers):
                 if await self._connection(server):
@@ -606,7 +612,8 @@ def store_errors(what: str) -> Iterator[None]:
     except (nats.js.errors.ServiceUnavailableError, nats.js.errors.NoStreamResponseError):
         raise NobodyThere(what, "the hub keeps no such store, or permits it to others only") from None
     except nats.errors.TimeoutError:
-        raise ReplyLost(what, f"no answer of the hub within {STORE_WITHIN_S:g} s") from None
+        text = f"no answer of the hub within {STORE_WITHIN_S:g} s: it is busy, or does not permit this to this key"
+        raise ReplyLost(what, text) from None
     except (nats.errors.ConnectionClosedError, nats.errors.OutboundBufferLimitError) as error:
         raise HubAway(what, f"not sent: {error}") from None
     except nats.errors.Error as error:

@@ -222,7 +222,7 @@ class LogCollector:
         files = list(_listed(answer))
         if answer.get("more"):
             self._done.problems.append(f"{site} has more than {MAX_FILES} logs: the oldest are left out (--since)")
-        self._show(f"{site}: {len(files)} logs")
+        self._show(f"{site}: {len(files)} {'log' if len(files) == 1 else 'logs'}")
         for name, size, modified_unix_s in files:
             try:
                 await self._collect_file(site, name, size, modified_unix_s)

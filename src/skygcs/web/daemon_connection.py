@@ -107,6 +107,8 @@ GONE_AFTER_S = 3.0
 """A vehicle of which no state came for so long, and none in the newest whole round, is one that the daemon has
 forgotten. The slowest rate has a round every two seconds."""
 
+NOT_YET = "not connected yet"
+
 LOOK_EVERY_S = 2.0
 """For the one of station socket and daemon's socket that was not there."""
 
@@ -145,7 +147,7 @@ class DaemonConnection:
         self.takes_orders = True
         self.connected = False
         self.slow = False
-        self.text = "not connected yet"
+        self.text = NOT_YET
         self.loop = asyncio.get_running_loop()
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
@@ -384,15 +386,15 @@ class DaemonConnection:
             await self._answered(self._ask_info(client, self._clock), name, pages)
 
     def _change(self, text: str, pages: Pages, *, connected: bool = False, slow: bool = False) -> None:
-        before = (self.connected, self.slow)
+        before, first = (self.connected, self.slow), self.text == NOT_YET
         if (connected, slow, text) == (*before, self.text):
             return
         self.connected, self.slow, self.text = connected, slow, text
         self.since = self.loop.time() - (SLOW_AFTER_S if slow else 0.0)
         if connected:
             _log.info("daemon is slow" if slow else "daemon connected", reason=text)
-        elif before[0]:
-            _log.info("daemon lost", reason=text)
+        elif before[0] or first:
+            _log.info("daemon lost" if before[0] else "no daemon yet", reason=text)
         pages.on_daemon()
 
 

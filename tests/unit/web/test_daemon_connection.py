@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from skygcs.errors import RpcError
 from skygcs.rpc.error_codes import INVALID_PARAMS
@@ -134,6 +135,17 @@ async def test_a_daemon_that_hangs_is_tried_again_until_it_answers(
             await until(lambda: connection.connected)
         await until(lambda: not connection.connected)
         assert not states.complete
+
+
+async def test_a_daemon_that_is_not_there_yet_is_logged_once(tmp_path: Path) -> None:
+    path = tmp_path / "gcs.sock"
+    with capture_logs() as logged:
+        async with connecting(path) as (connection, _):
+            await until(lambda: connection.reconnects >= 2)
+            async with serving(path):
+                await until(lambda: connection.connected)
+    assert [line["event"] for line in logged] == ["no daemon yet", "daemon connected"]
+    assert str(path) in logged[0]["reason"]
 
 
 async def test_a_daemon_that_stands_still_is_slow_and_goes_on_with_the_same_connections(
