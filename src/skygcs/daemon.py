@@ -69,7 +69,7 @@ NOTE_S = 0.5
 """For files that say what was not undone; the disk may be stuck."""
 
 PARK_S = 2.0
-"""Two transmissions of the order to hold; who stops the daemon is not to wait for a vehicle that does not answer."""
+"""Two transmissions of the order to hold; the end of the daemon does not wait for a vehicle that does not answer."""
 
 LINK_CHOICE_S = 0.2
 """A fifth of the shortest silence after which another link to a vehicle is used."""

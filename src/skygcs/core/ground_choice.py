@@ -64,7 +64,7 @@ class GroundChoice:
         self._stations.pop(name, None)
 
     def decide(self, now: float, silent_s: float) -> Candidate | None:
-        """Whom to send to from now on; None: nobody is known. ``silent_s``: for how long the present one was not
+        """The receiver from now on; None: no candidate is known. ``silent_s``: for how long the present one was not
         heard."""
         candidates = self.candidates
         if self.present is not None and min(silent_s, now - self._since) < SILENT_S:

@@ -1,6 +1,6 @@
 """The HTTP address that Prometheus scrapes: GET /metrics and nothing else, with bounds on all that a client can cause.
 
-This module is light; who starts it imports the collector and prometheus-client, beside the loop.
+This module is light: its caller imports the collector and prometheus-client, beside the loop.
 """
 
 from __future__ import annotations

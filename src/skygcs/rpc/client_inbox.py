@@ -31,7 +31,7 @@ class Inbox:
         self._arrived.set()
 
     def fail(self, error: RpcError) -> None:
-        """Nothing more comes: who has read what is here gets the error."""
+        """Nothing more comes: after what is here the reader gets the error."""
         self._error = error
         self._arrived.set()
 

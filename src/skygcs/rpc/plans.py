@@ -210,7 +210,7 @@ def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
 
 
 def plan_abort(context: Context, _: NoParams) -> JsonObject:
-    """Stop all on their ways for good, then order each to hold; who only armed is disarmed."""
+    """Stop all on their ways for good, then order each to hold. Those that are only armed are disarmed."""
     return _done(context.services.fleet.plans.runner.abort())
 
 

@@ -192,7 +192,7 @@ async def preflight_findings(
     grounded: frozenset[str],
     preflight: Callable[[list[str]], Awaitable[Mapping[str, Any]]],
 ) -> list[Finding]:
-    """Of those that are to be armed; who flies already has passed it or was forced."""
+    """Of the vehicles that are to be armed. Those in the air have passed it already, or were forced."""
     standing = [actor.name for actor in actors if actor.name in grounded]
     if not standing:
         return []

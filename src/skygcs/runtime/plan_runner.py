@@ -670,7 +670,7 @@ def _limits(actors: Sequence[VehicleActor]) -> MotionLimits:
 def _returning(
     execution: Execution, sights: Mapping[str, Sight], *, force: bool
 ) -> tuple[list[str], list[str], list[str]]:
-    """Who flies on, who is out of it, and why that cannot be."""
+    """Names of the vehicles that fly on, names of those that are out of the plan, and reasons why it cannot go on."""
     staying, out, reasons = [], [], []
     for name in execution.names:
         sight, left = sights[name], sights[name].left or execution.left.get(name)

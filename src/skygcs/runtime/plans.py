@@ -98,7 +98,8 @@ class Plans:
             self._runner.tick()
 
     async def wind_down(self) -> None:
-        """The daemon ends: nobody takes off any more, who stands armed is disarmed; who flies holds after this."""
+        """For the end of the daemon: no vehicle takes off any more, those that stand armed are disarmed. Those in the
+        air hold after this."""
         self._ending = True
         if self._runner is not None:
             await self._runner.wind_down()

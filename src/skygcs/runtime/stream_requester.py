@@ -68,8 +68,8 @@ class StreamRequester:
         self._own.plan(self._own_rates_hz, planned=False)
         self._bytes: Mapping[str, int] = {}
         self._requested: tuple[str, float, RateController] | None = None
-        """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, when it was sent, and for
-        whom."""
+        """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, when it was sent, and the
+        controller that it is for."""
         self._intervals_read = 0
         self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._identified = 0

@@ -172,7 +172,7 @@ class AtRadio:
             self._output += data
 
     def take_output(self, baud: int) -> bytes:
-        """What it sent since, as one sees it who listens at ``baud``."""
+        """What it sent since the last call, as a listener at ``baud`` receives it."""
         output = bytes(self._output)
         self._output.clear()
         if baud != self.baud:

@@ -2,7 +2,7 @@
 
     state     what came                                 next      what it does
     -------   ---------------------------------------   -------   ------------------------------------------------
-    any       count, from who is uploading or nobody    TAKING    cuts the list to it, asks for item 0; no space: ack
+    any       count, of this uploader or the first      TAKING    cuts the list to it, asks for item 0; no space: ack
     TAKING    anything from somebody else               TAKING    ack denied
     TAKING    the item asked for                        TAKING    writes it, asks for the next; the last: ack, IDLE
     TAKING    another item                              TAKING    ack invalid sequence

@@ -64,7 +64,7 @@ class TdmConfig:
     burst_s: float = 1.0
     """How long a fade lasts on average."""
     rtscts: bool = False
-    """Whether who writes to a radio waits while its buffer is full, instead of losing bytes in it."""
+    """Whether a program that writes to a radio waits while its buffer is full, instead of losing bytes in it."""
     node_ids: tuple[int, ...] | None = None
     """As the radios are configured, where that is wrong: nodes of one id send in one slot, and nobody hears either."""
     distances_m: tuple[float, ...] = ()

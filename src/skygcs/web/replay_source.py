@@ -325,7 +325,7 @@ class ReplaySource:
             self._notified_at = -math.inf
 
     async def _advance(self, target_s: float, pages: Pages | None) -> None:
-        """Feed the entries up to this time. ``pages``: who gets the events; None: nobody, it is a jump."""
+        """Feed the entries up to this time. ``pages`` get the events; None for a jump, of which there are none."""
         slice_ends = self.loop.time() + SLICE_S
         while True:
             entry = self._next or next(self._entries, _END)

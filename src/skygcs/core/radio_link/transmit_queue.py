@@ -245,7 +245,7 @@ class TxQueue(Generic[T]):
         """Queue it; False if its class is full and refuses. Never blocks, never raises.
 
         With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn. ``size``
-        is what it takes of the budget. ``flow`` is whom it is for: flows of a class share bandwidth equally.
+        is what it takes of the budget. ``flow`` is its receiver: flows of a class share bandwidth equally.
         ``answer_bytes`` is what it brings down; the budget of the last class is charged for it as well.
         """
         counters = self.counters[priority]
