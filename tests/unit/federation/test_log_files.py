@@ -83,4 +83,4 @@ async def test_what_a_site_lists_and_says_can_be_shown_and_no_entry_of_it_hides_
     done = await LogCollector(bus, tmp_path, lines.append).collect(["north", "south"])
     assert done.files == [tmp_path / "south" / "a.tlog"]
     (problem,) = done.problems
-    assert problem == "north: ?[2J?" + 295 * "x" and lines[0] == "south: 1 logs"
+    assert problem == "north: ?[2J?" + 295 * "x" and lines[0] == "south: 1 log"
