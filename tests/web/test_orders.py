@@ -317,6 +317,15 @@ def test_a_hold_begins_anew_when_its_targets_change(page: Page) -> None:
     assert sent(page, "vehicles.arm") == []
 
 
+@pytest.mark.parametrize("before", [[], ["v1"]])
+def test_h_before_the_next_frame_is_for_the_vehicle_that_is_selected_now(page: Page, before: list[str]) -> None:
+    select(page, *before)
+    page.evaluate("window.requestAnimationFrame = (draw) => setTimeout(draw, 3000)")  # a page that is slow to draw
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v2'], how: 'only'})")
+    page.keyboard.press("h")
+    assert the_one_sent(page, "vehicles.hold")["params"]["targets"] == ["v2"]
+
+
 def test_one_of_five_targets_replaced_while_held_begins_anew_although_the_button_reads_the_same(
     make_station: Callable[..., WebStation], open_page: OpenPage
 ) -> None:

@@ -1,6 +1,6 @@
 // A button that acts once it was held down for a second, by pointer, by Space or Enter, or by a key of its own.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
 import { isSeen, isTextField } from "./stop_key.ts";
 
@@ -47,12 +47,12 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
     }, HOLD_MS);
   };
   useEffect(() => release, []);
-  useEffect(() => {
+  useLayoutEffect(() => {
     if (disabled) release();
   }, [disabled]);
-  // what it is for changed under the finger: begin anew
+  // what it is for changed under the finger: begin anew, before the timer can act for the new ones
   const about = `${what}\n${targets.join("\n")}`;
-  useEffect(() => release, [about]);
+  useLayoutEffect(() => release, [about]);
   useHotkey(hotkey, button, press, release, disabled);
 
   const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";
@@ -104,7 +104,7 @@ function useHotkey(
 ): void {
   const calls = useRef({ press, release });
   calls.current = { press, release };
-  useEffect(() => {
+  useLayoutEffect(() => {
     const onBlur = (): void => calls.current.release();
     addEventListener("blur", onBlur);
     if (hotkey === undefined || disabled) return () => removeEventListener("blur", onBlur);

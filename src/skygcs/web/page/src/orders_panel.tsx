@@ -1,6 +1,6 @@
 // Orders for the selected vehicles. Hold and STOP act at once; everything else is held down for a second.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { namesText, fixed } from "./format.ts";
 import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
@@ -134,9 +134,10 @@ function Key({ letter }: { letter: string }) {
   return <kbd aria-hidden="true">{letter}</kbd>;
 }
 
-/** H acts at once: it is the one order that makes things calmer. */
+/** H acts at once: it is the one order that makes things calmer. The listener has the targets that it was drawn with, so it
+ * is replaced before any further event: one that waited for the next frame would hold those that were selected before. */
 function useHoldKey(enabled: boolean, button: { readonly current: HTMLElement | null }, act: () => void): void {
-  useEffect(() => {
+  useLayoutEffect(() => {
     if (!enabled) return undefined;
     const onKey = (event: KeyboardEvent): void => {
       if (event.key.toLowerCase() !== "h" || event.repeat || !event.isTrusted || isTextField(event.target)) return;
@@ -165,7 +166,7 @@ function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
   useEffect(() => {
     if (valid) draft?.show(x, y);
   }, [draft, valid, x, y, targets]);
-  useEffect(() => {
+  useLayoutEffect(() => {
     const onKey = (event: KeyboardEvent): void => {
       if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target) || !isSeen(chooser.current)) return;
       if (!(event.ctrlKey || event.metaKey || event.altKey)) pick();

@@ -1,6 +1,6 @@
 // STOP: always visible, one action, also by keyboard. It acts on the press, not on the release.
 
-import { useEffect } from "preact/hooks";
+import { useLayoutEffect } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { useStore } from "./hooks.ts";
 import { sendStop } from "./orders.ts";
@@ -11,7 +11,7 @@ export function StopButton({ store, connection }: { store: Store; connection: Co
   const role = useStore(store, (state) => state.hello?.role ?? null);
   const replay = useStore(store, (state) => state.hello?.replay ?? false);
   const refused = role === "view" || replay;
-  useEffect(() => {
+  useLayoutEffect(() => {
     const onKey = (event: KeyboardEvent): void => {
       if (refused || !event.isTrusted || !isStopKey(event, isTextField(event.target))) return;
       event.preventDefault();

@@ -296,7 +296,8 @@ export function isHeard(vehicle: Vehicle, now_s: number): boolean {
 
 export type Listener = (state: State) => void;
 
-/** Holds the state. Listeners are called once for each animation frame in which it changed; `onAction` at once. */
+/** Holds the state. Listeners are called once for each animation frame in which it changed, and at once when the selection
+ * does: the next key or click must find the orders drawn for it. `onAction` at once. */
 export class Store {
   state: State = EMPTY;
   readonly trails = new Trails();
@@ -312,12 +313,20 @@ export class Store {
     this.state = reduce(this.state, action);
     if (action.type === "batch") this.trails.take(action.batch);
     for (const listener of this.actionListeners) listener(action, this.state);
+    if (action.type === "select") {
+      this.notify();
+      return;
+    }
     if (this.scheduled) return;
     this.scheduled = true;
     this.schedule(() => {
       this.scheduled = false;
-      for (const listener of this.listeners) listener(this.state);
+      this.notify();
     });
+  }
+
+  private notify(): void {
+    for (const listener of this.listeners) listener(this.state);
   }
 
   subscribe(listener: Listener): () => void {
