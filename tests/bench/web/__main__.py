@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -63,6 +64,7 @@ def main() -> int:
     parser.add_argument("--only", choices=parts)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # a time limit, too, ends all that was started
     path = OUT / "web.json"
     found: dict[str, Any] = json.loads(path.read_text()) if options.only and path.exists() else {}
     missed = 0
