@@ -21,7 +21,7 @@ DRIFT = 6e-4
 corrects it (adjtimex(2)), and two crystals differ by up to 100 ppm."""
 
 ROUNDING_S = 1e-3
-"""A contradiction of less is none: floats of unix seconds are rounded, and clocks of loops to milliseconds."""
+"""Smaller contradictions are ignored: unix seconds as floats are rounded, and the loop's clock counts milliseconds."""
 
 MAX_CLOCK_S = 1e11
 """No clock shows more: unix seconds of the year 5138. What a remote sends may be any number, also one that no float can

@@ -325,7 +325,8 @@ class ReplaySource:
             self._notified_at = -math.inf
 
     async def _advance(self, target_s: float, pages: Pages | None) -> None:
-        """Feed the entries up to this time. ``pages`` get the events; None for a jump, of which there are none."""
+        """Feed the entries up to this time. ``pages``: receivers of the events; None for a jump, whose events
+        are not sent."""
         slice_ends = self.loop.time() + SLICE_S
         while True:
             entry = self._next or next(self._entries, _END)

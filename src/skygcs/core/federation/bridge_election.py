@@ -77,12 +77,12 @@ def decode_claim(data: bytes) -> BridgeClaim:
     state = BridgeState(str(found.get("state")))
     if not isinstance(run, str) or not isinstance(host, str) or max(len(run), len(host)) > MAX_TEXT_CHARS or not run:
         raise ValueError("run and host are short texts")
-    if isinstance(pid, bool) or not isinstance(pid, int) or isinstance(since, bool):
-        raise ValueError("pid and since are numbers")
-    if (state is BridgeState.ACTIVE) != isinstance(since, int | float):
+    if isinstance(pid, bool) or not isinstance(pid, int) or abs(pid) > MAX_INTEGER:
+        raise ValueError("pid is an integer")
+    if since is not None and not is_number(since):
+        raise ValueError("since is a number")
+    if (state is BridgeState.ACTIVE) != (since is not None):
         raise ValueError("an active bridge has since, and no other")
-    if not (since is None or is_number(since)) or abs(pid) > MAX_INTEGER:
-        raise ValueError("pid and since are numbers")
     since_unix_s = math.inf if since is None else float(since)
     return BridgeClaim(printable(run), state, since_unix_s, printable(host), pid)
 
