@@ -7,7 +7,10 @@ DEMO   := $(VENV)/.installed-demo
 TEST   := $(VENV)/.installed-test
 DOCS   := $(VENV)/.installed-docs
 
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-web bench-federation test-federation soak fuzz clean format web dist test-web pictures
+unexport PYTHONDONTWRITEBYTECODE   # of a container: each worker would compile the whole suite, each time
+
+.PHONY: quick test-times test-deep mutants coverage
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -23,6 +26,26 @@ dist: $(STAMP)
 
 test: $(TEST)
 	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration
+
+# Those of them that the work since main touches: BASE=<commit> compares with another commit
+quick: $(TEST)
+	BASE=$(BASE) PYTHONPATH=tests $(BIN)/python -m quick
+
+# make test with a table of CPU and wall time of each file; one above 5 s without a reason ends it
+test-times: $(TEST)
+	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration --costs
+
+# One-line changes of safety code that its unit tests must notice: ROOM=routing; SAMPLE=50, or ARGS=--all
+mutants: $(TEST)
+	PYTHONPATH=tests $(BIN)/python -m mutants $(ROOM) --sample $(or $(SAMPLE),100) $(ARGS)
+
+# make test with the share of lines and of branches that it executes, the least covered files first
+coverage: $(STAMP)
+	$(BIN)/pytest -q -n auto --dist worksteal tests/unit tests/integration --cov --cov-report=term
+
+# make test at length: whole tables, all seeds, ten times the examples, the other event loop; EXAMPLES=100
+test-deep: $(TEST)
+	SKYGCS_TEST_EXAMPLES=$(or $(EXAMPLES),10) $(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration --deep
 
 # Real processes, sockets and ptys in real time: most of it is waiting
 test-system: $(TEST)
@@ -56,6 +79,10 @@ test-lab: $(TEST)
 test-federation: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m federation
 
+# Fast DDS programs, built here from the same interfaces, fly simulated vehicles; it names packages that are missing
+test-ros: $(TEST)
+	PYTHONPATH=tests $(BIN)/python -m ros
+
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m firmware $(if $(FULL),--full)
@@ -65,6 +92,8 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/deptry src --optional-dependencies-dev-groups test,docs,dev
+	$(BIN)/deptry src tests/unit tests/integration tests/system tests/support
 	@if command -v npm >/dev/null; then $(BIN)/python build_page.py --check; else echo "no npm in PATH: make test-web checks the page"; fi
 
 # The documentation as a site: build/site/index.html, to be opened as a file. A broken link ends it
@@ -89,12 +118,19 @@ bench-plans: $(STAMP)
 bench-monitor: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.monitor
 
+bench-invariant: $(STAMP)   # INVARIANT_FLIGHTS=1000 INVARIANT_FIRST=0
+	PYTHONPATH=tests $(BIN)/python -m bench.invariant --flights $(or $(INVARIANT_FLIGHTS),1000) --first $(or $(INVARIANT_FIRST),0)
+
 bench-web: $(STAMP)
 	$(BIN)/python build_page.py
 	PYTHONPATH=tests $(BIN)/python -m bench.web
 
 bench-federation: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.federation
+
+# Size, rooms, equal lines, imports of a plain daemon, an order's way to the wire; OpenRPC and --help for a diff: build/figures
+figures: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m figures
 
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak

@@ -4,34 +4,85 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import gc
 import os
 import signal
+import sys
 import tempfile
+import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import typer.main
 import uvloop
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
+from looptime._internal import loops as looptime_loops
 
-import skygcs.rpc.sessions  # noqa: F401 - as below
-from skygcs.rpc.methods import METHODS
-from support.virtual_uvloop import VirtualUvloop
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+"""Compiled once for all workers, all processes that tests start and all later runs, in containers too, which often say
+otherwise: to compile the suite anew took each worker 28 s of CPU, and each started daemon 1 s."""
 
-settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("long", settings.get_profile("suite"), max_examples=2000)
+from skygcs.config import dialects  # noqa: E402
+
+_load_dialect = dialects.load_dialect
+
+
+@functools.cache
+def _dialect_of_names(*names: str) -> dialects.Dialect:
+    return _load_dialect(names)
+
+
+def _dialect_once(
+    name_or_path: str | Sequence[str], *, base_dir: Path | None = None, cache_dir: Path | None = None
+) -> dialects.Dialect:
+    names = (name_or_path,) if isinstance(name_or_path, str) else tuple(name_or_path)
+    if cache_dir is None and not any("/" in name or name.endswith(".xml") for name in names):
+        return _dialect_of_names(*names)
+    return _load_dialect(name_or_path, base_dir=base_dir, cache_dir=cache_dir)
+
+
+dialects.load_dialect = _dialect_once
+"""Dialects of the package are read once, not for each of a thousand daemons: 10 ms and two dialects each."""
+
+import skygcs.rpc.sessions  # noqa: E402, F401 - as below
+from skygcs.rpc.methods import METHODS  # noqa: E402
+from support.examples import examples, flown_cases  # noqa: E402
+from support.file_costs import FileCosts  # noqa: E402
+from support.virtual_uvloop import VirtualUvloop  # noqa: E402
+
+settings.register_profile(
+    "suite", max_examples=examples(50), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile(
+    "mutants",
+    settings.get_profile("suite"),
+    database=None,
+    derandomize=True,
+    phases=(Phase.explicit, Phase.generate),
+)
 settings.load_profile("suite")
-"""No time limits: a busy machine is no mistake of ours. `--hypothesis-profile long` looks longer where a test does not
-say itself how many examples it needs."""
+"""No time limits: a busy machine is no mistake of ours. For mutants the same examples each time, none made small."""
 
-NOOP_CYCLES = 2
-"""Turns of the event loop with nothing to do before virtual time moves on. looptime's own 42 were half of what the
-suite costs. Whatever is ready to run, is read from a socket or waits for a thread runs first all the same: these turns
-only serve what needs an idle loop to get going."""
+NOOP_CYCLES = 0
+"""Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.
+looptime's own 42 were half of what the suite costs. Whatever is ready to run, is read from a socket or waits for a
+thread runs first all the same."""
 
+
+class _InThreads(set[asyncio.Future[Any]]):
+    """What is under way in threads: looptime's own weak set is walked in each of some hundred million turns."""
+
+    def add(self, future: asyncio.Future[Any]) -> None:
+        super().add(future)
+        future.add_done_callback(self.discard)
+
+
+looptime_loops.weakref = SimpleNamespace(WeakSet=_InThreads)
 
 tuple(METHODS.values())
 """Imports them all: a daemon imports its methods in a thread, which virtual time would not wait for."""
@@ -40,25 +91,40 @@ typer.main.get_command = functools.cache(typer.main.get_command)
 """Typer's test runner makes all commands anew for every line that is typed: a quarter of a second each time. They hold
 nothing of one line that another could see."""
 
-ON_BOTH_LOOPS = Path(__file__).parent / "unit" / "runtime"
-"""What runs timers, exchanges and orders: its tests run on uvloop, which the daemon uses, as well."""
+ON_UVLOOP = Path(__file__).parent / "unit" / "runtime"
+"""Tests of timers, exchanges and orders run on uvloop, which the daemon uses, and in the deep run on asyncio's loop."""
+
+WHOLE_DAEMONS = Path(__file__).parent / "integration"
+"""They live in virtual time, marked or not. Of a parametrised flight, `make test` flies `support.examples.CASES`."""
 
 _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
 
+@pytest.fixture(autouse=True)
+def _working_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """An empty working folder for each test: what a daemon keeps in a relative path (`log_dir` is "logs" unless a fleet
+    file names one) is never read by the daemon of another test."""
+    before = os.getcwd()
+    os.chdir(tempfile.mkdtemp(dir=tmp_path_factory.getbasetemp(), prefix="in-"))
+    yield
+    os.chdir(before)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--both-loops", action="store_true", help="run every async test on asyncio's loop and on uvloop")
+    parser.addoption(
+        "--deep", action="store_true", help="run what make test leaves out, too, and runtime on asyncio's loop"
+    )
+    parser.addoption("--costs", action="store_true", help="print the CPU and wall time of each test file")
 
 
 def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """Tests in virtual time are in virtual time on uvloop as well."""
-    loops: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {"asyncio": asyncio.SelectorEventLoop}
-    if config.getoption("--both-loops") or item.path.is_relative_to(ON_BOTH_LOOPS):
-        virtual = item.get_closest_marker("looptime") is not None
-        loops["uvloop"] = VirtualUvloop if virtual else uvloop.new_event_loop
-    return loops
+    if not item.path.is_relative_to(ON_UVLOOP) or config.getoption("--deep"):
+        return {"asyncio": asyncio.SelectorEventLoop}
+    virtual = item.get_closest_marker("looptime") is not None
+    return {"uvloop": VirtualUvloop if virtual else uvloop.new_event_loop}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -72,6 +138,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         config.stash[_cache] = tempfile.TemporaryDirectory(prefix="skygcs-tests-")
         os.environ["XDG_CACHE_HOME"] = config.stash[_cache].name
+    config.pluginmanager.register(FileCosts(config))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -85,11 +152,34 @@ def pytest_sessionstart() -> None:
     asyncio.set_event_loop(None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A marker of its own wins over this one."""
+def pytest_collection_finish() -> None:
+    """Modules and tests are no part of later collections of garbage, of which one would take a second."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Whole daemons live in virtual time; a test's own marker wins over this one. Tests marked ``deep``, and most cases
+    of flights, are left to the deep run."""
     for item in items:
-        if item.get_closest_marker("looptime") is not None:
+        daemon = item.path.is_relative_to(WHOLE_DAEMONS) and item.get_closest_marker("real_time") is None
+        if daemon or item.get_closest_marker("looptime") is not None:
             item.add_marker(pytest.mark.looptime(noop_cycles=NOOP_CYCLES), append=False)
+    if not config.getoption("--deep"):
+        left_out = {id(item) for item in items if item.get_closest_marker("deep")} | _cases_left_out(items)
+        config.hook.pytest_deselected(items=[item for item in items if id(item) in left_out])
+        items[:] = [item for item in items if id(item) not in left_out]
+
+
+def _cases_left_out(items: Sequence[pytest.Item]) -> set[int]:
+    """The cases of parametrised flights that are left to the deep run: those of one flight go one code path with other
+    numbers, and cost as much as the first. Which ones are flown depends on the name of the flight alone."""
+    flights: dict[tuple[Path, str], list[pytest.Item]] = {}
+    for item in items:
+        if isinstance(item, pytest.Function) and item.path.is_relative_to(WHOLE_DAEMONS):
+            flights.setdefault((item.path, item.originalname), []).append(item)
+    flown = {id(item) for (_, name), cases in flights.items() for item in flown_cases(cases, zlib.crc32(name.encode()))}
+    return {id(item) for cases in flights.values() for item in cases} - flown
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,8 +1,5 @@
 """Composition root: config -> objects -> task groups; ordered shutdown.
 
-What only some fleet files ask for (motion capture, metrics, companions, the web page) is imported by those daemons
-alone, before a link is open.
-
 Two nested groups: the inner one runs links and clocks, the outer one the recorder and the RPC server. A stop ends the
 inner group first, so that what links did last is still recorded and reported.
 """
@@ -11,23 +8,27 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
 import os
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, cast
 
 from skygcs import __version__
-from skygcs.config.models import FleetConfig
+from skygcs.config.checks import control_place_problems
+from skygcs.config.extension_tables import find_owners
+from skygcs.config.models import NO_TABLES, FleetConfig
 from skygcs.config.token_file import read_token
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.core.routing.authority import AuthorityGate
+from skygcs.errors import ConfigError
 from skygcs.events import Event
+from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
+from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.components import ONBOARD_COMPUTER
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
@@ -45,20 +46,18 @@ from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
+from skygcs.runtime.unattended_holds import STATION_MESSAGES
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:  # see above
-    from skygcs.metrics.endpoint import MetricsEndpoint
-    from skygcs.rpc.companion_parts import CompanionParts
-    from skygcs.runtime.ground_orders import GroundOrders
-    from skygcs.runtime.mocap_feed import MocapFeed
+    from skygcs.core.vehicle.vehicle import Vehicle
     from skygcs.runtime.supervised_child import SupervisedChild
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
 
 GCS = 6
-"""MAV_TYPE of our heartbeats; a companion's are of ONBOARD_COMPUTER, as they must not look like a ground station's to
+"""MAV_TYPE of our heartbeats; aboard a vehicle it is ONBOARD_COMPUTER, as they must not look like a ground station's to
 the autopilot's failsafe."""
 
 UNDO_S = 3.0
@@ -113,14 +112,15 @@ class Daemon:
             param_cache=ParamCache(default_cache_dir()),
             probes=own.heartbeat,
         )
+        self.alarms = AlarmBook(config.alarms, self.event_log, self._vehicles, own.log_dir, self.fleet.disk)
+        self.signing.disk = self.fleet.disk
+        self.links.loss_refusal = self.fleet.link_loss_refusal
         reports = RouteReports(self.fleet, publish, own.route_timeout_s)
         self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, publish)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
-        self.mocap = self._mocap_feed(view)
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
-        self.ground_orders = self._relayed_orders()
         self._observe()
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
@@ -129,48 +129,29 @@ class Daemon:
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
-        self.companions = self._companion_parts()
-        tls = None if self.companions is None else self.companions.listener
         token = read_token("daemon", own.token_file)
-        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token, tls=tls)
-        self.metrics = self._metrics_endpoint()
-        self.web, self.federation = self._web_child(), self._federation_child()
+        self.fleet.on_woke.append(self.operator_watchdog.slept)
+        self.fleet.on_woke.append(self._on_woke)
+        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
+        self.extensions = self._new_extensions()
+        self._connect_extensions(view)
+        self.federation = self._federation_child()
 
-    def _companion_parts(self) -> CompanionParts | None:
-        """The daemon's part as a companion, or towards companions; None without their tables."""
-        if self.config.companion is None and self.config.companions is None:
-            return None
-        from skygcs.rpc.companion_parts import CompanionParts
+    def _vehicles(self) -> Iterator[Vehicle]:
+        return (actor.vehicle for actor in self.fleet.vehicles.values())
 
-        parts = CompanionParts(self.config, self.links, self.loop, self.event_log.publish, self.hub.fault)
-        self.fleet.companions.update(parts.links.by_vehicle())
-        return parts
-
-    def _metrics_endpoint(self) -> MetricsEndpoint | None:
-        """What Prometheus scrapes; None without [metrics]."""
-        config = self.config.metrics
-        if config is None:
-            return None
-        from skygcs.metrics.endpoint import MetricsEndpoint
-        from skygcs.metrics.order_results import OrderResults
-
-        self.order_results = OrderResults(self.event_log)
-        return MetricsEndpoint(config, read_token("metrics", config.token_file), self.now)
-
-    async def _start_metrics(self, endpoint: MetricsEndpoint) -> None:
-        """Raises LinkError if another process has begun to listen there."""
-        await asyncio.to_thread(importlib.import_module, "skygcs.metrics.collector")
-        from skygcs.metrics.collector import MetricsCollector
-
-        await endpoint.start(MetricsCollector(self, self.order_results.counts))
-
-    def _web_child(self) -> SupervisedChild | None:
-        """The process of the web page; None without [web]."""
-        if self.config.web is None:
-            return None
-        from skygcs.runtime.children import web_child
-
-        return web_child(self.config.web, self.socket_path, self.loop, self.event_log.publish)
+    def _new_extensions(self) -> Extensions:
+        """The extensions whose tables the fleet file has. Raises ConfigError for one that cannot be made."""
+        tables = self.config.extensions
+        owners, problems = find_owners(set(tables))
+        if problems or owners.keys() != tables.keys():
+            missing = [f"no extension is installed for [{name}]" for name in tables.keys() - owners.keys()]
+            raise ConfigError(self.source, [*(f"{p.path[0]}: {p.text}" for p in problems), *missing])
+        made = {name: cast("type[Extension[Any]]", owners[name])(self, table) for name, table in tables.items()}
+        extensions = Extensions(made, self.hub.fault)
+        if problems := control_place_problems(self.config, extensions.places_of_control()):
+            raise ConfigError(self.source, [f"{'.'.join(map(str, p.path))}: {p.text}" for p in problems])
+        return extensions
 
     def _federation_child(self) -> SupervisedChild | None:
         """The process that connects this station to others; None without [federation]."""
@@ -196,43 +177,30 @@ class Daemon:
             on_event=self.event_log.publish,
         )
 
-    def _mocap_feed(self, view: LinkView) -> MocapFeed | None:
-        """What feeds vehicles with poses; None without [mocap]."""
-        config = self.config
-        if config.mocap is None or not config.daemon.keep_vehicles:
-            return None
-        from skygcs.runtime.mocap_feed import MocapFeed
-
-        feed = MocapFeed(config, self.hub, self.fleet, self.links, self.loop, self.event_log.publish)
-        view.pose_bytes_per_s = feed.bytes_per_s
-        return feed
-
-    def _relayed_orders(self) -> GroundOrders | None:
-        """What carries out a ground's orders of control; None unless this is a companion."""
-        companion = self.config.companion
-        if companion is None:
-            return None
-        from skygcs.rpc import companions, relayed_control  # noqa: F401 - they must be there for the first contact
-        from skygcs.runtime.ground_orders import GroundOrders
-
-        lost, lost_s = companion.ground_lost, companion.ground_lost_s
-        return GroundOrders(companion.vehicle, lost, lost_s, self.fleet, self.loop, self.event_log.publish)
-
     def _observe(self) -> None:
         """Give frames and events to what reads them."""
         known = set(self.dialect.messages)
         self.hub.observers.add({RADIO_STATUS, RADIO} & known, None, self.link_watch.on_radio)
         self.hub.observers.add(set(WATCHED) & known, None, self.leftover_streams.on_frame)
+        stations = {self.dialect.by_name[name].msgid for name in STATION_MESSAGES if name in self.dialect.by_name}
+        self.hub.observers.add(stations, None, self.fleet.on_station_frame)
         if self.operator_watchdog.watching:
             self.hub.observers.add({HEARTBEAT}, None, self.operator_watchdog.on_frame)
         self.event_log.on("reboot", self.hub.on_reboot)
         self.event_log.on("reboot", self.leftover_streams.on_reboot)
-        if self.ground_orders is not None:
-            self.hub.observers.add({HEARTBEAT}, None, self.ground_orders.on_heartbeat)
-        if self.mocap is not None:
-            mocap = self.mocap
-            self.event_log.on("reboot", mocap.on_reboot)
-            self.event_log.on("vehicle_discovered", lambda event: mocap.refresh())  # it may share a link with others
+
+    def _connect_extensions(self, view: LinkView) -> None:
+        """Give them orders to check and frames to observe, and leave them their part of the links."""
+        self.fleet.order_refusal = self.extensions.order_refusal
+        self.fleet.flights_elsewhere.update(self.extensions.flights_elsewhere())
+        view.taken_bytes_per_s = self.extensions.bytes_per_s
+        for extension in self.extensions:
+            if msgids := set(extension.observed_msgids()):
+                self.hub.observers.add(msgids, None, extension.on_frame)
+
+    def _on_woke(self, slept_s: float) -> None:
+        """What clients asked for before the sleep may be hours old."""
+        self.rpc.close_sessions(f"this computer slept for {slept_s:.0f} s: connect anew")
 
     # -- life
 
@@ -240,9 +208,12 @@ class Daemon:
         """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
         self.rpc.claim()
         try:
-            if self.metrics is not None:
-                self.metrics.claim()
+            for extension in self.extensions:
+                extension.claim()
+            self.alarms.recall()
             self.fleet.undo.report()
+            if self.config.daemon.keep_vehicles:
+                self.fleet.recall()
             async with asyncio.TaskGroup() as outer:
                 recording = None
                 if self.recorder is not None:
@@ -255,8 +226,10 @@ class Daemon:
                         await self.recorder.close()
         finally:
             self.event_log.flush()
-            if self.metrics is not None:
-                await self.metrics.close()
+            self.alarms.close()
+            await self.fleet.disk.close()
+            self.extensions.close()  # for one that was claimed by a daemon that then did not start
+            await self.extensions.ended()
             await self.rpc.close()
 
     async def _run_inner(self) -> None:
@@ -267,13 +240,10 @@ class Daemon:
                 heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
                 clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
-            if self.companions is not None:
-                clocks.append(group.create_task(self.companions.run(), name="companions"))
-            clocks += self._start_mocap(group)
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
-                if self.metrics is not None:
-                    await self._start_metrics(self.metrics)
+                for extension in self.extensions:
+                    await extension.start()
                 self.ready.set()
                 clocks += [group.create_task(child.run(), name=child.what) for child in self._children()]
                 await self._stopping.wait()
@@ -282,11 +252,8 @@ class Daemon:
             finally:  # also if a part of the daemon has failed: nothing flies on then
                 for clock in clocks:
                     clock.cancel()
-                if self.mocap is not None:
-                    self.mocap.close()
                 self.operator_watchdog.close()
-                if self.ground_orders is not None:
-                    self.ground_orders.close()
+                self.extensions.close()
                 self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
@@ -299,6 +266,7 @@ class Daemon:
         clocks = [
             group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
             group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
+            group.create_task(self._every(1.0, self.alarms.tick), name="alarms"),
             group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
             group.create_task(
                 self._every(LINK_CHOICE_S, lambda: self.hub.choose_links(self.now())), name="choice of links"
@@ -316,26 +284,14 @@ class Daemon:
             clocks.append(
                 group.create_task(self._every(FLEET_TICK_S, self.check_authority), name="authority over vehicles")
             )
-        if self.ground_orders is not None:
-            orders = self.ground_orders
-            tick = self._every(FLEET_TICK_S, lambda: orders.tick(self.now()))
-            clocks.append(group.create_task(tick, name="watch over the ground"))
+        for extension in self.extensions:
+            for clock in extension.clocks():
+                clocks.append(group.create_task(self._every(clock.period_s, clock.action), name=clock.name))
+        clocks += [group.create_task(run, name=table) for table, run in self.extensions.runs()]
         return clocks
 
-    def _start_mocap(self, group: asyncio.TaskGroup) -> list[asyncio.Task[None]]:
-        mocap = self.mocap
-        if mocap is None:
-            return []
-        from skygcs.runtime.mocap_feed import TICK_S
-
-        tick = self._every(TICK_S, lambda: mocap.tick(self.now()))
-        return [
-            group.create_task(mocap.run(), name="motion capture"),
-            group.create_task(tick, name="motion capture tick"),
-        ]
-
     def _children(self) -> list[SupervisedChild]:
-        return [child for child in (self.web, self.federation) if child is not None]
+        return [] if self.federation is None else [self.federation]
 
     async def _park(self) -> None:
         """Order vehicles that are flown by setpoints to hold before these stop: an ArduCopter in attitude control would
@@ -352,7 +308,10 @@ class Daemon:
         before, self._file_config = self._file_config, config
         lines = await self.links.replace(before.links, config.links)
         for table in type(config).model_fields:
-            if table != "links" and getattr(before, table) != getattr(config, table):
+            if table not in {"links", *NO_TABLES} and getattr(before, table) != getattr(config, table):
+                lines.append(f"[{table}] differs: it is applied by a restart")
+        for table in sorted(before.extensions.keys() | config.extensions.keys()):
+            if before.extensions.get(table) != config.extensions.get(table):
                 lines.append(f"[{table}] differs: it is applied by a restart")
         return lines or ["the fleet file is as before: nothing changes"]
 
@@ -378,7 +337,7 @@ class Daemon:
             await asyncio.sleep(period_s)
 
     def _heartbeat_task(self) -> None:
-        kind = GCS if self.config.companion is None else ONBOARD_COMPUTER
+        kind = GCS if self.config.aboard is None else ONBOARD_COMPUTER
         values = {"type": kind, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
@@ -421,21 +380,11 @@ class Daemon:
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
-            "web": None if self.web is None else self.web.status(),
             "federation": None if self.federation is None else self.federation.status(),
-            "companion_of": None if self.config.companion is None else self.config.companion.vehicle,
-            "to_undo": len(self.fleet.journal.left()),
+            "companion_of": self.config.aboard,
+            "to_undo": self.fleet.journal.number_left,
+            **self.extensions.info(),
         }
-
-    def companions_status(self) -> dict[str, Any]:
-        """For companions.status."""
-        unconfigured: dict[str, Any] = {"companions": [], "companion": None, "announced": None, "problem": None}
-        return unconfigured if self.companions is None else self.companions.status()
-
-    def mocap_status(self) -> dict[str, Any]:
-        """For mocap.status."""
-        unconfigured: dict[str, Any] = {"configured": False, "vehicles": [], "bodies_seen": {}}
-        return unconfigured if self.mocap is None else self.mocap.status()
 
 
 def _authority_gate(config: FleetConfig) -> AuthorityGate | None:

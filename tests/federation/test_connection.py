@@ -292,7 +292,8 @@ async def test_urgent_requests_have_places_that_no_other_takes(hub: Hub) -> None
             await asyncio.sleep(3600)
             return b""
 
-        await north.serve("here.north", slow, at_once=3, reserved=2, is_urgent=lambda data: data == b"stop")
+        # one sender gets half of what is reserved: the rest is for others
+        await north.serve("here.north", slow, at_once=3, reserved=4, is_urgent=lambda data: data == b"stop")
         payloads = [*10 * [b"other"], *5 * [b"stop"], b"other"]
         asked = [asyncio.create_task(visitor.request("here.north", data, 30)) for data in payloads]
         await until(lambda: north.counters.busy == 11, "three and two are being answered")

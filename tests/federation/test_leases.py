@@ -56,7 +56,7 @@ async def test_a_store_that_is_made_again_under_live_connections_takes_nothing_f
 async def made_again(admin: RawClient, north: Racer, south: Racer) -> None:
     running = [asyncio.create_task(racer.leases.run()) for racer in (north, south)]
     try:
-        await until(lambda: all(r.states().total() for r in (north, south)), "the parts run")
+        await until(lambda: north.has_hub() and south.has_hub(), "the parts run, and know the hub")
         await north.call("federation.take", "alpha")
         before = north.link.gate.status_of(0, 0.0)
         await admin.jetstream().delete_stream(f"KV_{LEASES}")

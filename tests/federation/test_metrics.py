@@ -17,8 +17,9 @@ from support.hub import Hub, until
 async def scraped(station: Site) -> dict[tuple[str, str | None], float]:
     """Values by name, and by the label that a site or a status is."""
     await until(lambda: station.process.parts["metrics"].status()["address"], "the address is there")
-    reader, writer = await asyncio.open_connection(*station.process.parts["metrics"].status()["address"])
-    writer.write(b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n")
+    host, port = station.process.parts["metrics"].status()["address"][:2]
+    reader, writer = await asyncio.open_connection(host, port)
+    writer.write(f"GET /metrics HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
     head, _, body = (await reader.read()).partition(b"\r\n\r\n")
     writer.close()
     assert head.startswith(b"HTTP/1.1 200")

@@ -14,13 +14,20 @@ from skygcs.federation.bus import Message
 from support.hub import Hub, RawClient, until
 
 SITES = ("north", "south", "east")
+KINDS = ("cmd", "stop")
 STREAMS = ("KV_skygcs_leases", "OBJ_skygcs_logs")
 
 SUBJECTS = [
     *(f"state.{site}.{what}" for site in SITES for what in ("fast", "slow", "full.alpha", "other")),
     *(f"{what}.{site}" for site in SITES for what in ("event", "audit", "here", "log", "bridge")),
-    *(f"cmd.{site}.{what}" for site in SITES for what in ("alpha", "outcome", "alpha.more")),
-    *(f"cmd.{site}.{what}.{key}" for site in SITES for what in ("alpha", "outcome") for key in ("OWN", "NORTH", "*")),
+    *(f"{kind}.{site}.{what}" for kind in KINDS for site in SITES for what in ("alpha", "outcome", "alpha.more")),
+    *(
+        f"{kind}.{site}.{what}.{key}"
+        for kind in KINDS
+        for site in SITES
+        for what in ("alpha", "outcome")
+        for key in ("OWN", "NORTH", "*")
+    ),
     *(f"lease.{site}.alpha.request" for site in SITES),
     *(f"$KV.skygcs_leases.{site}.alpha" for site in SITES),
     *("$KV.skygcs_leases.alpha", "$KV.other.north.alpha", "$O.skygcs_logs.C.x", "$O.skygcs_logs.M.x", "$O.other.C.x"),
@@ -56,7 +63,7 @@ FILES_READ = r"log\.\w+|\$JS\.API\.STREAM\.(INFO|MSG\.GET)\.OBJ_skygcs_logs"
 
 
 def orders(sites: str) -> str:
-    return rf"cmd\.({sites})\.(alpha|outcome)\.OWN|lease\.({sites})\.alpha\.request"
+    return rf"(cmd|stop)\.({sites})\.(alpha|outcome)\.OWN|lease\.({sites})\.alpha\.request"
 
 
 def of_site(name: str, ordered: str) -> str:
@@ -84,8 +91,8 @@ SUBSCRIBE = {
     "visitor": rf"{READ}|{OWN_INBOX}",
     "boss": rf"{READ}|{OWN_INBOX}",
     "clerk": rf"{READ}|{OWN_INBOX}",
-    "north": rf"{READ}|{OWN_INBOX}|(here|bridge|log)\.north|state\.north\.full\.(\*|alpha)|cmd\.north\.(\*|alpha)\.\*"
-    r"|lease\.(north|south)\.(\*|alpha)\.request",
+    "north": rf"{READ}|{OWN_INBOX}|(here|bridge|log)\.north|state\.north\.full\.(\*|alpha)"
+    r"|(cmd|stop)\.north\.(\*|alpha)\.\*|lease\.(north|south)\.(\*|alpha)\.request",
     "east": rf"{READ}|{OWN_INBOX}|lease\.east\.\*\.request",
     "keeper": OWN_INBOX,
 }
@@ -102,17 +109,15 @@ WANTED = [
         "audit.north",
         "here.*",
         "here.north",
-        "cmd.>",
-        "cmd.*.*",
-        "cmd.north.*",
+        *(f"{kind}.{what}" for kind in KINDS for what in (">", "*.*", "north.*")),
     ),
     *(
         "cmd.north.alpha",
-        "cmd.north.*.*",
-        "cmd.north.alpha.*",
-        "cmd.*.*.*",
-        "cmd.south.*",
-        "cmd.south.*.*",
+        *(
+            f"{kind}.{what}"
+            for kind in KINDS
+            for what in ("north.*.*", "north.alpha.*", "*.*.*", "south.*", "south.*.*")
+        ),
         "lease.>",
         "lease.*.*.request",
         "lease.north.*.request",

@@ -99,6 +99,8 @@ def figures(request: pytest.FixtureRequest, field: Field, report: Report) -> Ite
     request.node.stash[ROW] = row
     yield row.figures
     row.seconds = time.monotonic() - began
+    if field.relaunched:
+        row.figures["vehicles started again"] = field.relaunched[-3:]
     row.modes = {name: field.truth(name).modes_since(began) for name in field.names}
     report.add(row)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from firmware.conftest import ROW
+from skygcs.config.firmware import find_arducopter
 from support.behaviour_checks import CHECKS, fly
 from support.behaviour_flights import get_ready, rules
 from support.behaviour_rig import FirmwareRig
@@ -30,8 +31,17 @@ MINUTES = {
     "gps lost",
     "battery critical",
     "circle",
+    "velocity then silence",
+    "attitude targets",
+    "attitude then silence",
+    "answers in flight",
 }
-"""Flights of a minute and more."""
+"""Flights of a minute, on a busy computer."""
+
+OF_4_7 = ("mode 0xd entered: True", "quaternion of length 1.01: ")
+"""Where an ArduCopter 4.7 differs from the table, which is 4.6's: its simulator's build has SPORT (config.h), and an
+attitude that is no rotation has GUIDED begin anew, level, instead of being passed over
+(GCS_MAVLink_Copter.cpp, handle_message_set_attitude_target)."""
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +76,8 @@ def test_the_firmware_does_what_the_table_says(
     try:
         get_ready(rig)
         row.figures, problems = fly(name, rig, late_s=LATE_S)
+        if rig.firmware == "ardupilot" and b"ArduCopter V4.7" in find_arducopter().binary.read_bytes():
+            problems = [problem for problem in problems if not problem.startswith(OF_4_7)]
         assert not problems, "; ".join(problems)
     finally:
         row.seconds = time.monotonic() - began

@@ -19,6 +19,7 @@ def test_the_daemon_is_killed_and_knows_all_again(air: Field, figures: dict[str,
         lambda: air.daemon.known() == 2 and all(s["armed"] for s in air.daemon.vehicles().values()), 30, "both, armed"
     )
     figures["known after s"] = time.monotonic() - began
+    air.wait(lambda: all(map(air.has_position, air.names)), 30, "their positions are known again")
     air.order("vehicles.goto", "all", enu_m=[5, 8, 10])
     air.wait(lambda: abs(air.enu(air.one)[1] - 8) < 2, 40, "it goes where the new daemon says")
     figures["land s"] = air.land()

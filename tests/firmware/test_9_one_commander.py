@@ -16,9 +16,28 @@ from support.firmware_field import HEIGHT_M, Field
 OURS, OTHER = 255, 249
 """System ids: the daemon's, which is SYSID_MYGCS by default, and another ground station's."""
 
+GCS_ALONE = 1
+"""Bit of MAV_OPTIONS."""
+
 BRAKE = 17
 ATTEMPTS = 5
 POSITION_ONLY = 0b0000_1101_1111_1000
+
+
+def obey_one_alone(field: Field, *, alone: bool) -> dict[str, float]:
+    """Have the first vehicle obey our ids alone, or anybody again: SYSID_ENFORCE up to 4.6, a bit of MAV_OPTIONS from
+    4.7 on. Returns what was set."""
+    outcomes = field.daemon.call("params.get", targets=field.one, names=["SYSID_ENFORCE", "MAV_OPTIONS"])["outcomes"]
+    held = outcomes[field.one]
+    if held["SYSID_ENFORCE"]["ok"]:
+        wanted = {"SYSID_ENFORCE": float(alone)}
+    else:
+        assert held["MAV_OPTIONS"]["ok"], held
+        others = int(held["MAV_OPTIONS"]["value"]) & ~GCS_ALONE
+        wanted = {"MAV_OPTIONS": float(others | GCS_ALONE if alone else others)}
+    # in the air, where a person has to insist: it decides who is obeyed
+    field.order("params.set", field.one, params=wanted, settle=False, force=True)
+    return wanted
 
 
 def other_orders(field: Field, orders: Callable[[Any], None]) -> dict[str, Any]:
@@ -60,7 +79,8 @@ def test_an_arducopter_with_one_commander_ignores_the_other_station(air: Field, 
 
     air.order("vehicles.goto", air.one, enu_m=[east, north, HEIGHT_M])
     air.wait(lambda: air.steady(air.one), 30, "it stands")
-    air.order("params.set", air.one, params={"SYSID_MYGCS": OURS, "SYSID_ENFORCE": 1}, settle=False)
+    air.order("params.set", air.one, params={"SYSID_MYGCS": OURS}, settle=False, force=True)
+    figures["set"] = obey_one_alone(air, alone=True)
     try:
         figures["mode order"] = other_orders(air, brake)
         figures["setpoints"] = other_orders(air, away)
@@ -74,7 +94,7 @@ def test_an_arducopter_with_one_commander_ignores_the_other_station(air: Field, 
         air.wait(lambda: air.enu(air.one)[2] > HEIGHT_M + 1, 20, "it obeys this station")
         assert air.daemon.call("vehicles.stop", targets=air.one)["outcomes"][air.one]["ok"]
     finally:
-        air.order("params.set", air.one, params={"SYSID_ENFORCE": 0}, settle=False)
+        obey_one_alone(air, alone=False)
     air.order("vehicles.mode", air.one, mode="GUIDED")
     figures["without it"] = other_orders(air, brake)
     assert "BRAKE" in figures["without it"]["modes"] and figures["without it"]["acks"]

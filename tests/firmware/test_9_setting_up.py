@@ -21,6 +21,9 @@ LEAST_BYTES = 300_000
 """On disk when the link is cut: by then the log has come in part."""
 
 
+CLI_S = 600.0
+"""For a command: 10 MB of log beside other work of the computer took more than two minutes."""
+
 OF_A_FLIGHT_BYTES = 1_500_000
 """The log of a flight of half a minute has 3 MB (ArduCopter) or 10 MB (PX4)."""
 
@@ -54,7 +57,7 @@ def logged(field: Field, path: Path) -> dict[str, float]:
 
 def cli(field: Field, *words: str) -> dict[str, Any]:
     """The outcomes of a command."""
-    done = field.daemon.cli(*words, "--json")
+    done = field.daemon.cli(*words, "--json", timeout_s=CLI_S)
     assert done.stdout, done.stderr
     answer: dict[str, Any] = json.loads(done.stdout)
     outcomes: dict[str, Any] = answer.get("outcomes", answer)

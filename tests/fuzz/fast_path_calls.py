@@ -103,7 +103,7 @@ class Chaos:
             rng.choice(self.peers).sendto(data, rng.choice(self.servers).getsockname())
 
     def _ready(self) -> None:
-        self.rng.choice(self.fast_paths).ready()
+        self.rng.choice(self.fast_paths).ready(self.rng.choice((0, 1, 300, 1 << 40)), self.rng.choice((0.0, 3600.0)))
 
     def _flow(self) -> None:
         rng, bench = self.rng, self.bench

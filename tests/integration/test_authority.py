@@ -145,7 +145,15 @@ ORDERS: dict[str, dict[str, Any]] = {
 
 ANSWERED_HERE = {
     *("vehicles.list", "vehicles.get", "vehicles.forget", "messages.latest", "subscribe", "origin.from_vehicle"),
-    *("params.status", "params.cancel", "control.status", "control.gains", "control.record", "link.select"),
+    *(
+        "params.status",
+        "params.metadata",
+        "params.cancel",
+        "control.status",
+        "control.gains",
+        "control.record",
+        "link.select",
+    ),
     *("trajectory.load", "trajectory.unload", "trajectory.paths", "trajectory.status", "missions.status"),
     "preflight.status",
 }

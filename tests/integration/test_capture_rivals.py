@@ -17,9 +17,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
 from skygcs.daemon import Daemon
-from skygcs.tlog.flight import RecordedFlight
+from skygcs.ext.logs.flight import RecordedFlight
+from skygcs.ext.logs.tables import FlightTables
 from skygcs.tlog.reading import LogReader
-from skygcs.tlog.tables import FlightTables
 
 DATA = Path(__file__).parents[1] / "data"
 RIVALS = pytest.mark.parametrize(("name", "sysid"), [("forged-heartbeat-50hz", 1), ("second-heartbeat-1hz", 3)])

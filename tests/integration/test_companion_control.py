@@ -32,7 +32,7 @@ async def test_the_ground_orders_and_the_companion_flies(tmp_path: Path, kind: d
         assert pair.control()["reference"]["pos_enu_m"] == pytest.approx([5.0, 0.0, 12.0], abs=0.01)
         assert not SETPOINTS & set(pair.from_ground)
         await pair.done("vehicles.hold")
-        assert pair.control()["state"] == "off"
+        await pair.until(lambda: pair.control()["state"] == "off", 2.0)
         ended = pair.now
         await asyncio.sleep(10)
         assert not pair.pi.setpoints(ended + 0.1)
@@ -53,6 +53,7 @@ async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
     return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
 
 
+@pytest.mark.deep
 async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tmp_path: Path) -> None:
     """By attitude, with 10 % of all messages lost each way."""
     found = {}

@@ -8,10 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.ext.companions.mirrored_control import REPORTS_SILENT_S
+from skygcs.links.memory import MemoryLink
+from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.flown import SETPOINTS
+from support.pymav import PymavPeer
+
+COSTS = "two daemons, at the ground and on the vehicle, in each of its tests"
 
 pytestmark = pytest.mark.looptime
 
@@ -47,7 +54,7 @@ async def test_without_the_ground_it_ends_as_configured(tmp_path: Path, action: 
         await pair.until(lambda: mode(pair) in modes, 5.0)
         quiet = pair.now
         await asyncio.sleep(20)
-        assert not pair.pi.setpoints(quiet + 0.2)
+        assert not pair.pi.setpoints(quiet + 1.2), "until a heartbeat shows the order's mode it is held"
         assert len(lost_texts(pair)) == 1, lost_texts(pair)
         assert pair.pi.is_safe()
 
@@ -96,11 +103,29 @@ async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_pa
         assert pair.control()["state"] == "off"
 
 
+async def test_another_station_with_the_ids_of_the_ground_is_not_the_ground(tmp_path: Path) -> None:
+    """Every station is 255/25 by default; one that came to the companion over a radio kept it flying for ever."""
+    async with companion_pair(tmp_path, engaged="position") as pair:
+        others = pair.pi.daemon.links.link("others")
+        assert isinstance(others, MemoryLink)
+        station = PymavPeer(*pair.ground.fleet._services.own)
+        await pair.lose_ground()
+        lost = pair.now
+        while not lost_texts(pair) and pair.now < lost + 15.0:
+            others.peer.send(station.pack(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+            await asyncio.sleep(0.5)
+        assert pair.now - lost < LOST_S + 1.5
+        await pair.until(lambda: mode(pair) in RETURNING, 5.0)
+
+
 @KINDS
-async def test_without_the_companion_nobody_sends_and_the_failsafe_acts(tmp_path: Path, kind: dict[str, Any]) -> None:
-    """The ground still hears the vehicle, over a radio."""
+async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: dict[str, Any]) -> None:
+    """The ground still hears the vehicle, over a radio: left to the wind it was 324 m away after 60 s."""
     params = {"GUID_TIMEOUT": 1.0, "COM_OF_LOSS_T": 1.0}
-    async with companion_pair(tmp_path, engaged="attitude", params=params, radio=True, **kind) as pair:
+    windy = conditions_of(wind_mps=6.0)
+    async with companion_pair(
+        tmp_path, engaged="attitude", params=params, radio=True, conditions=windy, **kind
+    ) as pair:
         await start_circle(pair)
         await asyncio.sleep(5)
         await pair.lose_companion()
@@ -108,19 +133,51 @@ async def test_without_the_companion_nobody_sends_and_the_failsafe_acts(tmp_path
         await asyncio.sleep(25)
         assert not [name for at, name in pair.to_vehicle if at >= began and name in SETPOINTS]
         assert not pair.pi.setpoints(began)
-        if kind.get(
-            "ardupilot"
-        ):  # it levels: GUIDED without attitude targets, and flies on as it was until it is stopped
-            assert pair.pi.truth[1][-1].pos_m[2] == pytest.approx(10.0, abs=1.0)
-        else:
-            assert pair.pi.is_safe()
+        assert pair.pi.is_safe() and pair.pi.truth[1][-1].pos_m[2] == pytest.approx(10.0, abs=1.0)
+        # a PX4 leaves OFFBOARD by itself
+        if kind.get("ardupilot"):
+            held = [t for t in pair.told if t.kind == "unattended"]
+            assert "nobody flies it in GUIDED (its companion pi did)" in held[0].text
+            assert held[0].at - began < REPORTS_SILENT_S + 1.0
+            assert pair.pi.farthest_m(held[0].at + 3.0) < 1.0
         shown = pair.control()
-        assert not shown["companion"]["up"]
+        assert not shown["companion"]["up"] and shown["state"] == "off"
         refused = await pair.outcome("control.set", mode="position")
         assert refused["result"] == "refused" and "not connected" in refused["message"]
         assert pair.ground.fleet.find("v1").offboard.controller.flight is None, "the others of its group stop"
         await pair.done("vehicles.land")
         await pair.until(lambda: mode(pair) in LANDING, 10.0)
+
+
+@pytest.mark.parametrize("which", ["companion", "ground", "both"])
+async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, which: str) -> None:
+    """Flown by attitude in wind; killed for 2 s are the companion, the ground, or both at once."""
+    windy = conditions_of(wind_mps=6.0)
+    async with companion_pair(
+        tmp_path, engaged="attitude", radio=True, conditions=windy, in_air=True, px4=0, ardupilot=1
+    ) as pair:
+        await asyncio.sleep(3)
+        if which != "ground":
+            pair.calls.up = False
+            await pair.pi.die()
+        if which != "companion":
+            await pair.lose_ground()
+        await asyncio.sleep(2)
+        if which != "ground":
+            await pair.companion_begins_again()
+        if which != "companion":
+            await pair.ground_begins_again()
+        pair.calls.up = True
+        begun = pair.now
+        await asyncio.sleep(12)
+        assert pair.pi.is_safe() or which == "ground"
+        held = [t for t in [*pair.told, *pair.pi.told] if t.kind == "unattended" and "ordered to hold" in t.text]
+        if which == "ground":
+            assert not held, "its companion flies it, and is waited for"
+            assert pair.pi.setpoints(pair.now - 0.5)
+        else:
+            assert min(t.at for t in held) - begun < 2.0, "a heartbeat, and no more than a second"
+            assert pair.pi.farthest_m(begun + 2.0) < 8.0
 
 
 @KINDS

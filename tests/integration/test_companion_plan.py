@@ -62,7 +62,7 @@ async def flies(pair: Pair) -> None:
 
 @pytest.mark.parametrize("delay_s", [0.02, 0.4])
 async def test_both_fly_one_plan_on_one_clock(tmp_path: Path, delay_s: float) -> None:
-    async with two(tmp_path, delay_s=delay_s, loss=0.05) as pair:
+    async with two(tmp_path, delay_s=delay_s, loss=0.04) as pair:
         await run(pair)
         await flies(pair)
         await pair("plan.pause")

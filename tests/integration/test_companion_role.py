@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.companion import GROUND_LINK, CompanionConfig
-from skygcs.config.companion_role import as_companion
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, VehicleEntry
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
+from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig
+from skygcs.ext.companions.role import as_companion
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from support.routed import DIALECT, heartbeat, message
@@ -49,16 +49,17 @@ class Far:
 @contextlib.asynccontextmanager
 async def companion(folder: Path) -> AsyncIterator[tuple[Daemon, Far, Far]]:
     """(daemon, the autopilot's end, the ground's end); the vehicle has system id 7."""
+    table = CompanionConfig(vehicle="alpha", ground="udp:192.0.2.1:14650", key_dir=folder / "keys")
     config = FleetConfig(
         daemon=DaemonConfig(socket=folder / "s", log_dir=folder / "logs", record=False),
-        companion=CompanionConfig(vehicle="alpha", ground="udp:192.0.2.1:14650", key_dir=folder / "keys"),
         vehicles={"alpha": VehicleEntry(sysid=7)},
         links={
             "autopilot": MemoryLinkConfig(name="autopilot", role="vehicle"),
             GROUND_LINK: MemoryLinkConfig(name=GROUND_LINK, role="gcs"),
         },
     )
-    daemon = Daemon(as_companion(config), DIALECT)
+    config = config.model_copy(update={"extensions": {"companion": table}})
+    daemon = Daemon(as_companion(table, config), DIALECT)
     task = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     await asyncio.sleep(1.0)

@@ -22,7 +22,7 @@ ORDERS: dict[str, tuple[str, dict[str, Any], tuple[int, ...]]] = {
     "land": ("vehicles.land", {}, (Px4Mode.LAND, CopterMode.LAND)),
     "rtl": ("vehicles.rtl", {}, (Px4Mode.RTL, CopterMode.RTL)),
     "hold": ("vehicles.hold", {}, (Px4Mode.LOITER, CopterMode.GUIDED)),
-    "mode": ("vehicles.mode", {"mode": "{holding}"}, (Px4Mode.LOITER, CopterMode.LOITER)),
+    "mode": ("vehicles.mode", {"mode": "{holding}"}, (Px4Mode.LOITER, CopterMode.BRAKE)),
     "stop": ("vehicles.stop", {"action": "land"}, (Px4Mode.LAND, CopterMode.LAND)),
     "off": ("control.set", {"mode": "off"}, (Px4Mode.LOITER, CopterMode.GUIDED)),
 }
@@ -35,9 +35,8 @@ STAGES = pytest.mark.parametrize("after_s", [0.05, 0.5, 1.5, 1.9, 2.6])
 async def carried_out(gcs: Flown, order: str) -> None:
     """The order's outcome is good, its mode is flown, and nothing of control is left."""
     method, params, modes = ORDERS[order]
-    ordered = gcs.now
     if order == "mode":
-        params = {"mode": "AUTO.LOITER" if gcs.actor().vehicle.family == "px4" else "LOITER"}
+        params = {"mode": "AUTO.LOITER" if gcs.actor().vehicle.family == "px4" else "BRAKE"}
     if order == "off" and not gcs.setpoints(0.0):
         modes += (gcs.sim().mode,)  # there is nothing to switch off yet
     await gcs.done(method, **params)
@@ -45,7 +44,7 @@ async def carried_out(gcs: Flown, order: str) -> None:
     assert gcs.sim().mode in modes
     await asyncio.sleep(8)
     assert gcs.sim().mode in modes, "something newer came from somewhere"
-    assert not gcs.setpoints(quiet) and not gcs.setpoints(ordered + 0.1)
+    assert not gcs.setpoints(quiet), "until the order's mode is seen it is held, and not longer"
     assert gcs.control()["state"] == "off"
     moved = {int(c.values["command"]) for c in gcs.commands(quiet)}
     assert not moved, f"commands {moved} after the order's outcome"
@@ -108,7 +107,7 @@ async def test_a_client_that_goes_away_leaves_it_as_it_was(
 async def test_the_mode_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind) as gcs:
         if "ardupilot" in kind:
-            await gcs.done("vehicles.mode", mode="LOITER")
+            await gcs.done("vehicles.mode", mode="LOITER", force=True)
         former, began = gcs.sim().mode, gcs.now
         gcs.sim().faults.refuse_mode = "not today"
         outcome = await gcs.outcome("control.set", mode="velocity")
@@ -144,7 +143,7 @@ async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path)
         assert any(s.name == "COMMAND_LONG" and s.sysid == 0 and s.at >= ordered for s in gcs.sent), "no broadcast"
         await asyncio.sleep(40)
         for name in ("v1", "v2", "v3"):
-            assert not gcs.setpoints(ordered, name)
+            assert not gcs.setpoints(ordered + 1.2, name), "longer than until a heartbeat shows the landing"
             assert gcs.sim(name).motion.on_ground
             assert gcs.texts(ordered, name=name) == ["control ended: land was ordered"]
 

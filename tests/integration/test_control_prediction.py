@@ -93,7 +93,7 @@ async def test_one_position_a_second_is_too_few(tmp_path: Path) -> None:
         await asyncio.sleep(4.0)
         assert gcs.control()["prediction"]["active"]
         began = gcs.now
-        await gcs.done("vehicles.interval", message="GLOBAL_POSITION_INT", rate_hz=1)
+        gcs.sim().streams.set_interval("GLOBAL_POSITION_INT", 1.0, gcs.now)  # by another station
         await asyncio.sleep(8.0)
         state = gcs.control()
         assert state["control_mode"] == "velocity"
@@ -133,7 +133,7 @@ async def test_states_that_are_lost_do_not_end_prediction(tmp_path: Path) -> Non
     """A tenth of all packets, both ways, at the 5 Hz that a radio may leave."""
     async with flown(tmp_path, control={**PREDICTED, "stale_s": 1.5}, conditions=WIND, links=air(0.4)) as gcs:
         await gcs.fly("velocity")
-        await gcs.done("vehicles.interval", message="GLOBAL_POSITION_INT", rate_hz=5)
+        gcs.sim().streams.set_interval("GLOBAL_POSITION_INT", 0.2, gcs.now)  # by another station
         for network in (gcs.link.inward, gcs.link.outward):
             network._config = network._config.model_copy(update={"loss": 0.1})
         assert await circle(gcs, 45.0) < 0.35

@@ -194,10 +194,10 @@ async def test_an_order_ends_it_at_once(tmp_path: Path, kind: dict[str, int], or
         await gcs.outcome("control.set", mode="raw")
         flying = asyncio.create_task(streams(gcs, 3.0, **LEVEL, thrust=0.5))
         await asyncio.sleep(1.0)
-        ordered = gcs.now
         await gcs.done(f"vehicles.{order}")
+        ended = gcs.now
         assert (await flying)[-1]["message"].startswith("refused: control is off")
-        assert not gcs.setpoints(ordered + 0.1)
+        assert not gcs.setpoints(ended)
 
 
 @KINDS

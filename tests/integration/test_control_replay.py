@@ -11,6 +11,7 @@ import pytest
 
 from support.control_replay import Replay
 from support.public_data import CAPTURE, public_file
+from support.table import each
 
 SUPPORT = Path(__file__).parents[1]
 
@@ -45,7 +46,7 @@ def elsewhere(capture: Path, sysid: int, seconds: float) -> str:
     return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout.strip()
 
 
-@pytest.mark.parametrize("sysid", OURS)
+@each("sysid", OURS)
 def test_our_own_capture_gives_what_it_gave_when_this_was_written(sysid: int) -> None:
     replay = Replay(CAPTURE.read_bytes(), sysid, 60.0)
     assert replay.names["SET_ATTITUDE_TARGET"] > 2900, replay.names
@@ -55,7 +56,7 @@ def test_our_own_capture_gives_what_it_gave_when_this_was_written(sysid: int) ->
     assert elsewhere(CAPTURE, sysid, 60.0) == replay.digest
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("dronekit-v1-sik.tlog", 90.0), ("interop-testdata-v1.tlog", 60.0)])
+@each(("name", "seconds"), [("dronekit-v1-sik.tlog", 90.0), ("interop-testdata-v1.tlog", 60.0)])
 def test_other_peoples_flights_give_the_same_in_another_process(name: str, seconds: float) -> None:
     capture = public_file(f"tlog/{name}")
     first, second = (Replay(capture.read_bytes(), 1, seconds) for _ in range(2))

@@ -79,6 +79,14 @@ async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind
         assert "state is 2." in told
         assert {int(c.values["command"]) for c in gcs.commands(cut)} == gcs.hold_commands, "the hold, and nothing else"
         assert gcs.sim().mode in HOLDING
+        # what was not known in the cut is said when it is heard again, and no failsafe had to act
+        if cut_s > 5:
+            assert not [text for text in gcs.texts(cut) if "failsafe" in text], gcs.texts(cut)
+            (unknown,) = [text for text in gcs.texts(cut) if text.startswith("it was ordered to hold, but: ")]
+            assert unknown.endswith("whether it does is not known")
+            if not kind.get("ardupilot"):  # an ArduCopter holds in the mode that it was in
+                (corrected,) = gcs.texts(cut, "unattended")
+                assert corrected == "it holds in AUTO.LOITER, as it was ordered while it was not heard"
 
 
 async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
@@ -122,8 +130,9 @@ async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind
         await asyncio.sleep(1.0)
         stopped = gcs.now
         gcs.daemon.stop()
+        await asyncio.sleep(1.2)
         await gcs.ends_safe(within_m=4.0, since=stopped, of=start)
-        assert gcs.last_setpoint() <= stopped + 0.1
+        assert gcs.last_setpoint() <= stopped + 1.2, "it is held by setpoints until a heartbeat shows the hold"
         assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.GUIDED)
 
 

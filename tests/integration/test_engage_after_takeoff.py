@@ -53,7 +53,7 @@ async def test_by_default_nothing_begins(tmp_path: Path, kind: dict[str, int], m
 
 
 @KINDS
-@pytest.mark.parametrize("disturbance", ["hold", "land", "goto", "off", "pilot", "lost"])
+@pytest.mark.parametrize("disturbance", ["hold", "land", "off", "pilot", "lost"])
 async def test_a_disturbed_take_off_is_left_alone(tmp_path: Path, kind: dict[str, int], disturbance: str) -> None:
     async with grounded(tmp_path, "position", **kind) as gcs:
         since = gcs.now
@@ -69,14 +69,21 @@ async def test_a_disturbed_take_off_is_left_alone(tmp_path: Path, kind: dict[str
                 gcs.cut = True
             case "off":
                 await gcs.done("control.set", mode="off")
-            case "goto":
-                await gcs.outcome("vehicles.goto", enu_m=[0.0, 0.0, 20.0])
             case _:
                 await gcs.done(f"vehicles.{disturbance}")
         await asyncio.sleep(60.0)
         assert gcs.control()["state"] == "off" and not gcs.setpoints(since)
         told = [t for t in gcs.texts(since) if "not engaged after the take-off" in t]
         assert len(told) == (disturbance in ("pilot", "lost")), gcs.texts(since)
+
+
+async def test_a_goto_that_comes_meanwhile_moves_the_reference_afterwards(tmp_path: Path) -> None:
+    async with grounded(tmp_path, "position", px4=0, ardupilot=1) as gcs:
+        await gcs.done("vehicles.takeoff", height_m=6.0, wait_s=30.0)
+        await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 9.0])
+        assert gcs.control()["state"] == "flying"
+        await asyncio.sleep(10.0)
+        assert gcs.place()[2] == pytest.approx(9.0, abs=0.5)
 
 
 async def test_a_take_off_that_was_not_ordered_here_is_none(tmp_path: Path) -> None:

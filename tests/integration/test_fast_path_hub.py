@@ -13,6 +13,7 @@ import pytest
 
 from skygcs.links import fast_path
 from support.fast_path import Scenario, Station
+from support.fast_path_bench import AMPLE
 from support.frames import dialect, frame, heartbeat
 from support.process import ROOT
 
@@ -95,10 +96,10 @@ def test_a_restarted_source_is_not_overwritten_by_what_was_gathered() -> None:
             station.play(scenario)
         # these ten are gathered, and not yet counted
         station._send([(0, frame("ATTITUDE", {"time_boot_ms": 5}, seq=20 + n)) for n in range(10)])
-        station.links[0]._fast_path.ready()
+        station.links[0]._fast_path.ready(*AMPLE)
         station.hub.statistics.restart_source(1 << 8 | 1)
         station._send([(0, frame("ATTITUDE", {"time_boot_ms": 5}, seq=n)) for n in range(100, 110)])
-        station.links[0]._fast_path.ready()
+        station.links[0]._fast_path.ready(*AMPLE)
         station.hub.flows.take()
         stats = next(c.sources[1 << 8 | 1] for c in station.hub.channels.values() if 1 << 8 | 1 in c.sources)
         assert (stats.frames, stats.lost) == (41, 0)

@@ -17,6 +17,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
 from skygcs.daemon import Daemon
 from skygcs.tlog.reading import LogReader
+from support.table import each
 
 DATA = Path(__file__).parents[1] / "data"
 SPEED = 1.0
@@ -121,7 +122,7 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     return found
 
 
-@pytest.mark.parametrize("name", CUTS)
+@each("name", CUTS)
 def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
     truth = Truth(name)
     reader = LogReader((DATA / f"{name}.tlog").read_bytes(), load_dialect(FleetConfig().dialect), "tlog")

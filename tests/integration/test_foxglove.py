@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import pytest
 
-from skygcs.cli.foxglove import serve
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
 from skygcs.daemon import Daemon
+from skygcs.ext.logs.foxglove import serve
+from skygcs.ext.logs.foxglove_schemas import SCHEMAS
 from skygcs.rpc.client import connect
-from skygcs.tlog.foxglove_schemas import SCHEMAS
 
 WANTED = {"/v1/pose", "/v1/path", "/v1/location", "/v1/battery", "/v1/velocity", "/tf"}
 
@@ -46,6 +47,7 @@ async def read(port: int) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
     return channels, got
 
 
+@pytest.mark.real_time
 async def test_the_fleet_is_seen_live(tmp_path: Path) -> None:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from skygcs.rpc.methods import METHODS
 from support.asked import asked, methods_with_numbers, resolved, virtual_loop
+from support.examples import examples
 from support.hosts import until
 from support.loops import on_every_loop
 
@@ -93,7 +94,7 @@ async def _ask_all(questions: list[tuple[str, Any]]) -> None:
 
 @pytest.mark.parametrize("method", [name for name in methods_with_numbers() if name not in NO_PLACE_HERE])
 @given(data=st.data())
-@settings(max_examples=4, phases=NO_SHRINKING)
+@settings(max_examples=examples(4), phases=NO_SHRINKING)
 def test_no_number_of_a_client_is_a_fault_of_ours(method: str, data: st.DataObject) -> None:
     schema = METHODS[method].params.model_json_schema()
     asked_for = values(schema, schema.get("$defs", {}))
@@ -156,7 +157,7 @@ LINK_KEYS = [(kind, key) for kind, keys in LINKS.items() for key in keys]
 
 
 @given(st.lists(st.tuples(st.sampled_from(LINK_KEYS), FLOATS), min_size=8, max_size=20))
-@settings(max_examples=8, phases=NO_SHRINKING)
+@settings(max_examples=examples(8), phases=NO_SHRINKING)
 def test_no_number_of_a_link_is_a_fault_of_ours(drawn: list[tuple[tuple[str, str], float]]) -> None:
     keys = [(kind, key, value) for (kind, key), value in drawn]
     with asyncio.Runner(loop_factory=virtual_loop) as runner:
@@ -176,7 +177,7 @@ async def _run_with(own: dict[str, Any]) -> None:
 
 
 @given(st.dictionaries(st.sampled_from([*DAEMON_KEYS, "operator_timeout_s", "preflight_valid_minutes"]), FLOATS))
-@settings(max_examples=40, phases=NO_SHRINKING)
+@settings(max_examples=examples(40), phases=NO_SHRINKING)
 def test_no_number_of_the_fleet_file_is_a_fault_of_ours(own: dict[str, float]) -> None:
     try:
         with asyncio.Runner(loop_factory=virtual_loop) as runner:

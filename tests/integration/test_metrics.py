@@ -15,9 +15,10 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.metrics import MetricsConfig
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, VehicleSettings
 from skygcs.daemon import Daemon
+from skygcs.ext.metrics import Metrics
+from skygcs.ext.metrics.collector import MetricsCollector
+from skygcs.ext.metrics.table import METRICS
 from skygcs.links.memory import MemoryLink
-from skygcs.metrics.collector import MetricsCollector
-from skygcs.metrics.table import METRICS
 from skygcs.rpc.client import connect
 from support.routed import heartbeat
 
@@ -47,7 +48,7 @@ class Scrape:
 async def running(tmp_path: Path, **keys: Any) -> AsyncIterator[Daemon]:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),
-        metrics=MetricsConfig(port=0),
+        extensions={"metrics": MetricsConfig(port=0)},
         links={"radio": MemoryLinkConfig(name="radio", role="vehicle")},
         **keys,
     )
@@ -63,10 +64,12 @@ async def running(tmp_path: Path, **keys: Any) -> AsyncIterator[Daemon]:
 
 async def scrape(daemon: Daemon) -> Scrape:
     """Over HTTP, and anew: not the answer of this second."""
-    assert daemon.metrics is not None and daemon.metrics.address is not None
-    daemon.metrics._answered_at = float("-inf")
-    reader, writer = await asyncio.open_connection(*daemon.metrics.address)
-    writer.write(b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n")
+    metrics = daemon.extensions["metrics"]
+    assert isinstance(metrics, Metrics) and metrics.endpoint.address is not None
+    metrics.endpoint._answered_at = float("-inf")
+    reader, writer = await asyncio.open_connection(*metrics.endpoint.address)
+    host, port = metrics.endpoint.address[:2]
+    writer.write(f"GET /metrics HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
     answer = await reader.read()
     writer.close()
     head, _, body = answer.partition(b"\r\n\r\n")
@@ -140,8 +143,9 @@ async def test_series_of_250_vehicles_are_bounded_and_each_turn_of_the_loop_is_s
         assert len(got.samples) <= empty + 250 * PER_VEHICLE + 20
         assert got("series_dropped") == 0
         assert got("series") == sum(name.startswith("skygcs_") for name, _ in got.samples)
-        assert daemon.metrics is not None and isinstance(daemon.metrics._collector, MetricsCollector)
-        turns = sum(1 for _ in daemon.metrics._collector._turns())
+        metrics = daemon.extensions["metrics"]
+        assert isinstance(metrics, Metrics) and isinstance(metrics.endpoint._collector, MetricsCollector)
+        turns = sum(1 for _ in metrics.endpoint._collector._turns())
         assert turns > 250 / 10 + len(got.samples) / 50  # it yields after each slice
 
 

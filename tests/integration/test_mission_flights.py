@@ -194,7 +194,7 @@ async def test_a_fence_of_a_plan_stops_a_flight_out_of_it(tmp_path: Path) -> Non
         refused = await gcs.outcome("missions.upload", "v1", plan=text)
         assert refused["result"] == "refused" and "item 2" in refused["message"]
         await gcs.done("missions.upload", targets="all", plan=text, lists=["mission"], force=True)
-        await gcs.done("missions.start", targets="all")
+        await gcs.done("missions.start", targets="all", force=True)  # one mission for both
         homewards = {Px4Mode.RTL, CopterMode.RTL}
         await gcs.until(lambda: all(sim.mode in homewards for sim in gcs.sims), 90.0)
         for name in ("v1", "v2"):

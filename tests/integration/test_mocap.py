@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,16 +12,27 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
+from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
+from skygcs.ext.mocap import feed as mocap_feed
+from skygcs.ext.mocap.cameras import CaptureCameras
+from skygcs.ext.mocap.config import MocapConfig
+from skygcs.ext.mocap.pose import Pose
+from skygcs.ext.mocap.simulated_capture import SimulatedCapture
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.rpc.context import state_of
+from skygcs.rpc.dispatch import Dispatcher
+from skygcs.rpc.error_codes import METHOD_NOT_FOUND
 from skygcs.rpc.methods import METHODS
-from skygcs.runtime import mocap_feed
-from skygcs.runtime.mocap_simulated import SimulatedCapture
-from skygcs.sim.capture_cameras import CaptureCameras
 from skygcs.sim.vehicle import SimVehicle
+from support.extension_parts import ALL_METHODS
+from support.pymav import PymavPeer
+
+COSTS = "vehicles that fly by poses at 30 Hz"
 
 pytestmark = pytest.mark.looptime
 
@@ -43,15 +55,15 @@ class Lab:
     events: list[dict[str, Any]] = field(default_factory=list)
 
     async def __call__(self, method: str, **params: Any) -> Any:
-        found = METHODS[method]
-        answer = found.handler(SimpleNamespace(services=self.daemon), found.params(**params))
+        found = ALL_METHODS[method]
+        answer = found.handler(SimpleNamespace(services=self.daemon, reports=None), found.params(**params))
         return await answer if asyncio.iscoroutine(answer) else answer
 
     @property
     def cameras(self) -> CaptureCameras:
-        assert self.daemon.mocap is not None and isinstance(self.daemon.mocap.capture, SimulatedCapture)
-        assert self.daemon.mocap.capture.cameras is not None
-        return self.daemon.mocap.capture.cameras
+        capture = self.daemon.extensions["mocap"].feed.capture
+        assert isinstance(capture, SimulatedCapture) and capture.cameras is not None
+        return capture.cameras
 
     def sim(self, link: str = "alpha") -> SimVehicle:
         found = self.daemon.links.link(link)
@@ -75,11 +87,17 @@ class Lab:
 
 @contextlib.asynccontextmanager
 async def lab(
-    tmp_path: Path, *families: str, params: bool = True, link: dict[str, Any] | None = None, **mocap: Any
+    tmp_path: Path,
+    *families: str,
+    params: bool = True,
+    link: dict[str, Any] | None = None,
+    links: dict[str, Any] | None = None,
+    **mocap: Any,
 ) -> AsyncIterator[Lab]:
-    """A vehicle of each family on a link of its own, flown by poses; ``link``: more keys of the first one."""
+    """A vehicle of each family on a link of its own, flown by poses; ``link``: more keys of the first one; ``links``:
+    further ones."""
     names = ("alpha", "bravo")[: len(families)]
-    links: dict[str, Any] = {}
+    links = dict(links or {})
     for number, (name, family) in enumerate(zip(names, families, strict=True), start=1):
         file = tmp_path / f"{name}.params"
         text = "".join(f"{key} {value}\n" for key, value in PARAMS[family].items())
@@ -96,13 +114,13 @@ async def lab(
         "origin": ORIGIN,
         "links": links,
         "vehicles": {name: {"sysid": number} for number, name in enumerate(names, start=1)},
-        "mocap": {
-            **{"type": "simulated", "bodies": {name: f"body {name}" for name in names}},
-            **{"up": "y", "rotation_deg": 70.0, "offset_m": (1.0, -2.0, 0.5)},
-            **mocap,
-        },
     }
-    config = FleetConfig.model_validate(table)
+    capture = MocapConfig(
+        **{"type": "simulated", "bodies": {name: f"body {name}" for name in names}},
+        **{"up": "y", "rotation_deg": 70.0, "offset_m": (1.0, -2.0, 0.5)},
+        **mocap,
+    )
+    config = FleetConfig.model_validate(table).model_copy(update={"extensions": {"mocap": capture}})
     daemon = Daemon(config, load_dialect(config.dialect))
     there = Lab(daemon)
     daemon.event_log.subscribe(there.events.append)
@@ -136,7 +154,7 @@ async def test_a_vehicle_without_gps_flies_by_its_poses(tmp_path: Path, family: 
         outcome = (await gcs("vehicles.goto", targets="alpha", **there))["outcomes"]["alpha"]
         assert outcome["ok"], outcome
         await asyncio.sleep(15)
-        state = gcs.daemon.fleet.find("alpha").state(gcs.daemon.now())
+        state = state_of(gcs.daemon, gcs.daemon.fleet.find("alpha"))
         assert state["position"]["enu_m"] == pytest.approx((2.0, 1.0, 2.0), abs=0.5)
         assert state["mocap"]["problem"] is None and state["mocap"]["tracking"]
         assert sim.vision.rejected == 0
@@ -242,8 +260,7 @@ async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
 ) -> None:
     monkeypatch.setattr(mocap_feed, "PRETENDED", frozenset())  # its simulated link is taken for a real one
     async with lab(tmp_path, "px4") as gcs:
-        feed, sim = gcs.daemon.mocap, gcs.sim()
-        assert feed is not None
+        feed, sim = gcs.daemon.extensions["mocap"].feed, gcs.sim()
         monkeypatch.setattr(feed, "_config", feed._config.model_copy(update={"type": "recorded"}))
         await gcs.until(lambda: sim.position_ok)
         await asyncio.sleep(5)
@@ -300,4 +317,83 @@ async def test_a_slow_radio_carries_fewer_poses_and_preflight_says_so(tmp_path: 
 async def test_a_daemon_without_mocap_says_so(tmp_path: Path) -> None:
     config = FleetConfig.model_validate({"daemon": {"socket": tmp_path / "s", "record": False}})
     daemon = Daemon(config, load_dialect(config.dialect))
-    assert await Lab(daemon)("mocap.status") == {"configured": False, "vehicles": [], "bodies_seen": {}}
+    request = {"jsonrpc": "2.0", "id": 1, "method": "mocap.status"}
+    reply = Dispatcher(METHODS).start(SimpleNamespace(services=daemon), request)
+    assert isinstance(reply, bytes)
+    error = json.loads(reply)["error"]
+    assert error["code"] == METHOD_NOT_FOUND and "table in the fleet file, [mocap]" in error["message"]
+
+
+async def in_the_air(gcs: Lab, link: str = "alpha") -> SimVehicle:
+    """It flies by its poses at 2 m."""
+    sim = gcs.sim(link)
+    await gcs.until(lambda: sim.position_ok)
+    await asyncio.sleep(10)
+    outcome = (await gcs("vehicles.takeoff", targets=link, height_m=2.0))["outcomes"][link]
+    assert outcome["ok"], outcome
+    await gcs.until(lambda: sim.motion.up_m > 1.8)
+    return sim
+
+
+FAMILIES = pytest.mark.parametrize("family", ["px4", "ardupilot"])
+
+
+@FAMILIES
+@pytest.mark.parametrize("where", ["the same id on another link", "another id on its link"])
+async def test_what_is_heard_of_another_one_does_not_take_the_poses_of_one_that_flies(
+    tmp_path: Path, family: str, where: str
+) -> None:
+    """Forged or not: after 4 s, and at once, poses ended, and after 8 to 21 s both were on the ground."""
+    rival = {"rival": {"type": "memory", "role": "vehicle"}}
+    async with lab(tmp_path, family, links=rival) as gcs:
+        sim = await in_the_air(gcs)
+        link = gcs.daemon.links.link("rival" if where.startswith("the same") else "alpha")
+        sysid = 1 if where.startswith("the same") else 77
+        forger, count = PymavPeer(sysid, 1), sim.vision.count
+        (channel,) = link.channels
+        kinds = {"px4": mav.MAV_AUTOPILOT_PX4, "ardupilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
+        for number in range(20):
+            beat = mav.MAVLink_heartbeat_message(2, kinds[family], 81, 0, 3, 3)
+            clock = mav.MAVLink_system_time_message(0, 1000 * number)
+            for message in (beat, clock):
+                parser = FrameParser(gcs.daemon.dialect)
+                gcs.daemon.hub.on_frames(channel, parser.feed_datagram(forger.pack(message)), gcs.daemon.now())
+            await asyncio.sleep(1.0)
+        assert sim.vision.count - count > 500, "30 a second"
+        assert sim.armed and sim.motion.up_m > 1.5
+        poses = await gcs.poses()
+        assert poses["problem"] is None and poses["link"] == "alpha"
+        assert gcs.changes().count("kept") == 1
+        # the other one is not armed beside it
+        if sysid == 77:
+            outcome = (await gcs("vehicles.arm", targets=77))["outcomes"]["v77"]
+            assert "land alpha first" in outcome["message"], outcome
+        # and on the ground the ordinary choice counts again
+        await gcs("vehicles.stop", targets="alpha", action="land", confirm="alpha")
+        await gcs.until(lambda: not sim.armed)
+        parser = FrameParser(gcs.daemon.dialect)
+        gcs.daemon.hub.on_frames(channel, parser.feed_datagram(forger.pack(beat)), gcs.daemon.now())
+        await asyncio.sleep(1.5)
+        if sysid == 77:
+            assert "shares its link" in (await gcs.poses())["problem"]
+
+
+@FAMILIES
+async def test_another_body_is_not_taken_for_one_that_was_lost(tmp_path: Path, family: str) -> None:
+    """Bravo's markers are taken for alpha's, 0.3 s after alpha was lost: 2.4 m away that was sent."""
+    async with lab(tmp_path, family) as gcs:
+        sim = await in_the_air(gcs)
+        gcs.cameras.hidden.add("body alpha")
+        await asyncio.sleep(0.3)
+        count = sim.vision.count
+        feed = gcs.daemon.extensions["mocap"].feed
+        last = feed._fed["body alpha"].stream.filter.accepted
+        assert last is not None
+        seen: set[str] = set()
+        for n in range(500):
+            x, y, z = last.pos_m
+            pose = Pose(gcs.daemon.now(), (x + 2.4 + 1e-4 * (n % 7), y, z), last.q)
+            seen.add(feed._fed["body alpha"].stream.filter.judge(pose, gcs.daemon.now(), armed=True))
+            await asyncio.sleep(0.01)
+        assert sim.vision.count == count
+        assert "accepted" not in seen and "out of reach" in seen

@@ -14,6 +14,8 @@ from skygcs.sim.conditions import Conditions, Dynamics
 from support.encounters import KINDS, arena, encounter, judge
 from support.flown import Flown, flown
 
+COSTS = "whole daemons with two to six vehicles that meet"
+
 pytestmark = pytest.mark.looptime
 
 EXACT = Conditions(dynamics=Dynamics.KINEMATIC)

@@ -21,6 +21,8 @@ from skygcs.sim import onboard_logs as sim
 from skygcs.sim.vehicle import SimVehicle
 from support.hosts import open_descriptors
 
+pytestmark = pytest.mark.looptime
+
 
 class Lab:
     def __init__(self, daemon: Daemon, gcs: Client, folder: Path) -> None:

@@ -59,7 +59,17 @@ async def test_a_fleet_in_order_passes_and_nothing_moves(tmp_path: Path) -> None
         found = await report(gcs)
         assert found["ok"], refused(found)
         assert {f["check"] for f in found["findings"]} == {
-            *("state", "link", "preflight", "position", "return height", "certificate", "battery")
+            *(
+                "state",
+                "link",
+                "preflight",
+                "position",
+                "return height",
+                "certificate",
+                "fence",
+                "battery",
+                "if skygcs dies",
+            )
         }
         assert found["certificate"]["certified"] and found["way_there"]["certified"]
         assert found["margins"]["v1"]["wingspan_m"] == [0.7, "default"]

@@ -11,8 +11,11 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
+
+COSTS = "it flies a dozen plans of several vehicles from the ground to their ends"
 
 pytestmark = pytest.mark.looptime
 
@@ -223,6 +226,7 @@ async def test_a_second_flight_begins_in_the_mode_that_the_landing_left(tmp_path
             await gcs("plan.land")
             await gcs.until(lambda: state(gcs) == "landed", 120.0)
             await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 60.0)
+            gcs.sim("v1").mode, gcs.sim("v2").mode = Px4Mode.LAND, CopterMode.LAND  # as `land all` leaves them
             await asyncio.sleep(5.0)
 
 

@@ -14,6 +14,8 @@ from skygcs.runtime.link_view import LinkView
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 
+COSTS = "ten vehicles on one radio, in most of its tests"
+
 pytestmark = pytest.mark.looptime
 
 NAV = {"link": {"stream_profile": "nav"}}

@@ -17,6 +17,8 @@ from skygcs.sim.vehicle import SimVehicle
 from support.flown import HOLDING, Flown, flown
 from support.grounded import on_the_ground
 
+COSTS = "each of its daemons is ended in another order under way"
+
 pytestmark = pytest.mark.looptime
 
 WITHIN_S = 6.0

@@ -101,9 +101,8 @@ class Port:
 
     async def outcome(self, method: str, **params: Any) -> dict[str, Any]:
         found = METHODS[method]
-        answer = found.handler(
-            SimpleNamespace(services=self.daemon), found.params.model_validate({"targets": "v1", **params})
-        )
+        context: Any = SimpleNamespace(services=self.daemon, reports=None)
+        answer = found.handler(context, found.params.model_validate({"targets": "v1", **params}))
         assert asyncio.iscoroutine(answer)
         (outcome,) = (await answer)["outcomes"].values()
         return dict(outcome)
@@ -252,7 +251,7 @@ def test_an_echo_gets_no_order_before_the_vehicle_has_not_answered(tmp_path: Pat
             await asyncio.sleep(20)
             net.peer_got.clear()
             assert (await net.outcome("control.set", mode="off"))["ok"]
-            for mode, number in (("LOITER", CopterMode.LOITER), ("GUIDED", CopterMode.GUIDED)):
+            for mode, number in (("BRAKE", CopterMode.BRAKE), ("GUIDED", CopterMode.GUIDED)):
                 outcome = await net.outcome("vehicles.mode", mode=mode)
                 assert outcome["ok"] and outcome["attempts"] == 1 and net.sim.mode == number
             assert not [f for f in net.peer_got if f.name == "COMMAND_LONG" and f.fields()["param2"] == 5.0]

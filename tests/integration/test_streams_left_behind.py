@@ -156,6 +156,7 @@ async def test_a_px4_that_has_no_position_yet_keeps_its_own_rate(tmp_path: Path)
         assert air.rates(PX4)["GLOBAL_POSITION_INT"] == own
 
 
+@pytest.mark.deep
 async def test_a_flood_of_requests_costs_little_and_leaves_little(tmp_path: Path) -> None:
     async with by_cable(tmp_path) as air:
         before = air.rates(COPTER)

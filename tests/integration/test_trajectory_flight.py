@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.geo import Origin
+from skygcs.errors import RefusedError
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import Flown, flown
 
@@ -264,16 +265,20 @@ async def test_a_stream_and_a_second_trajectory_are_refused_meanwhile(tmp_path: 
         assert not too_fast["ok"] and "is above" in too_fast["message"]
 
 
-async def test_a_change_of_the_origin_moves_nothing(tmp_path: Path) -> None:
+async def test_a_change_of_the_origin_waits_for_its_end(tmp_path: Path) -> None:
     async with flown(tmp_path) as gcs:
         await gcs.fly("position")
         x_m, y_m = await on_its_way(gcs)
         origin = gcs.daemon.fleet.origin
         assert origin is not None
-        gcs.daemon.fleet.set_origin(Origin(origin.lat_deg + 1e-4, origin.lon_deg, 150.0, 30.0), force=True)
+        other = Origin(origin.lat_deg + 1e-4, origin.lon_deg, 150.0, 30.0)
+        with pytest.raises(RefusedError, match="v1 flies leg: `skygcs-cli hold v1` first"):
+            gcs.daemon.fleet.set_origin(other, force=True)
         await gcs.until(lambda: flight(gcs) is None, 20.0)
         await asyncio.sleep(4.0)
         assert math.dist(gcs.place(), (x_m + 8.0, y_m, UP_M)) < 0.5
+        with pytest.raises(RefusedError, match="v1 is under control: `skygcs-cli hold v1` first"):
+            gcs.daemon.fleet.set_origin(other, force=True)
 
 
 @KINDS

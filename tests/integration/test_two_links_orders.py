@@ -51,6 +51,7 @@ async def flap(field: TwoLinks, seed: int) -> None:
         port.cut = not port.cut
 
 
+@pytest.mark.deep
 async def test_no_order_of_a_thousand_that_does_something_again_is_done_twice(tmp_path: Path) -> None:
     async with two_links(tmp_path, ardupilot=4, radio={"loss": 0.05}) as field:
         flapping = asyncio.create_task(flap(field, 7))

@@ -22,8 +22,8 @@ import pytest
 from lab.programs import needs
 from lab.ssh_hosts import SshHost, make_key, prepare_sshd, short_folder, small_disk
 from skygcs import __version__
-from skygcs.bring_up.bundle import Bundle, read_bundle
-from skygcs.bring_up.ssh_session import UPLOAD_BYTES
+from skygcs.ext.companions.bring_up.bundle import Bundle, read_bundle
+from skygcs.ext.companions.bring_up.ssh_session import UPLOAD_BYTES
 
 pytestmark = pytest.mark.timeout(1200)
 

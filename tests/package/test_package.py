@@ -19,8 +19,8 @@ import pytest
 
 from support.process import ROOT, wait_until
 
-MOST_WHEEL_BYTES = 2_000_000
-"""Without the web page's files."""
+MOST_WHEEL_BYTES = 2_200_000
+"""Without the web page's files; .11 MB of it are what parameters of both firmwares mean. Measured: 2.08 MB."""
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -107,7 +107,11 @@ def test_the_wheel_is_small_and_has_what_a_user_needs(packages: dict[str, Path])
     print(f"\nwheel: {sum(sizes.values()) / 1e6:.2f} MB, of it {page / 1e6:.2f} MB of the web page")
     assert sum(sizes.values()) - page <= MOST_WHEEL_BYTES
     assert page == 0 or "skygcs/web/static/assets/licenses.txt" in sizes  # never a page without its libraries' licences
-    assert {"skygcs/configs/sim.toml", "skygcs/metrics/alerts.yml", "skygcs/metrics/dashboard.json"} <= sizes.keys()
+    assert {
+        "skygcs/configs/sim.toml",
+        "skygcs/ext/metrics/alerts.yml",
+        "skygcs/ext/metrics/dashboard.json",
+    } <= sizes.keys()
     assert any(re.fullmatch(r"skygcs/links/_fast_path\..*\.so", name) for name in sizes)
     # links of the README lead out of the package
     inside = re.findall(r"\]\((?![a-z]+:|#)([^)]*)\)", metadata)

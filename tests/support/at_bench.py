@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from skygcs.modem.dialogue import Dialogue, Procedure
+from skygcs.ext.radio_tools.dialogue import Dialogue, Procedure
 from skygcs.sim.at_modem import AtRadio
 
 T = TypeVar("T")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from skygcs.cli.radio_port import EmulatedPort
+from skygcs.ext.radio_tools.port import EmulatedPort
 from skygcs.sim.at_modem import AtRadio
 
 

@@ -13,10 +13,12 @@ from skygcs.rpc.methods import METHODS
 from skygcs.rpc.slices import Slices
 
 
-async def call(daemon: Daemon, name: str, /, **params: Any) -> Any:
-    """The method's result. Raises what the method raises, and pydantic's error for parameters."""
-    method = METHODS[name]
-    context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()))
+async def call(daemon: Daemon, name: str, /, *, reports: Any = None, **params: Any) -> Any:
+    """The method's result. Raises what the method raises, and pydantic's error for parameters. ``reports``: a
+    `runtime.fleet.Reports` of a client that asks for the outcomes as they come."""
+    of_extensions = {method.name: method for method in daemon.extensions.methods}
+    method = of_extensions.get(name) or METHODS[name]
+    context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()), reports=reports)
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
     return json.loads(result.body) if isinstance(result, Encoded) else result

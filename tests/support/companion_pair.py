@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.companion_role import as_companion
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.clock_offset import ClockOffset
@@ -26,12 +25,16 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RpcError, SkygcsError
+from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig
+from skygcs.ext.companions.companions_table import CompanionsConfig
+from skygcs.ext.companions.ground import Companions
+from skygcs.ext.companions.role import as_companion
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.dispatch import REFUSED
 from support.called import call
-from support.flown import FIELD, Flown, Told, flown
+from support.flown import FIELD, Flown, Told, flown, let_its_disk_finish
 
 
 class CallsByMemory:
@@ -108,6 +111,8 @@ class Pair:
     """Events of the ground."""
     from_ground: list[str] = field(default_factory=list)
     """Names of the messages that the ground sent."""
+    radio: bool = False
+    """The ground has a radio to the vehicle."""
     to_vehicle: list[tuple[float, str]] = field(default_factory=list)
     """What came to the vehicle over the ground's radio, and when."""
 
@@ -144,6 +149,38 @@ class Pair:
         wifi.peer.on_bytes = None
         self.ground_running.cancel()
         await asyncio.gather(self.ground_running, return_exceptions=True)
+
+    async def ground_begins_again(self) -> None:
+        """Another daemon of the ground, with the same file and folder."""
+        before = self.ground
+        for link in ("wifi", "radio"):
+            kept = before.links.link(link)
+            assert isinstance(kept, MemoryLink)
+            kept.peer.on_bytes = None
+        let_its_disk_finish(before)
+        self.ground = Daemon(before.config, load_dialect(before.config.dialect))
+        _join(self.ground, self.calls)
+        self.ground_running = asyncio.create_task(self.ground.run(), name="the ground's daemon that begins again")
+        await self.ground.ready.wait()
+        self.connect()
+
+    async def companion_begins_again(self) -> None:
+        """Another daemon of the companion."""
+        await self.pi.begin_again()
+        self.calls.daemon = self.pi.daemon
+        self.connect()
+
+    def connect(self) -> None:
+        """Join the daemons as they are now, and the radio to the vehicle."""
+        self.ground.event_log.subscribe(
+            lambda e: self.told.append(Told(self.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
+        )
+        here, there = self.ground.links.link("wifi"), self.pi.daemon.links.link(GROUND_LINK)
+        assert isinstance(here, MemoryLink) and isinstance(there, MemoryLink)
+        here.peer.on_bytes = there.peer.send
+        there.peer.on_bytes = here.peer.send
+        if self.radio:
+            _open_radio(self)
 
     async def lose_companion(self) -> None:
         """SIGKILL to the companion's daemon."""
@@ -185,23 +222,29 @@ async def companion_pair(
     ``vehicle``: see `flown`."""
     tables = {
         "vehicles": {"v1": {"sysid": 1, "streams": {**DEFAULT_RATES_HZ, **streams[1]}}},
-        "companion": {"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})},
     }
-    air = {"ground-side": {"type": "memory", "role": "gcs"}}
+    table = CompanionConfig.model_validate({"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})})
+
+    def with_our_ground_link(config: FleetConfig) -> FleetConfig:
+        """As the loader makes it of [companion], but with our link in place of that to the ground."""
+        ours = config.links[GROUND_LINK]
+        made = as_companion(table, config.model_copy(update={"extensions": {"companion": table}}))
+        return made.model_copy(update={"links": {**made.links, GROUND_LINK: ours}})
+
+    air = {"ground": {"type": "memory", "role": "gcs"}, "others": {"type": "memory", "role": "gcs"}}
     (tmp_path / "pi").mkdir()
     (tmp_path / "ground").mkdir()
     async with flown(
-        tmp_path / "pi", control=control, tables=tables, links=air, prepared=_without_ground_link, **vehicle
+        tmp_path / "pi", control=control, tables=tables, links=air, prepared=with_our_ground_link, **vehicle
     ) as pi:
         config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_links, streams[0])
         ground = Daemon(config, load_dialect(config.dialect))
         calls = CallsByMemory(pi.daemon, delay_s=delay_s, loss=loss)
-        ground.fleet.companions["v1"] = calls
+        _join(ground, calls)
         running = asyncio.create_task(ground.run(), name="the ground's daemon")
         await ground.ready.wait()
-        pair = Pair(pi, ground, calls, running)
-        if radio:
-            _open_radio(pair)
+        pair = Pair(pi, ground, calls, running, radio=radio)
+        pair.connect()
         before = ground.hub.on_sent
 
         def on_sent(channel: Channel, message: OwnMessage, raw: bytes) -> None:
@@ -210,13 +253,6 @@ async def companion_pair(
             pair.from_ground.extend(frame.info.name for frame in frames if frame.info is not None)
 
         ground.hub.on_sent = on_sent  # type: ignore[method-assign]
-        ground.event_log.subscribe(
-            lambda e: pair.told.append(Told(pair.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
-        )
-        here, there = ground.links.link("wifi"), pi.daemon.links.link("ground-side")
-        assert isinstance(here, MemoryLink) and isinstance(there, MemoryLink)
-        here.peer.on_bytes = there.peer.send
-        there.peer.on_bytes = here.peer.send
         try:
             await pair.until(lambda: ground.fleet.vehicles)
             await asyncio.sleep(2 + 4 * delay_s)
@@ -226,12 +262,21 @@ async def companion_pair(
             faults = [t for t in pair.told if t.kind == "fault"]
             assert not faults, faults
         finally:
-            here.peer.on_bytes = there.peer.on_bytes = None
-            ground.stop()
-            await asyncio.gather(running, return_exceptions=True)
+            for daemon, link in ((pair.ground, "wifi"), (pi.daemon, GROUND_LINK)):
+                end = daemon.links.link(link)
+                assert isinstance(end, MemoryLink)
+                end.peer.on_bytes = None
+            pair.ground.stop()
+            await asyncio.gather(pair.ground_running, return_exceptions=True)
             for task in calls.served:
                 task.cancel()
             await asyncio.gather(*calls.served, return_exceptions=True)
+
+
+def _join(ground: Daemon, calls: CallsByMemory) -> None:
+    """Give the ground its connection to the companion."""
+    companions: Companions = ground.extensions["companions"]  # type: ignore[assignment]
+    companions.by_vehicle["v1"] = calls
 
 
 def _open_radio(pair: Pair) -> None:
@@ -246,15 +291,8 @@ def _open_radio(pair: Pair) -> None:
                 pair.to_vehicle.append((pair.now, frame.info.name))
             pair.pi.to_vehicles(frame)
 
-    pair.pi.also.append(link.peer.send)
+    pair.pi.also[:] = [link.peer.send]
     link.peer.on_bytes = to_vehicle
-
-
-def _without_ground_link(config: FleetConfig) -> FleetConfig:
-    """As the loader makes it of [companion], but with our link to the ground."""
-    made = as_companion(config)
-    links = {name: link for name, link in made.links.items() if name != "ground"}
-    return made.model_copy(update={"links": links})
 
 
 def _ground_config(
@@ -267,7 +305,7 @@ def _ground_config(
 ) -> FleetConfig:
     origin = {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m}
     wifi = {"type": "memory", "role": "vehicle", "delay_s": delay_s, "loss": loss, "seed": 5}
-    return FleetConfig.model_validate(
+    config = FleetConfig.model_validate(
         {
             "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
             "origin": origin,
@@ -278,6 +316,7 @@ def _ground_config(
             "defaults": {"control": dict(control or {})},
         }
     )
+    return config.model_copy(update={"extensions": {"companions": CompanionsConfig()}})
 
 
 async def start_circle(pair: Pair, seconds: int = 60) -> float:

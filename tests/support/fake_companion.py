@@ -7,9 +7,9 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
-from skygcs.bring_up.inventory import Companion
-from skygcs.bring_up.ssh_session import Ran
 from skygcs.errors import CompanionError
+from skygcs.ext.companions.bring_up.inventory import Companion
+from skygcs.ext.companions.bring_up.ssh_session import Ran
 
 FACTS = {
     "home": "/home/pi",

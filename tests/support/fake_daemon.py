@@ -27,14 +27,17 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.plan.guidance import choose
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
+from skygcs.extension import Extensions
 from skygcs.planning.process import OnProgress, ProcessLimits
 from skygcs.planning.worker import answered
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.fleet import Order
+from skygcs.runtime.fleet import Order, Reports, Unreported
+from skygcs.runtime.plan_runner import ChosenWay
 from skygcs.runtime.planning_queue import PlanningQueue
 
 NAMES = ("alpha", "bravo", "carol")
@@ -82,6 +85,7 @@ class FakeVehicle:
     def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
         self.params: Any = None
+        self.metadata: Any = None
         self.missions = FakeMissions()
         self.stored_plan = MissionPlan()
         self.fence: dict[str, Any] = {
@@ -132,11 +136,11 @@ class FakeVehicle:
     async def disarm(self, *, force: bool = False) -> FakeOutcome:
         return await self._order("disarm", force=force)
 
-    async def set_mode(self, name: str) -> FakeOutcome:
+    async def set_mode(self, name: str, *, force: bool) -> FakeOutcome:
         if name == "NONSENSE":
             return FakeOutcome(False, "refused", f"refused: {self.autopilot} has no mode NONSENSE", attempts=0)
         self.mode = name
-        return await self._order("set_mode", name=name)
+        return await self._order("set_mode", name=name, force=force)
 
     async def takeoff(
         self, height_m: float | None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
@@ -198,8 +202,8 @@ class FakeVehicle:
     async def start_mission(self, **arguments: Any) -> FakeOutcome:
         return await self._order("start_mission", **arguments)
 
-    async def resume_mission(self) -> FakeOutcome:
-        return await self._order("resume_mission")
+    async def resume_mission(self, **arguments: Any) -> FakeOutcome:
+        return await self._order("resume_mission", **arguments)
 
     async def set_mission_item(self, **arguments: Any) -> FakeOutcome:
         return await self._order("set_mission_item", **arguments)
@@ -316,7 +320,6 @@ class FakeVehicle:
                     "time",
                     "high_latency",
                     "last_ack",
-                    "mocap",
                 )
             ),
         }
@@ -402,6 +405,11 @@ class FakePlans:
 
     abort = pause
 
+    def chosen_way(self, actors: Sequence[FakeVehicle], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
+        """Every link carries setpoints, and there are no companions."""
+        choice = choose(by, timed=timed, own_companion={v.name: False for v in actors}, not_streamed={})
+        return ChosenWay(choice, [])
+
     def land(self, *, force: bool = False) -> str:
         return "nothing is flown"
 
@@ -444,7 +452,7 @@ class FakeFleet:
         self.origin_asked.append(("from", vehicle.name, heading, force))
 
     async def push_origin(
-        self, targets: str | list[str], *, home: bool = False, force: bool = False
+        self, targets: str | list[str], *, home: bool = False, force: bool = False, reports: Reports | None = None
     ) -> dict[str, FakeOutcome]:
         self.origin_asked.append(("push", home, force))
         return {vehicle.name: vehicle.outcome for vehicle in self.resolve(targets)}
@@ -497,13 +505,23 @@ class FakeFleet:
             found.update({v.sysid: v for v in matching})
         return list(found.values())
 
-    async def command_all(self, targets: str | list[str], order: Order, /, **arguments: Any) -> dict[str, FakeOutcome]:
+    async def command_all(
+        self, targets: str | list[str], order: Order, /, *, reports: Reports | None = None, **arguments: Any
+    ) -> dict[str, FakeOutcome]:
         vehicles, name = self.resolve(targets), order.__name__
         if name == "disarm":
             arguments.pop("confirm", None)
         if name == "stop":
             require_confirmed(arguments["action"], dict.fromkeys(v.name for v in vehicles), arguments.pop("confirm"))
-        done = await asyncio.gather(*(getattr(v, name)(**arguments) for v in vehicles))
+        reports = reports or Unreported()
+        reports.begun([v.name for v in vehicles])
+
+        async def reported(vehicle: FakeVehicle) -> FakeOutcome:
+            outcome: FakeOutcome = await getattr(vehicle, name)(**arguments)
+            reports.ended(vehicle.name, outcome)
+            return outcome
+
+        done = await asyncio.gather(*map(reported, vehicles))
         return dict(zip((v.name for v in vehicles), done, strict=True))
 
     @staticmethod
@@ -560,6 +578,10 @@ async def compute_here(request: bytes, on_progress: OnProgress | None, limits: P
     return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
 
 
+def _raised(error: Exception) -> None:
+    raise error
+
+
 class FakeDaemon:
     """Everything `skygcs.rpc.context.Services` asks for."""
 
@@ -587,6 +609,7 @@ class FakeDaemon:
             authority=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
+        self.extensions = Extensions({}, _raised)
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})

@@ -14,7 +14,7 @@ import random
 import socket
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
@@ -29,6 +29,7 @@ from skygcs.events import Event
 from skygcs.links import fast_path
 from skygcs.links.address import Address
 from skygcs.links.base import Channel
+from skygcs.links.reading import ReadingTurns, Share
 from skygcs.links.udp import UdpClientLink, UdpServerLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -85,6 +86,15 @@ class Scenario:
         return f"seed {self.seed}: {self.links}, keep_vehicles={self.keep_vehicles}, tap={self.tap}"
 
 
+AMPLE = Share(1 << 40, 3600.0)
+"""A share of a turn that no burst spends."""
+
+
+class _AmpleTurns(ReadingTurns):
+    def share(self, reader: Hashable) -> Share:
+        return AMPLE
+
+
 class _Counted:
     """A link that counts the datagrams that its fast path leaves to Python."""
 
@@ -127,6 +137,7 @@ class Station:
             os.environ.pop(fast_path.PURE, None)
             if before is not None:
                 os.environ[fast_path.PURE] = before
+        self.hub.reading = _AmpleTurns()  # else what comes first depends on how much of it Python reads
         assert (self.hub.fast_path is None) == pure, "there is no compiled fast path"
         view = LinkView(self.hub, cast(LinkTable, SimpleNamespace(configs={})), LinkWatch(self.hub))
         self.fleet = Fleet(self.config, dialect(), self.hub.send, self.loop, self.on_event, links=view)
@@ -179,7 +190,7 @@ class Station:
             self._send(step)
             for link in self.links:
                 for _ in range(3):
-                    link._fast_path.ready() if link._fast_path is not None else link._on_readable()
+                    link._fast_path.ready(*AMPLE) if link._fast_path is not None else link._on_readable()
             for _ in range(3):
                 self.loop.run_until_complete(asyncio.sleep(0))
             _wait_delivered([link._socket for link in self.links])

@@ -9,8 +9,10 @@ from typing import Any
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.links import fast_path
 from skygcs.links.address import Address
-from support.fast_path import encoded
+from support.fast_path import AMPLE, encoded
 from support.frames import dialect
+
+__all__ = ["AMPLE", "Bench", "Channel", "ParserCounts", "Slot", "attitude"]
 
 ATTITUDE = 30
 

@@ -9,7 +9,7 @@ import pty
 import time
 import tty
 
-from skygcs.cli.radio_port import port_rate, set_port_rate
+from skygcs.cli.serial_ports import port_rate, set_port_rate
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.ground_radio import GroundRadio

@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -24,10 +25,12 @@ from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
+from skygcs.runtime.flight_journal import FILE
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
@@ -44,6 +47,12 @@ Vector = tuple[float, float, float]
 
 SYSID_BYTE = 5
 """Of a MAVLink 2 frame, which is all that the simulated vehicles send."""
+
+UNIX_S = 1_700_000_000.0
+"""The wall clock at the begin of virtual time."""
+
+SPOOLED_UP_S = 10.0
+"""Its motors have run for so long."""
 
 HOLDING = frozenset({Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.LOITER, CopterMode.GUIDED})
 GOING_HOME = frozenset({Px4Mode.RTL, Px4Mode.LAND, CopterMode.RTL, CopterMode.LAND})
@@ -94,7 +103,7 @@ class Flown:
     told: list[Told] = field(default_factory=list)
     truth: dict[int, list[Truth]] = field(default_factory=dict)
     running: asyncio.Task[None] | None = None
-    """The daemon's life."""
+    """The life of ``daemon``."""
     also: list[Callable[[bytes], None]] = field(default_factory=list)
     """Called with each frame of the vehicles beside the link: their further radios."""
     cut: bool = False
@@ -102,6 +111,9 @@ class Flown:
 
     deaf: bool = False
     """Nothing of ours reaches the vehicles; all that they send comes."""
+
+    loses: frozenset[str] = frozenset()
+    """Names of messages of ours that do not reach the vehicles."""
 
     uplink_delay_s: float = 0.0
     """What is sent from now on reaches the vehicles so much later; the order is kept."""
@@ -117,6 +129,9 @@ class Flown:
         """Another ground station, whose frames reach the vehicles straight."""
         self._record()
         self.link.peer.on_bytes = self._to_vehicles
+        self._listen()
+
+    def _listen(self) -> None:
         self.daemon.event_log.subscribe(
             lambda e: self.told.append(Told(self.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
         )
@@ -165,6 +180,32 @@ class Flown:
         await asyncio.wait({self.running}, timeout=60.0)
         assert self.running.done() and self.now - began <= within_s, self.now - began
         self.running.result()
+
+    async def die(self, journal: Callable[[Path], None] = lambda path: None) -> None:
+        """SIGKILL: nothing is sent or written after it. ``journal``: what becomes of the file of what flies."""
+        self.cut = True
+        path = self.daemon.config.daemon.log_dir / FILE
+        kept = path.read_bytes() if path.exists() else None
+        assert self.running is not None
+        self.running.cancel()
+        await asyncio.gather(self.running, return_exceptions=True)
+        let_its_disk_finish(self.daemon)
+        if kept is not None:
+            path.write_bytes(kept)
+        journal(path)
+
+    async def begin_again(self) -> None:
+        """Another daemon with the same fleet file and folder, on the same link."""
+        self.daemon = Daemon(self.daemon.config, load_dialect(self.daemon.config.dialect))
+        self._listen()
+        self.running = asyncio.create_task(self.daemon.run(), name="the daemon that begins again")
+        await self.daemon.ready.wait()
+        link, before = self.daemon.links.link("air"), self.link
+        assert isinstance(link, MemoryLink)
+        link.peer.on_bytes = before.peer.on_bytes
+        self.link = link
+        self._record()
+        self.cut = False
 
     async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> float:
         """Wait for it; when it was."""
@@ -280,7 +321,8 @@ class Flown:
 
     def _arrive(self, raw: bytes) -> None:
         for frame in self._uplink.feed_datagram(raw):
-            self._fleet.on_frame(frame, self.now)
+            if frame.info is None or frame.info.name not in self.loses:
+                self._fleet.on_frame(frame, self.now)
 
     def _look(self, sim: SimVehicle) -> Truth:
         motion = sim.motion
@@ -305,6 +347,27 @@ class Flown:
         hub.on_sent = on_sent  # type: ignore[method-assign]
 
 
+def let_its_disk_finish(daemon: Daemon) -> None:
+    """Wait for the thread that writes the files of a daemon that has ended. `DiskWriter.close` waits in virtual time,
+    which goes on meanwhile."""
+    writer = daemon.fleet.disk._thread
+    writer.shutdown()
+    if writer._thread is not None:
+        writer._thread.join(30.0)
+        assert not writer._thread.is_alive()
+
+
+def _put_up(sim: SimVehicle, height_m: float, now: float) -> None:
+    """Armed, hovering, in the mode in which a take-off leaves it."""
+    assert isinstance(sim.motion, Quad)
+    sim.arm(now)
+    sim.armed_at = now - SPOOLED_UP_S
+    sim.motion.place(0.0, 0.0, height_m)
+    sim.landed, sim.flown_since_arming = False, True
+    sim.mode = Px4Mode.LOITER if sim.autopilot == mav.MAV_AUTOPILOT_PX4 else CopterMode.GUIDED
+    sim.hold_here()
+
+
 @contextlib.asynccontextmanager
 async def flown(
     tmp_path: Path,
@@ -320,13 +383,16 @@ async def flown(
     links: Mapping[str, Mapping[str, Any]] | None = None,
     tables: Mapping[str, Any] | None = None,
     takeoff: bool = True,
+    in_air: bool = False,
+    setpoints_end: bool = True,
     prepared: Callable[[FleetConfig], FleetConfig] = lambda config: config,
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
     defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4,
     any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further
-    ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground.
-    ``prepared``: what the daemon runs of the fleet file."""
+    ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground. ``in_air``:
+    they were brought there by the test, without an order. ``setpoints_end``: see that none is sent after control has
+    ended. ``prepared``: what the daemon runs of the fleet file. The wall clock goes with virtual time."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
@@ -337,43 +403,49 @@ async def flown(
         }
     )
     config = prepared(config)
-    daemon = Daemon(config, load_dialect(config.dialect))
-    sims = make_vehicles(
-        load_dialect("ardupilotmega"),
-        px4=px4,
-        ardupilot=ardupilot,
-        first_sysid=1,
-        home=FIELD,
-        now=daemon.now(),
-        unix_us=1_700_000_000_000_000,
-        conditions=conditions,
-    )
-    for sim in sims:
-        if sim.autopilot == mav.MAV_AUTOPILOT_PX4:
-            sim.params.set("COM_OBL_RC_ACT", int_param(5))  # as docs/explanation/flight-control.md asks for
-        for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
-            sim.params.set(name, value)  # a firmware that has none of this name takes no notice
-    running = asyncio.create_task(daemon.run(), name="the daemon")
-    await daemon.ready.wait()
-    link = daemon.links.link("air")
-    assert isinstance(link, MemoryLink)
-    gcs = Flown(daemon, sims, link, running=running)
-    living = asyncio.create_task(gcs.live())
-    try:
-        await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
-        await asyncio.sleep(7)  # the estimators converge
-        if takeoff:
-            await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
-            await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
-        await asyncio.sleep(5)  # nothing moves any more
-        yield gcs
-        assert all(s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS), (
-            "setpoints after the end"
+    loop = asyncio.get_running_loop()
+    with mock.patch("time.time", lambda: UNIX_S + loop.time()):
+        daemon = Daemon(config, load_dialect(config.dialect))
+        sims = make_vehicles(
+            load_dialect("ardupilotmega"),
+            px4=px4,
+            ardupilot=ardupilot,
+            first_sysid=1,
+            home=FIELD,
+            now=daemon.now(),
+            unix_us=1_700_000_000_000_000,
+            conditions=conditions,
         )
-        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
-    finally:
-        living.cancel()
-        await asyncio.gather(living, return_exceptions=True)
-        daemon.stop()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
+        for sim in sims:
+            if sim.autopilot == mav.MAV_AUTOPILOT_PX4:
+                sim.params.set("COM_OBL_RC_ACT", int_param(5))  # as docs/explanation/flight-control.md asks for
+            for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
+                sim.params.set(name, value)  # a firmware that has none of this name takes no notice
+        running = asyncio.create_task(daemon.run(), name="the daemon")
+        await daemon.ready.wait()
+        link = daemon.links.link("air")
+        assert isinstance(link, MemoryLink)
+        gcs = Flown(daemon, sims, link, running=running)
+        living = asyncio.create_task(gcs.live())
+        try:
+            await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
+            await asyncio.sleep(7)  # the estimators converge
+            if in_air:
+                for sim in sims:
+                    _put_up(sim, height_m, daemon.now())
+            elif takeoff:
+                await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
+                await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
+            await asyncio.sleep(5)  # nothing moves any more
+            yield gcs
+            assert not setpoints_end or all(
+                s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS
+            ), "setpoints after the end"
+            assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
+        finally:
+            living.cancel()
+            await asyncio.gather(living, return_exceptions=True)
+            gcs.daemon.stop()
+            assert gcs.running is not None
+            with contextlib.suppress(asyncio.CancelledError):
+                await gcs.running

@@ -18,6 +18,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.links.outgoing import OwnMessage
+from skygcs.links.reading import ReadingTurns
 
 
 @cache
@@ -55,7 +56,10 @@ class RecordingHost:
     def __init__(self) -> None:
         self.dialect = common_dialect()
         self.fast_path = None
+        self.reading = ReadingTurns()
         self.channels: list[Channel] = []
+        self.flying: set[Channel] = set()
+        """Channels that are the last way to a vehicle in the air."""
         self.detached: list[tuple[Channel, str]] = []
         self.heard: list[tuple[Channel, Frame]] = []
         self.sent: list[tuple[Channel, OwnMessage, bytes]] = []
@@ -90,6 +94,9 @@ class RecordingHost:
 
     def carries_autopilot(self, channel: Channel) -> bool:
         return any(c is channel and f.msgid == 0 and discovers(f) for c, f in self.heard)
+
+    def leads_to_flying(self, channel: Channel) -> bool:
+        return channel in self.flying
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
         return True

@@ -75,6 +75,11 @@ class Racer:
     async def call(self, method: str, vehicle: str, **params: Any) -> None:
         await self.methods[method]({"vehicle": vehicle, **params})
 
+    def has_hub(self) -> bool:
+        """Whether its leases may be taken."""
+        leases = self.leases._leases.values()
+        return bool(leases) and all(lease._connected for lease in leases)
+
     def states(self) -> Counter[str]:
         return Counter(lease["state"] for lease in self.leases.status()["leases"])
 
@@ -99,7 +104,7 @@ async def race(hub: Hub, rounds: int, vehicles: int) -> dict[str, Any]:
         racers = [Racer(site, bus, names) for site, bus in zip(RACERS, (north_bus, south_bus), strict=True)]
         running = [asyncio.create_task(racer.leases.run()) for racer in racers]
         try:
-            await until(lambda: all(r.states().total() == vehicles for r in racers), "the parts run")
+            await until(lambda: all(r.states().total() == vehicles and r.has_hub() for r in racers), "the parts run")
             for number in range(rounds):
                 await _all(racers, "federation.release", names)
                 if number == 0:

@@ -91,9 +91,10 @@ async def on_air(
     link: Mapping[str, Any] | None = None,
     defaults: Mapping[str, Any] | None = None,
     stations: int = 0,
+    tables: Mapping[str, Any] | None = None,
 ) -> AsyncIterator[OnAir]:
     """From the moment at which the link is open; nobody has been heard yet. ``stations``: memory links "gcs0" and so on
-    for as many ground stations."""
+    for as many ground stations. ``tables``: further tables of the fleet file."""
     air = {"type": "simulated", "role": "radio", "px4": px4, "ardupilot": ardupilot, "dynamics": "kinematic"}
     config = FleetConfig.model_validate(
         {
@@ -104,6 +105,7 @@ async def on_air(
                 **{f"gcs{number}": {"type": "memory", "role": "gcs"} for number in range(stations)},
             },
             "defaults": dict(defaults or {}),
+            **(tables or {}),
         }
     )
     daemon = Daemon(config, load_dialect(config.dialect))

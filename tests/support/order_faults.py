@@ -32,6 +32,7 @@ from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import DaemonOrders
 from skygcs.federation.orders_sent import OrdersSent, RemoteVehicle
 from skygcs.federation.orders_taken import OrdersTaken
+from support.inline_disk import inline_disk
 
 VEHICLES = tuple(f"v{number}" for number in range(1, 9))
 LENGTH_S = 12.0
@@ -149,7 +150,9 @@ class HomeBridge:
         orders = DaemonOrders(self._daemon.client, self._loop)
         self._connection = self._loop.create_task(orders.run(), name="daemon orders")
         file = AuditFile(self._path)
-        self.taken = OrdersTaken(self.site, orders, file, publish, lambda _: None, self._clock, self._loop)
+        self.taken = OrdersTaken(
+            self.site, orders, file, inline_disk(self._loop), publish, lambda _: None, self._clock, self._loop
+        )
         return self.taken
 
     async def stop(self) -> None:

@@ -10,8 +10,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from skygcs.rpc.identity import make_identity, pin
-from skygcs.rpc.tls import Identity
+from skygcs.ext.companions.identity import make_identity, pin
+from skygcs.ext.companions.tls import Identity
 
 NAME = "alpha"
 LONG_AGO = datetime(2001, 1, 1, tzinfo=UTC)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -11,6 +12,10 @@ from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, Ti
 from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import MotionLimits
+from skygcs.daemon import Daemon
+from skygcs.planning.process import OnProgress, ProcessLimits
+from skygcs.planning.worker import answered
+from skygcs.runtime.planning_queue import PlanningQueue
 from support.flown import Flown
 
 Vector = tuple[float, float, float]
@@ -42,6 +47,16 @@ def content(plan: Plan, space: FlightSpace | None = None) -> dict[str, Any]:
 async def inline(work: Callable[..., Any], *arguments: Any) -> Any:
     """In place of a thread, which virtual time would not wait for."""
     return work(*arguments)
+
+
+def instant_planning(daemon: Daemon) -> None:
+    """Calls in place of the planning processes, for which virtual time does not wait."""
+
+    async def here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
+        return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
+
+    daemon.planning = PlanningQueue(asyncio.get_running_loop(), here)
+    daemon.fleet.plans.runner.work = inline
 
 
 async def load(gcs: Flown, plan: Plan, space: FlightSpace | None = None) -> None:

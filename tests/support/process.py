@@ -162,9 +162,9 @@ class DaemonProcess:
     def known(self) -> int:
         return int(self.call("daemon.info")["vehicles"])
 
-    def cli(self, *words: str) -> subprocess.CompletedProcess[str]:
+    def cli(self, *words: str, timeout_s: float = TIMEOUT_S) -> subprocess.CompletedProcess[str]:
         """`skygcs-cli` against this daemon."""
-        return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=timeout_s, check=False)
 
     def command(self, *words: str) -> list[str]:
         """`skygcs-cli` against this daemon, to be started."""

@@ -22,6 +22,7 @@ from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.vehicle_services import VehicleServices, WideLinks
+from support.inline_disk import inline_disk
 
 
 class KnownLinks(WideLinks):
@@ -67,6 +68,7 @@ def services(
         list,
         param_cache or ParamCache(None),
         UndoJournal(log_dir / "undo"),
+        inline_disk(loop, on_event),
         log_dir=log_dir,
     )
 
@@ -89,6 +91,9 @@ class ListeningFleet:
 
     def replaced(self, key: int) -> None:
         pass
+
+    def may_fly(self, key: int) -> bool:
+        return False
 
     def vehicles_of(self, sysid: int) -> list[Vehicle]:
         return []

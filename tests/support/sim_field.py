@@ -11,6 +11,7 @@ from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import Clearance
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.sim.kinematics import LocalFrame
@@ -69,7 +70,7 @@ class SimField:
         priority: Priority,
         *,
         everywhere: bool = False,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         self._seq += 1
         self.on_send(info.name, values)

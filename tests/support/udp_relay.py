@@ -43,6 +43,7 @@ class Truth:
     lat_deg: float = 0.0
     lon_deg: float = 0.0
     alt_rel_m: float = 0.0
+    alt_amsl_m: float = 0.0
     speed_mps: float = 0.0
     heartbeat_at: float = -math.inf
     texts: list[tuple[float, str]] = field(default_factory=list)
@@ -66,7 +67,7 @@ class Truth:
                 self.modes.append((now, mode))
         elif kind == "GLOBAL_POSITION_INT":
             self.lat_deg, self.lon_deg = message.lat / 1e7, message.lon / 1e7
-            self.alt_rel_m = message.relative_alt / 1000
+            self.alt_rel_m, self.alt_amsl_m = message.relative_alt / 1000, message.alt / 1000
             self.speed_mps = math.hypot(message.vx, message.vy, message.vz) / 100
             self.track.append((now, self.lat_deg, self.lon_deg, self.alt_rel_m))
             self.clock.append((now, message.time_boot_ms / 1000))

@@ -17,6 +17,7 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import Clearance
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -106,7 +107,7 @@ class Sent:
         compid: int,
         priority: Priority,
         everywhere: bool = False,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ):
         raw = encode(info, values, sysid=255, compid=25, seq=0)
         (self.message,) = PymavPeer(1, 1).mav.parse_buffer(raw)
@@ -198,7 +199,7 @@ class ScriptedVehicle(Voice):
             await asyncio.sleep(1.0)
 
     def _hear(self, sent: Sent) -> None:
-        identify = sent.name == "COMMAND_LONG" and sent.command == 512 and sent.priority is Priority.PROTOCOL
+        identify = sent.name == "COMMAND_LONG" and sent.command in (512, 42428) and sent.priority is Priority.PROTOCOL
         if not self.silent and not identify:
             self.got.append(sent)
             self.script(self, sent)
@@ -282,7 +283,7 @@ class Ground:
         priority: Priority,
         *,
         everywhere: bool = False,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         sent = Sent(info, values, sysid, compid, priority, everywhere)
         self.sent.append(sent)

@@ -17,7 +17,7 @@ from typing import Any
 
 import uvloop
 
-IDLE_TURNS = 3
+IDLE_TURNS = 2
 """Turns of the loop with nothing to do before the clock goes on: descriptors that are ready are read in them."""
 
 NEVER_S = 1e6

@@ -69,7 +69,7 @@ def test_the_ground_flies_it_through_its_companion(pair: tuple[DaemonProcess, Da
     held = ground.call("vehicles.hold", targets=NAME)["outcomes"][NAME]
     assert held["ok"], held
     wait_until(lambda: companion.call("control.status", targets="all")[0]["state"] == "off", "the release came")
-    assert control()["state"] == "off"
+    wait_until(lambda: control()["state"] == "off", "the ground has the companion's next report")
 
     companion.kill()
     wait_until(lambda: ground.call("companions.status")["companions"][0]["state"] == "down", "the ground notices")

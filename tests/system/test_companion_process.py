@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.rpc.client import connect_pinned
+from skygcs.ext.companions.pinned_client import connect_pinned
 from support.pinned import NAME, make_pair
 from support.process import DaemonProcess, free_port, wait_until
 

@@ -49,8 +49,8 @@ PAGES_NOT_RUN = {
     "docs/howto/companions-bring-up.md": "companions with SSH; tests/lab/test_companions_up.py",
     "docs/howto/corrections.md": "a source of RTCM corrections; tests/integration/test_corrections.py",
     "docs/howto/federation.md": "a hub; tests/federation/test_processes.py",
-    "docs/howto/fly-plans.md": "a plan of the reader's; tests/integration/test_plan_flight.py",
     "docs/howto/fly-real-firmware.md": "autopilot firmware; make test-firmware",
+    "docs/howto/fly-several.md": "files of the reader's; tests/integration/test_plan_flight.py",
     "docs/howto/fly-setpoints.md": "a flight; test_docs_programs.py flies by its program",
     "docs/howto/joystick.md": "a joystick; tests/system/test_joystick_process.py",
     "docs/howto/mavlink-router.md": "a configuration of mavlink-router",
@@ -59,8 +59,6 @@ PAGES_NOT_RUN = {
     "docs/howto/own-message.md": "a vehicle that sends a message of its own",
     "docs/howto/radio-setup.md": "SiK radios; tests/system/test_radio_setup.py",
     "docs/howto/service.md": "systemd; tests/lab/test_systemd.py",
-    "docs/howto/tables.md": "a table of the reader's",
-    "docs/howto/trajectories.md": "a trajectory of the reader's; tests/integration/test_trajectory_flight.py",
     "docs/howto/web.md": "a browser; tests/web",
     "docs/howto/xbee.md": "an XBee module; tests/system/test_xbee.py",
     "docs/reference/control-trace.md": "a trace of a flight",
@@ -160,6 +158,7 @@ TLOG = ROOT / "tests" / "data" / "sitl-3ardupilot-2px4.tlog"
 FILES: dict[str, bytes] = {
     "field.plan": json.dumps(PLAN).encode(),
     "survey.plan": json.dumps(PLAN).encode(),
+    "configs/survey.plan": (ROOT / "configs" / "survey.plan").read_bytes(),
     "site.plan": json.dumps(PLAN).encode(),
     "bravo.params": b"2\t1\tMPC_XY_CRUISE\t4.0\t9\n",
     "lab.param": b"RTL_RETURN_ALT,20\nRTL_ALT,2000\n",
@@ -189,6 +188,7 @@ def lines(page: str) -> list[str]:
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[DaemonProcess]:
     for name, content in FILES.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(content)
     with DaemonProcess(tmp_path, FLEET, name="lab") as daemon:
         wait_until(lambda: daemon.known() == 3, "three vehicles are known")

@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.mocap import MocapConfig
-from skygcs.core.mocap.recording import CaptureFrameData, frame_lines
 from skygcs.events import Event
-from skygcs.runtime.mocap_child import MocapChild
+from skygcs.ext.mocap.capture_process import CaptureProcess
+from skygcs.ext.mocap.config import MocapConfig
+from skygcs.ext.mocap.recording import CaptureFrameData, frame_lines
 
 pytestmark = pytest.mark.system
 
@@ -60,9 +60,9 @@ class Heard:
 
 
 @asynccontextmanager
-async def child(heard: Heard, command: list[str] | None = None, **mocap: Any) -> AsyncIterator[MocapChild]:
+async def child(heard: Heard, command: list[str] | None = None, **mocap: Any) -> AsyncIterator[CaptureProcess]:
     config = MocapConfig.model_validate({"bodies": {"alpha": "a"}, **mocap})
-    made = MocapChild(config, asyncio.get_running_loop(), heard.on_frame, heard.events.append, command=command)
+    made = CaptureProcess(config, asyncio.get_running_loop(), heard.on_frame, heard.events.append, command=command)
     running = asyncio.create_task(made.run())
     try:
         yield made
@@ -140,7 +140,7 @@ async def test_a_process_that_writes_nonsense_is_not_believed() -> None:
 def test_it_ends_with_its_parent_even_in_a_call_that_does_not_end(tmp_path: Path, fake_package: None) -> None:
     parent = textwrap.dedent("""
         import subprocess, sys, time
-        line = [sys.executable, "-m", "skygcs.mocap.worker", "--system", "vicon", "--host", "dead"]
+        line = [sys.executable, "-m", "skygcs.ext.mocap.worker", "--system", "vicon", "--host", "dead"]
         child = subprocess.Popen(line, stdout=subprocess.PIPE)
         child.stdout.readline()
         print(child.pid, flush=True)

@@ -18,7 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.rpc.methods import METHODS
+from support.extension_parts import ALL_METHODS
 from support.process import ROOT, DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
@@ -200,7 +200,7 @@ def fly(row: Row, daemon: DaemonProcess) -> None:
 
 
 def test_every_method_of_the_page_exists() -> None:
-    assert {method for row in ROWS for method in row.methods} - set(METHODS) == set()
+    assert {method for row in ROWS for method in row.methods} - set(ALL_METHODS) == set()
 
 
 def test_every_row_has_a_command_and_something_to_see_it_by() -> None:

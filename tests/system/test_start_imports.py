@@ -16,7 +16,6 @@ HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "
 SPARED = (
     "_bz2",
     "_hashlib",
-    "_lzma",
     "_ssl",
     "colorama",
     "email",
@@ -27,8 +26,8 @@ SPARED = (
     "skygcs.links.simulated",
     "skygcs.rpc.missions",
     "skygcs.rpc.params",
-    "skygcs.runtime.companion_control",
-    "skygcs.runtime.ground_orders",
+    "skygcs.ext.companions.companion_control",
+    "skygcs.ext.companions.ground_orders",
     "skygcs.runtime.plan_runner",
     "skygcs.sim",
     "sysconfig",

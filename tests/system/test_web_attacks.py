@@ -239,7 +239,7 @@ def hovers(params: dict[str, Any]) -> bool:
 
 def lost(page: WebPage) -> list[str]:
     events = [n["params"]["event"] for n in page.notices if n.get("method") == "event"]
-    return [event["text"] for event in events if "no operator or client" in event["text"]]
+    return [e["text"] for e in events if e["kind"] == "warning" and "no operator or client" in e["text"]]
 
 
 # -- TLS

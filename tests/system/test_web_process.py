@@ -14,6 +14,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+import yarl
 
 from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.http_server import MAX_SOCKETS_EACH, MAX_VIEW_SOCKETS
@@ -139,11 +140,9 @@ async def test_every_answer_has_the_headers_that_protect_the_page(station: WebSt
     ["/assets/../../web_process.py", "/assets/..%2f..%2fweb_process.py", "/assets/%00", "/web_process.py", "/assets/"],
 )
 async def test_only_files_of_the_built_page_are_served(station: WebStation, path: str) -> None:
-    async with page_of(station, ws=False) as page:
-        from yarl import URL
-
-        async with page.session.get(URL(station.base + path, encoded=True)) as answer:
-            assert answer.status in (400, 404)
+    wanted = yarl.URL(station.base + path, encoded=True)
+    async with page_of(station, ws=False) as page, page.session.get(wanted) as answer:
+        assert answer.status in (400, 404)
 
 
 # -- floods

@@ -9,6 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from support.source_trees import source_files, tree_of
+
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOOLS = {"test", "docs", "dev"}
@@ -30,8 +32,8 @@ def modules(requirements: list[str]) -> set[str]:
 def imported() -> dict[str, set[str]]:
     """Each module from elsewhere, with the files that import it, at the top or when they need it; types alone too."""
     found: dict[str, set[str]] = {}
-    for path in (ROOT / "src/skygcs").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path in source_files():
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.level == 0:

@@ -6,23 +6,27 @@ test_docs_shell.py run what can be run.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
 
-from skygcs.cli.main import app, hoisted, json_last
-from skygcs.cli.serve import _parser
+from skygcs.cli.main import EXAMPLE, app, hoisted, json_last
+from skygcs.cli.serve import new_parser
 from support.shell_examples import PAGES, ROOT, SHELL, blocks, calls, commands, label
+from support.table import each
 
 CODE_SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
 ROOT_COMMAND = typer.main.get_command(app)
-ARGPARSE = _parser()
+ARGPARSE = new_parser()
 
 
 def parse(words: list[str]) -> None:
@@ -47,10 +51,40 @@ def parse(words: list[str]) -> None:
         raise AssertionError(f"{' '.join(words)}: {type(error).__name__}: {error}") from None
 
 
-@pytest.mark.parametrize("page", PAGES, ids=label)
+@each("page", PAGES)
 def test_every_command_is_one(page: Path) -> None:
     for words in commands(page):
         parse(words)
+
+
+def help_pages() -> Iterator[tuple[str, str]]:
+    """Each command and group of both programs, and the text of its help that may have the example."""
+
+    def of_cli(command: Any, words: str) -> Iterator[tuple[str, str]]:
+        yield words, f"{command.help}\n\n{command.epilog or ''}"
+        for name, inner in getattr(command, "commands", {}).items():
+            yield from of_cli(inner, f"{words} {name}")
+
+    def of_skygcs(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+        yield parser.prog, parser.epilog or ""
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for inner in action.choices.values():
+                    yield from of_skygcs(inner)
+
+    for name, command in ROOT_COMMAND.commands.items():
+        yield from of_cli(command, f"skygcs-cli {name}")
+    yield from of_skygcs(ARGPARSE)
+
+
+def test_each_help_page_has_an_example_of_its_command() -> None:
+    pages = dict(help_pages())
+    assert len(pages) > 150
+    for command, text in pages.items():
+        found = EXAMPLE.search(text)
+        assert found is not None and found[1].startswith(f"{command}"), f"{command}: no line `Example: {command} …`"
+        for words in calls(found[1]):
+            parse(words)
 
 
 def test_most_commands_are_found_in_the_pages() -> None:
@@ -58,7 +92,7 @@ def test_most_commands_are_found_in_the_pages() -> None:
     assert sum(1 for page in PAGES for _ in commands(page)) > 150
 
 
-@pytest.mark.parametrize(
+@each(
     "line", ["skygcs-cli takeof all", "skygcs-cli goto alpha --enuu 1,2,3", "skygcs-cli status a b c", "skygcs runn f"]
 )
 def test_a_wrong_command_is_found(line: str) -> None:
@@ -67,7 +101,7 @@ def test_a_wrong_command_is_found(line: str) -> None:
         parse(words)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=label)
+@each("page", PAGES)
 def test_commands_named_in_the_text_and_their_options_exist(page: Path) -> None:
     prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
     for span in CODE_SPAN.findall(prose):
@@ -86,7 +120,7 @@ def test_commands_named_in_the_text_and_their_options_exist(page: Path) -> None:
             assert unknown == [], f"no such option in `{span}`"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=label)
+@each("page", PAGES)
 def test_programs_compile_and_import_what_is_there(page: Path) -> None:
     for program in blocks(page, "python"):
         for node in ast.walk(ast.parse(program, label(page))):
@@ -95,14 +129,14 @@ def test_programs_compile_and_import_what_is_there(page: Path) -> None:
                 assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=label)
+@each("page", PAGES)
 def test_json_is_json(page: Path) -> None:
     for text in blocks(page, "json"):
         for line in text.splitlines():
             json.loads(line)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=label)
+@each("page", PAGES)
 def test_targets_of_make_exist(page: Path) -> None:
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
     text = page.read_text(encoding="utf-8")
@@ -121,7 +155,7 @@ def anchors(page: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=label)
+@each("page", [*PAGES, ROOT / "CHANGELOG.md"])
 def test_every_link_leads_somewhere(page: Path) -> None:
     """`make docs` checks those within docs/ too; this one those of the pages beside it, and without MkDocs."""
     text = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)

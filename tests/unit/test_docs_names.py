@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
-from skygcs.rpc.methods import METHODS
+from skygcs.cli.topics import EXTENSION_COMMANDS, EXTENSION_PROGRAMS
+from skygcs.config.extension_tables import GROUP
+from support.extension_parts import ALL_METHODS
+from support.source_trees import SRC, source_files, tree_of
+from support.table import each
 
 ROOT = Path(__file__).resolve().parents[2]
-SRC = ROOT / "src" / "skygcs"
 PAGES = sorted([*ROOT.glob("docs/**/*.md"), *ROOT.glob("*.md")])
 HISTORY = {"CHANGELOG.md"}
 """Names what was called otherwise then."""
@@ -26,6 +25,8 @@ PATH = re.compile(
     r"(?<![\w./*$~-])((?:[\w.-]+/)+[\w.-]+\.(?:py|c|h|toml|md)|(?:src/skygcs|core|sim|tlog|modem|links|runtime|rpc|config|cli)/[\w/]+|\w+\.py)\b"
 )
 MODULE = re.compile(r"\bskygcs(?:\.[A-Za-z_]\w*)+")
+ENTRY_POINTS = (GROUP, EXTENSION_COMMANDS, EXTENSION_PROGRAMS)
+"""Groups of entry points, which look like modules."""
 FILES = (".sock", ".service", ".toml")
 """Names of files that look like modules."""
 MEMBER = re.compile(r"\b([A-Z][a-z]\w*)\.([a-z_]\w*)\b")
@@ -35,8 +36,9 @@ MEMBER = re.compile(r"\b([A-Z][a-z]\w*)\.([a-z_]\w*)\b")
 def classes() -> dict[str, set[str]]:
     """Class name -> names of its members, those of its bases in `src/` included."""
     own: dict[str, tuple[set[str], list[str]]] = {}
-    for path in [*SRC.glob("**/*.py"), *SRC.glob("**/*.pyi")]:
-        for node in ast.walk(ast.parse(path.read_text())):
+    stubs = [ast.parse(path.read_text()) for path in SRC.glob("**/*.pyi")]
+    for tree in [*map(tree_of, source_files()), *stubs]:
+        for node in tree.body:
             if isinstance(node, ast.ClassDef):
                 bases = [base.id for base in node.bases if isinstance(base, ast.Name)]
                 members, known_bases = own.get(node.name, (set(), []))
@@ -64,12 +66,18 @@ def _inherited(name: str, own: dict[str, tuple[set[str], list[str]]]) -> set[str
     return members.union(*(_inherited(base, own) for base in bases if base != name))
 
 
+@cache
+def file_names() -> set[str]:
+    return {path.name for folder in ("src", "tests") for path in (ROOT / folder).rglob("*.*")}
+
+
 def path_exists(text: str, page: Path) -> bool:
     if "/" not in text:  # one of several in a list: `core/routing/router.py`, `filters.py`
-        return any(ROOT.glob(f"src/**/{text}")) or any(ROOT.glob(f"tests/**/{text}")) or (ROOT / text).exists()
+        return text in file_names() or (ROOT / text).exists()
     return any((base / text).exists() or (base / text).with_suffix(".py").exists() for base in (ROOT, SRC, page.parent))
 
 
+@cache
 def module_exists(dotted: str) -> bool:
     """A module, or something defined at the top of one, or a member of such a class."""
     parts = dotted.split(".")[1:]
@@ -90,12 +98,16 @@ def module_exists(dotted: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.name not in HISTORY], ids=lambda p: str(p.relative_to(ROOT)))
+@each("page", [p for p in PAGES if p.name not in HISTORY])
 def test_what_a_page_names_exists(page: Path) -> None:
     text = page.read_text()
     spans = CODE_SPAN.findall(FENCE.sub("", text))
     missing = [p for span in spans for p in PATH.findall(span) if not path_exists(p, page)]
-    missing += [name for name in MODULE.findall(text) if not name.endswith(FILES) and not module_exists(name)]
+    missing += [
+        name
+        for name in MODULE.findall(text)
+        if name not in ENTRY_POINTS and not name.endswith(FILES) and not module_exists(name)
+    ]
     missing += [
         f"{name}.{member}"
         for name, member in MEMBER.findall("\n".join(spans))
@@ -104,7 +116,7 @@ def test_what_a_page_names_exists(page: Path) -> None:
     assert missing == []
 
 
-@pytest.mark.parametrize("page", ["docs/explanation/architecture.md", "CONTRIBUTING.md"])
+@each("page", ["docs/explanation/architecture.md", "CONTRIBUTING.md"])
 def test_the_pages_about_the_code_name_only_what_it_has(page: str) -> None:
     """There also drawings count, and a class that `src/` does not have is a mistake."""
     text = (ROOT / page).read_text()
@@ -122,15 +134,17 @@ def files() -> list[Path]:
     return sorted(SRC.glob("**/*.py"))
 
 
+COMMENT_OR_TEXT = re.compile(r'"""(.*?)"""|(?:^|\s)(#[^\n]*`[^\n]*)', re.S)
+"""A docstring, those behind attributes included, or a comment with a code span. Tokens and trees would take 10 s."""
+
+
 def texts(path: Path) -> Iterator[tuple[int, str]]:
-    """(line, text) of each comment and docstring, those behind attributes included."""
+    """(line, text) of each comment and docstring that names something."""
     source = path.read_text()
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            yield token.start[0], token.string
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            yield node.lineno, node.value.value
+    for match in COMMENT_OR_TEXT.finditer(source):
+        text = match[1] or match[2] or ""
+        if "`" in text:
+            yield source.count("\n", 0, match.start()) + 1, text
 
 
 @cache
@@ -161,9 +175,10 @@ def words() -> set[str]:
     return found
 
 
+@cache
 def exists(dotted: str) -> bool:
     first, second = dotted.split(".")[:2]
-    if dotted in METHODS or dotted.endswith(OTHER_FILES):
+    if dotted in ALL_METHODS or dotted in ENTRY_POINTS or dotted.endswith(OTHER_FILES):
         return True
     if first == "skygcs":
         return module_exists(dotted)
@@ -175,7 +190,7 @@ def exists(dotted: str) -> bool:
     return not candidates or any(map(module_exists, candidates))
 
 
-@pytest.mark.parametrize("path", files(), ids=lambda p: str(p.relative_to(SRC)))
+@each("path", files())
 def test_what_a_docstring_names_exists(path: Path) -> None:
     missing = []
     for line, text in texts(path):
@@ -184,6 +199,12 @@ def test_what_a_docstring_names_exists(path: Path) -> None:
             if (match := WORD.fullmatch(span)) is not None and match[1] not in words():
                 missing.append(f"{line}: {span}")
     assert missing == []
+
+
+def test_comments_and_docstrings_are_read_and_other_strings_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text('"""Of `a`."""\nX = "`no`"  # of `b`\nY = 1\n"""Of\n`c`."""\n# nothing\n')
+    assert list(texts(path)) == [(1, "Of `a`."), (2, "# of `b`"), (4, "Of\n`c`.")]
 
 
 def test_a_name_that_does_not_exist_is_found() -> None:

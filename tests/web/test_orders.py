@@ -174,7 +174,7 @@ def test_stop_is_one_action_without_a_selection(page: Page, way: str) -> None:
     else:
         page.get_by_role("searchbox").click()
         page.keyboard.press("F8")
-    expect(page.locator(".toast").first).to_contain_text("STOP all")
+    expect(page.locator(".stopboard")).to_contain_text("STOP")
     page.mouse.up()
     page.wait_for_timeout(200)
     [message] = sent(page, "vehicles.stop")
@@ -243,7 +243,7 @@ def test_a_lost_connection_leaves_the_order_unknown_and_it_is_not_sent_again(
         expect(button).to_be_disabled()
     orders = len(sent(page, "vehicles.arm"))
     page.keyboard.press("Shift+S")
-    expect(page.locator(".toast").first).to_contain_text("nothing was sent")
+    expect(page.get_by_role("region", name="What STOP has come to")).to_contain_text("nothing was sent")
     shot(page, "order-not-connected")
     station.start_web()
     page.wait_for_timeout(6_000)

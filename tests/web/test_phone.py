@@ -110,7 +110,7 @@ def test_select_by_touch_hold_an_order_by_touch_and_stop(page: Page, shot: Shot)
     client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
     expect(page.locator(".toast").first).to_contain_text("Arm")
     page.get_by_role("button", name="Stop all vehicles").tap()
-    expect(page.locator(".toast").first).to_contain_text("STOP all")
+    expect(page.locator(".stopboard")).to_contain_text("STOP")
     until(page, "skygcs.store.state.orders.filter(o => o.method === 'vehicles.stop').length === 1")
 
 

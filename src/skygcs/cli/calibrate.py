@@ -37,7 +37,7 @@ class CalibrateSensor(StrEnum):
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Orders")(calibrate)
+    app.command()(calibrate)
 
 
 def calibrate(
@@ -55,6 +55,8 @@ def calibrate(
 
     gyro, level: leave the vehicle standing still. compass: turn it around all axes. accel: six poses; a PX4 finds them
     by itself, an ArduCopter waits for Enter in each. Reboot an ArduCopter afterwards.
+
+    Example: skygcs-cli calibrate alpha compass
     """
     if cancel + confirm + (sensor is not None) != 1:
         raise typer.BadParameter("give a sensor (gyro, level, compass, accel), --cancel or --confirm")

@@ -7,27 +7,33 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import contextvars
 import itertools
+import json
 import os
 import re
 import sys
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NoReturn
 
 import typer
 
-from skygcs.cli.render import outcome_lines, print_json, print_lines, screen_width, wrapped
+from skygcs.cli.interruption import Unanswered, explain
+from skygcs.cli.order_output import JsonForm, OrderOutput
+from skygcs.cli.render import PIPE_WIDTH, cut, outcome_lines, print_json, print_lines, screen_width, wrapped
 from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, client_token, tcp_address
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.error_codes import INVALID_PARAMS, METHOD_NOT_FOUND, NOT_AUTHENTICATED
+from skygcs.terminal_text import visible
 
 ALL_SITES = "all sites"
 EVERY_SITE = "*/all"
 _OTHER_SITE = re.compile(r"(?:\*|[a-z][a-z0-9-]{0,15})/.+")
+_RANGE = re.compile(r"\d-\d")
 _COMPONENT = re.compile(r".*/\d{1,3}")
 
 USAGE_ERRORS = (METHOD_NOT_FOUND, INVALID_PARAMS)
@@ -49,6 +55,11 @@ DEBUG_VARIABLE = "SKYGCS_DEBUG"
 READ_BYTES = 65536
 
 
+_UNIT = re.compile(r"_(m|deg|s|mps|mps2|hz|rad|amsl_m|rel_m)$")
+
+_JSON_IS_WANTED: contextvars.ContextVar[bool] = contextvars.ContextVar("json", default=False)
+
+
 class Exit(IntEnum):
     """Exit codes of `skygcs-cli`."""
 
@@ -60,12 +71,22 @@ class Exit(IntEnum):
 
 
 def run(command: Callable[[Client], Awaitable[int | None]], *, station: bool = False) -> NoReturn:
-    """Connect, run ``command``, exit with the code it returns (None: 0). Errors become one line and an exit code.
-    ``station``: connect to the station socket."""
+    """Connect, run ``command``, exit with the code it returns (None: 0). Errors become one line and an exit code; after
+    Ctrl-C it is said what goes on of the orders that were sent. ``station``: connect to the station socket."""
 
     async def connected() -> int:
-        async with client(station=station) as gcs:
-            return await command(gcs) or Exit.DONE
+        pending: list[Unanswered] = []
+        gcs = client(station=station)
+        try:
+            async with gcs:
+                try:
+                    return await command(gcs) or Exit.DONE
+                except asyncio.CancelledError:
+                    pending = [Unanswered(*request) for request in gcs.unanswered()]
+                    raise
+        except asyncio.CancelledError:
+            await explain(pending, client(station=station))
+            raise
 
     run_offline(lambda: asyncio.run(connected()))
 
@@ -99,15 +120,38 @@ def run_offline(command: Callable[[], int | None]) -> NoReturn:
     raise typer.Exit(_guarded(command))
 
 
-def run_order(method: str, json_output: bool, **params: Any) -> NoReturn:
-    """Call a method that orders vehicles to do something, print their outcomes, exit 0 if all succeeded."""
+def run_order(method: str, form: JsonForm, **params: Any) -> NoReturn:
+    """Call a method that orders vehicles to do something, print each outcome as it comes, exit 0 if all succeeded."""
 
     async def command(gcs: Client) -> int:
-        async with waiting(f"{method} {params.get('targets', '')}".rstrip()):
-            answer = await gcs.call(method, **params)
-        return print_outcomes(answer["outcomes"], json_output)
+        return exit_code(await give_order(gcs, method, form, **params))
 
     run(command, station=names_other_sites(params.get("targets")))
+
+
+async def give_order(gcs: Client, method: str, form: JsonForm, **params: Any) -> Mapping[str, Mapping[str, Any]]:
+    """Call a method that orders vehicles to do something, and print each outcome as it comes. Returns all."""
+    label = f"{method.removeprefix('vehicles.')} {params.get('targets', '')}".rstrip()
+    output = OrderOutput(form, clear_spinner)
+    async with waiting(lambda: f"{label}: {output.awaited}".removesuffix(": ")):
+        outcomes = await gcs.order(method, on_vehicles=output.begin, on_outcome=output.take, **params)
+    output.end()
+    if form is None:
+        await _note_absent(gcs, params.get("targets"))
+    return outcomes
+
+
+async def _note_absent(gcs: Client, targets: object) -> None:
+    """Name the system ids of a range that no vehicle has, to a person: one of them may be a vehicle that is expected.
+    After the outcomes, because no order waits for it."""
+    if not isinstance(targets, str) or _RANGE.search(targets) is None:
+        return
+    from skygcs.core.vehicle.targets import absent_sysids, expression_of  # only a range needs it
+
+    with contextlib.suppress(SkygcsError):
+        there = await gcs.call("vehicles.list", targets=targets)
+        if absent := absent_sysids(targets, (vehicle["sysid"] for vehicle in there)):
+            typer.echo(f"skygcs-cli: no vehicle has the system ids {expression_of(absent)}", err=True)
 
 
 def run_show(method: str, json_output: bool, lines: Callable[[Any], Iterable[str]], **params: Any) -> NoReturn:
@@ -137,9 +181,23 @@ def exit_code(outcomes: Mapping[str, Mapping[str, Any]]) -> Exit:
     return Exit.DONE if all(outcome["ok"] for outcome in outcomes.values()) else Exit.FAILED
 
 
+def want_json(arguments: Sequence[str]) -> None:
+    """Errors of this process are JSON from now on if the command line asks for JSON."""
+    options = itertools.takewhile(lambda argument: argument != "--", arguments)
+    _JSON_IS_WANTED.set(not {"--json", "--json-lines"}.isdisjoint(options))
+
+
+def json_is_wanted() -> bool:
+    """True if the command line asks for JSON."""
+    return _JSON_IS_WANTED.get()
+
+
 def fail(text: str) -> None:
-    """Print one line on stderr; on a terminal it is wrapped between words."""
-    typer.echo(wrapped(f"skygcs-cli: {text}", screen_width(sys.stderr), indent=2), err=True)
+    """Print one error on stderr: a line, which is wrapped between words on a terminal, or with --json one object."""
+    if json_is_wanted():
+        typer.echo(json.dumps({"error": text}, ensure_ascii=False), err=True)
+        return
+    typer.echo(wrapped(f"skygcs-cli: {visible(text, lines=True)}", screen_width(sys.stderr), indent=2), err=True)
 
 
 def client(socket: str | None = None, *, station: bool = False) -> Client:
@@ -170,11 +228,18 @@ def names_other_sites(targets: object) -> bool:
     return True
 
 
-def _in_commands(text: str) -> str:
-    """Replace the RPC methods that an error text recommends by commands."""
+def _in_commands(error: RpcError) -> str:
+    """The text of an error in the words of the command line: parameters without their units, commands for methods."""
+    problems = error.data.get("problems") if error.code == INVALID_PARAMS and isinstance(error.data, dict) else None
+    text = "; ".join(f"{_argument(p['param'])}{p['problem']}" for p in problems) if problems else str(error)
     for method, command in COMMANDS.items():
         text = text.replace(f"{method} lists", f"{command} lists")
     return text
+
+
+def _argument(parameter: str) -> str:
+    """The name of an argument: `height_m` is typed as a height."""
+    return f"{_UNIT.sub('', parameter).replace('_', ' ')}: " if parameter else ""
 
 
 def _token_advice() -> str:
@@ -184,9 +249,17 @@ def _token_advice() -> str:
     return "the daemon requires a token: --token-file FILE"
 
 
+def clear_spinner() -> None:
+    """Remove the spinner's line before another line is printed; it is drawn again below that."""
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+        sys.stderr.flush()
+
+
 @contextlib.asynccontextmanager
-async def waiting(text: str) -> AsyncIterator[None]:
-    """Show a spinner with the elapsed time while the body runs; on a terminal only."""
+async def waiting(text: str | Callable[[], str]) -> AsyncIterator[None]:
+    """Show a spinner with the elapsed time while the body runs; on a terminal only. ``text``: what is waited for, now
+    and for ever, or a function that returns it."""
     if not sys.stderr.isatty():
         yield
         return
@@ -198,18 +271,19 @@ async def waiting(text: str) -> AsyncIterator[None]:
         await asyncio.wait([spinner])
 
 
-async def _spin(text: str) -> None:
+async def _spin(text: str | Callable[[], str]) -> None:
     loop = asyncio.get_running_loop()
     began = loop.time()
     await asyncio.sleep(SPINNER_DELAY_S)
     try:
         for glyph in itertools.cycle(SPINNER):
-            sys.stderr.write(f"\r{glyph} {text} {loop.time() - began:.0f} s")
+            said = text if isinstance(text, str) else text()
+            line = cut(f"{glyph} {said} {loop.time() - began:.0f} s", (screen_width(sys.stderr) or PIPE_WIDTH) - 1)
+            sys.stderr.write(f"\r{line}\033[K")
             sys.stderr.flush()
             await asyncio.sleep(SPINNER_PERIOD_S)
     finally:
-        sys.stderr.write("\r\033[K")
-        sys.stderr.flush()
+        clear_spinner()
 
 
 def _guarded(command: Callable[[], int | None]) -> int:
@@ -227,7 +301,7 @@ def _guarded(command: Callable[[], int | None]) -> int:
         fail(str(error))
         return Exit.UNREACHABLE
     except RpcError as error:
-        fail(_token_advice() if error.code == NOT_AUTHENTICATED else _in_commands(str(error)))
+        fail(_token_advice() if error.code == NOT_AUTHENTICATED else _in_commands(error))
         return Exit.USAGE if error.code in USAGE_ERRORS else Exit.FAILED
     except (SkygcsError, OSError) as error:
         fail(str(error))

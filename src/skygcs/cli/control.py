@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skygcs.cli.connection import Exit, exit_code, print_outcomes, run, run_offline, run_order, run_show
-from skygcs.cli.options import Json, OptionalTargets, Targets
+from skygcs.cli.options import Json, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite
 from skygcs.cli.render import PIPE_WIDTH, State, console, fitting, fixed, plain, print_json, print_lines, table
 from skygcs.cli.status import NOTHING_HEARD, Count, Rate, follow_states
@@ -60,13 +60,15 @@ def set_mode(
     force: Annotated[
         bool, typer.Option("--force", help="Send attitudes although the vehicle may not be safe if they stop.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
     """Take vehicles under control (start setpoints, switch the flight mode, check), or give them back.
 
     position: the autopilot flies to positions. velocity: skygcs closes the position loop. attitude: skygcs closes the
     velocity loop, too. skygcs falls back by itself if the link is too slow, and reports that. raw: your own program
     closes all loops and sends attitude, body rates or accelerations with `setpoint`.
+
+    Example: skygcs-cli control set alpha position
     """
     run_order("control.set", json_output, targets=targets, mode=mode.value, force=force)
 
@@ -95,7 +97,10 @@ def gains(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Show the gains, or change them until the daemon ends (also in flight). `skygcs-cli gains` shows their margins."""
+    """Show the gains, or change them until the daemon ends (also in flight). `skygcs-cli gains` shows their margins.
+
+    Example: skygcs-cli control gains alpha --xy-vel-p 0.1
+    """
     xy = _given(pos_p_per_s=xy_pos_p, vel_p=xy_vel_p, vel_i=xy_vel_i, vel_d=xy_vel_d)
     z = _given(pos_p_per_s=z_pos_p, vel_p=z_vel_p, vel_i=z_vel_i, vel_d=z_vel_d)
     changes = _given(xy=xy or None, z=z or None, hover_thrust=hover)
@@ -161,7 +166,10 @@ def record(
     switch: Annotated[Switch, typer.Argument(metavar="on|off", help="Start or stop.", show_default=False)],
     json_output: Json = False,
 ) -> None:
-    """Write reference, estimate and output of every control tick to a file, one for each vehicle."""
+    """Write reference, estimate and output of every control tick to a file, one for each vehicle.
+
+    Example: skygcs-cli control record alpha on
+    """
     nothing = "recording begins when it is under control" if switch is Switch.ON else "nothing was being recorded"
 
     def lines(answer: dict[str, dict[str, str | None]]) -> Iterator[str]:
@@ -175,13 +183,16 @@ def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A file of `control record`.", show_default=False)],
     json_output: Json = False,
 ) -> None:
-    """Run the control law over a recording and compare its output with the recorded one, bit for bit. No daemon."""
+    """Run the control law over a recording and compare its output with the recorded one, bit for bit. No daemon.
+
+    Example: skygcs-cli control replay alpha.csv
+    """
     run_offline(lambda: _replay(file, json_output))
 
 
 def _replay(file: Path, json_output: bool) -> int:
     from skygcs.core.control.trace import ATTITUDE, VELOCITY, TraceEntry, rerun
-    from skygcs.tlog.trace_plot import read_trace
+    from skygcs.tlog.trace_file import read_trace
 
     steps = 0
 
@@ -229,7 +240,10 @@ _LEFT = ("name", "mode", "control_mode", "limits")
 
 @app.command("status")
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show once how each vehicle is controlled; `track` shows it live."""
+    """Show once how each vehicle is controlled; `track` shows it live.
+
+    Example: skygcs-cli control status alpha
+    """
 
     async def command(gcs: Client) -> None:
         if json_output:
@@ -248,7 +262,10 @@ def track(
     count: Count = sys.maxsize,
     json_output: Json = False,
 ) -> None:
-    """Show tracking error, delays and ticks of controlled vehicles, until Ctrl-C. On a pipe: one line per update."""
+    """Show tracking error, delays and ticks of controlled vehicles, until Ctrl-C. On a pipe: one line per update.
+
+    Example: skygcs-cli track all --rate 1
+    """
 
     async def command(gcs: Client) -> None:
         if not once:
@@ -360,5 +377,5 @@ def _vector(values: object, digits: int, unit: str = "") -> str:
 
 
 def add_to(app_: typer.Typer) -> None:
-    app_.command(rich_help_panel="Show")(track)
-    app_.add_typer(app, name="control", rich_help_panel="Orders")
+    app_.command()(track)
+    app_.add_typer(app, name="control")

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
+from skygcs.cancellation import ended
 from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
@@ -78,7 +79,10 @@ def send(
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Send corrections to all vehicles until they end: `str2str -in ntrip://… | skygcs-cli corrections send`."""
+    """Send corrections to all vehicles until they end: `str2str -in ntrip://… | skygcs-cli corrections send`.
+
+    Example: skygcs-cli corrections send base.rtcm3
+    """
     within("--rate", rate, 10, 1e6)
     within("--every", every_s, 0.1, 3600)
     descriptor = sys.stdin.fileno() if file == "-" else _opened(file)
@@ -148,7 +152,10 @@ def _opened(file: str) -> int:
 
 @corrections.command("status")
 def status(json_output: Json = False) -> None:
-    """Show what was sent since the daemon started, what each radio did with it, and the fix of every vehicle."""
+    """Show what was sent since the daemon started, what each radio did with it, and the fix of every vehicle.
+
+    Example: skygcs-cli corrections status
+    """
     run_show("corrections.status", json_output, status_lines)
 
 
@@ -274,9 +281,7 @@ async def forward(
         async for data in source:
             await stream.send(data)
     finally:
-        watching.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await watching
+        await ended(watching)
 
 
 async def at_rate(source: AsyncIterator[bytes], bytes_per_s: float) -> AsyncIterator[bytes]:
@@ -309,4 +314,4 @@ def line_of(tally: CorrectionTally, bytes_per_s: float | None) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(corrections, name="corrections", rich_help_panel="Set up")
+    app.add_typer(corrections, name="corrections")

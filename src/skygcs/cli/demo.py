@@ -13,12 +13,14 @@ import tempfile
 import webbrowser
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from skygcs.cancellation import ended
 from skygcs.cli.process import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, serve_until_signal
 from skygcs.cli.render import LiveView, table
 from skygcs.cli.status import status_table
@@ -123,9 +125,7 @@ class Demo:
             # after a landing an ArduCopter stays in LAND, where it does not arm: GUIDED prepares it for further orders
             await self._order(gcs, "vehicles.mode", targets="charlie", mode="GUIDED")
         finally:
-            watching.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await watching
+            await ended(watching)
 
     async def _watch(self, gcs: Client) -> None:
         async for state in gcs.telemetry("all", rate_hz=1 / REFRESH_S):
@@ -195,7 +195,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
         links["qgc"] = UdpClientLinkConfig(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
     return FleetConfig(
         daemon=DaemonConfig(socket=socket, log_dir=log_dir),
-        web=None if web_port is None else WebConfig(port=web_port),
+        extensions={} if web_port is None else {"web": WebConfig(port=web_port)},
         origin=HOME,
         links=links,
         vehicles={
@@ -227,12 +227,16 @@ async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="skygcs-demo-") as scratch:
         # without --stay it must not use the socket of a daemon that flies; with --stay skygcs-cli must find it
         path = socket or (default_socket_path() if stay else Path(scratch) / "skygcs.sock")
-        web_port = unused_port() if is_built() else None
+        missing = _missing_page()
+        web_port = unused_port() if missing is None else None
         config = demo_config(path, log_dir, for_qgc=stay, web_port=web_port)
         daemon = Daemon(config, dialect, source="demo")
         script = Demo(console)
         async with _running(daemon):
-            await _show_web_page(path, web_port, console)
+            if web_port is None:
+                console.print(f"web page: {missing}", highlight=False, markup=False)
+            else:
+                await _show_web_page(path, web_port, console)
             await _show_flight(script, daemon, console)
             if daemon.stopping:
                 console.print("Stopped before the end of the flight.")
@@ -244,15 +248,20 @@ async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
     return EXIT_FAILED if script.failed else EXIT_OK
 
 
-async def _show_web_page(socket: Path, port: int | None, console: Console) -> None:
+def _missing_page() -> str | None:
+    """Why there is no web page here, and what to do; None: there is one."""
+    if find_spec("aiohttp") is None:
+        return "not installed; pip install 'skygcs[web]' adds it"
+    return None if is_built() else "not built; make web builds it in a checkout"
+
+
+async def _show_web_page(socket: Path, port: int, console: Console) -> None:
     """Print the page's address, and open it on a terminal with a display."""
-    if port is None:
-        console.print("web page: not built (make web builds it)")
-        return
     try:
         address = await asyncio.to_thread(wait_for_link, str(socket), port)
-    except SkygcsError as error:
-        console.print(f"web page: {error}")
+    except SkygcsError:  # its text says how to start one, and one is being started
+        text = f"web page: still starting; its address: skygcs web link --socket {socket}"
+        console.print(text, soft_wrap=True, highlight=False)
         return
     console.print(f"web page: {address}", soft_wrap=True, highlight=False)
     if can_open_browser():  # with an address of its own: the one that is printed is for another browser
@@ -281,9 +290,7 @@ async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
         console.print(f"[red]{error}[/red]")
     finally:
         for task in (flying, stopped):
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError, SkygcsError):
-                await task
+            await ended(task)
 
 
 def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:

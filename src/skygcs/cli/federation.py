@@ -24,7 +24,10 @@ federation = typer.Typer(
 
 @federation.command()
 def sites(json_output: Json = False) -> None:
-    """Show this station's connection to the hub, the other sites and the leases."""
+    """Show this station's connection to the hub, the other sites and the leases.
+
+    Example: skygcs-cli federation sites
+    """
 
     async def command(gcs: Client) -> None:
         answer = await gcs.call("federation.sites")
@@ -124,6 +127,8 @@ def outcome(
     """Ask what became of an order whose outcome is unknown. Exit 0: it was carried out.
 
     One that has not come to its site until now is refused if it comes later.
+
+    Example: skygcs-cli federation outcome south/9c6af8408d0890231e0ad1171ed7a477
     """
 
     async def command(gcs: Client) -> int:
@@ -168,7 +173,10 @@ def take(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Command a vehicle from this site: ask its holder for the lease, or take it when it is free."""
+    """Command a vehicle from this site: ask its holder for the lease, or take it when it is free.
+
+    Example: skygcs-cli federation take south/bravo
+    """
 
     async def command(gcs: Client) -> None:
         answer = await _lease_call(gcs, "federation.take", vehicle=vehicle, force=force, without_hub=without_hub)
@@ -179,7 +187,10 @@ def take(
 
 @federation.command()
 def release(vehicle: Vehicle, json_output: Json = False) -> None:
-    """Give a vehicle's lease up, for another site to take. Control from here ends without an order to the vehicle."""
+    """Give a vehicle's lease up, for another site to take. Control from here ends without an order to the vehicle.
+
+    Example: skygcs-cli federation release south/bravo
+    """
 
     async def command(gcs: Client) -> None:
         answer = await _lease_call(gcs, "federation.release", vehicle=vehicle)
@@ -203,4 +214,4 @@ federation.command()(logs)
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(federation, name="federation", rich_help_panel="Set up")
+    app.add_typer(federation, name="federation")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import re
 import socket
 import sys
@@ -17,6 +18,7 @@ import typer
 
 from skygcs.cli.connection import Exit, client, run_offline
 from skygcs.cli.render import plural
+from skygcs.cli.topics import extension_commands
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
@@ -49,6 +51,8 @@ def logs(
     """Collect the tlogs of sites into DIR/SITE/. Begun again, it goes on where it ended; each file is checked.
 
     Exit 0: all that the sites have is here.
+
+    Example: skygcs-cli federation logs north south --since 2h flights/today
     """
 
     def command() -> int:
@@ -131,10 +135,8 @@ async def _collect_over(fleet: FleetConfig, sites: Sequence[str], folder: Path, 
 def _write_tables(files: Sequence[Path]) -> None:
     """Parquet beside each recording. Raises SkygcsError if pyarrow is missing."""
 
-    from skygcs.cli.tlog import dialect_named, selection
-    from skygcs.tlog.table_files import write_tables
-
-    table = dialect_named(None)
-    for file in files:
-        for line in write_tables(file, file.parent, selection(table), False, True, table, True):
-            print(line)
+    tools = extension_commands().get("tlog")
+    if tools is None:
+        raise SkygcsError("the log tools are not installed, which write Parquet files")
+    for line in importlib.import_module(tools[1]).parquet_beside(files):
+        print(line)

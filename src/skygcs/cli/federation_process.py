@@ -30,10 +30,15 @@ def add_federation(commands: argparse._SubParsersAction[argparse.ArgumentParser]
         "federation",
         help="join several stations over a hub: run, up, keys, hub-config, stores",
         description="Join several stations over a hub (nats-server); see docs/howto/federation.md.",
+        epilog="Example: skygcs federation run fleet.toml",
     )
     actions = federation.add_subparsers(title="actions", required=True, metavar="ACTION")
 
-    run = actions.add_parser("run", help="connect this station to the hub; `skygcs run` does it for its fleet file")
+    run = actions.add_parser(
+        "run",
+        help="connect this station to the hub; `skygcs run` does it for its fleet file",
+        epilog="Example: skygcs federation run fleet.toml",
+    )
     run.add_argument("file", type=Path, metavar="FLEET.toml", help="with a table [federation]")
     run.add_argument("--socket", help="the daemon's socket instead of the file's or the default one")
     run.add_argument("--no-daemon", action="store_true", help="for role observer or operator: this station has none")
@@ -41,23 +46,39 @@ def add_federation(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     run.add_argument("-v", "--verbose", action="store_true", help="log more")
     run.set_defaults(run=_run)
 
-    up = actions.add_parser("up", help="run a nats-server as the hub, for try-outs; Ctrl-C ends it")
+    up = actions.add_parser(
+        "up",
+        help="run a nats-server as the hub, for try-outs; Ctrl-C ends it",
+        epilog="Example: skygcs federation up hub",
+    )
     up.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="DIR", help=f"with {INVENTORY}")
     up.set_defaults(run=_up)
 
-    keys = actions.add_parser("keys", help="make a station's key; print what the hub's inventory needs")
+    keys = actions.add_parser(
+        "keys",
+        help="make a station's key; print what the hub's inventory needs",
+        epilog="Example: skygcs federation keys north",
+    )
     keys.add_argument("name", metavar="NAME", help="of the station; for a site, the site's name")
     keys.add_argument("--role", choices=ROLES, default="site", help="default: site")
     keys.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="for NAME.nk (default: this folder)")
     keys.set_defaults(run=_keys)
 
-    config = actions.add_parser("hub-config", help="check an inventory and print the nats-server's configuration")
+    config = actions.add_parser(
+        "hub-config",
+        help="check an inventory and print the nats-server's configuration",
+        epilog="Example: skygcs federation hub-config hub.toml --check",
+    )
     config.add_argument("file", type=Path, metavar="INVENTORY")
     config.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it there")
     config.add_argument("--check", action="store_true", help="have nats-server itself check it, too")
     config.set_defaults(run=_hub_config)
 
-    stores = actions.add_parser("stores", help="make the stores of a hub that runs, once; needs the keeper's key")
+    stores = actions.add_parser(
+        "stores",
+        help="make the stores of a hub that runs, once; needs the keeper's key",
+        epilog="Example: skygcs federation stores hub.toml --nkey keeper.nk",
+    )
     stores.add_argument("file", type=Path, metavar="INVENTORY")
     stores.add_argument("--nkey", type=Path, required=True, metavar="FILE", help="seed of the user with role keeper")
     stores.set_defaults(run=_stores)
@@ -206,7 +227,8 @@ async def _serve_hub(hub: HubProcess) -> int:
         if process is None or process.poll() is not None:
             raise SkygcsError(f"nats-server has ended: {hub.last_lines()}")
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(stopping.wait(), 0.5)
+            async with asyncio.timeout(0.5):
+                await stopping.wait()
     return EXIT_OK
 
 

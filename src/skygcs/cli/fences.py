@@ -15,7 +15,7 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, print_outcomes, run, run_order, run_show, show, waiting
 from skygcs.cli.missions import OutFile, Overwrite, PlanFile, clear, download, upload
-from skygcs.cli.options import Json, OneVehicle, OptionalTargets, Targets
+from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite
 from skygcs.cli.render import event_line
 from skygcs.rpc.client import Client
@@ -63,18 +63,27 @@ def _set(
     action: Annotated[
         FenceAction | None, typer.Option("--action", help="Action outside it; none: no fence.", show_default=False)
     ] = None,
-    json_output: Json = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although it flies and would be outside of that fence.")
+    ] = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Set the fence around home in the autopilot's parameters and read it back; options not given stay unchanged."""
+    """Set the fence around home in the autopilot's parameters and read it back; options not given stay unchanged.
+
+    Example: skygcs-cli fence set all --radius 50 --height 20 --action return
+    """
     if radius is None and height is None and action is None:
         raise typer.BadParameter("give --radius, --height or --action")
     word = None if action is None else action.value
-    run_order("fence.set", json_output, targets=targets, radius_m=radius, height_m=height, action=word)
+    run_order("fence.set", json_output, targets=targets, radius_m=radius, height_m=height, action=word, force=force)
 
 
 @fences.command("status")
 def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Read and show the fences of vehicles. Exit 1 if a vehicle is outside its fence, or does not answer."""
+    """Read and show the fences of vehicles. Exit 1 if a vehicle is outside its fence, or does not answer.
+
+    Example: skygcs-cli fence status all
+    """
 
     def lines(answer: dict[str, Any]) -> Iterator[str]:
         return (status_line(name, outcome) for name, outcome in answer["outcomes"].items())
@@ -106,7 +115,10 @@ def _test(
     yes: Annotated[bool, typer.Option("--yes", help="The propellers are off: do not ask.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Test the fence on foot: it sets a small fence, you carry the vehicle out of it, a file records the result."""
+    """Test the fence on foot: it sets a small fence, you carry the vehicle out of it, a file records the result.
+
+    Example: skygcs-cli fence test alpha --radius 2
+    """
     if not yes:
         typer.echo(BEFORE_THE_WALK.format(radius=radius), err=True)
         if not sys.stdin.isatty():
@@ -170,15 +182,21 @@ def _upload(
     targets: Targets,
     file: PlanFile,
     force: Annotated[bool, typer.Option("--force", help="Although the fence has errors.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Upload the fence of a plan to vehicles; their missions stay."""
+    """Upload the fence of a plan to vehicles; their missions stay.
+
+    Example: skygcs-cli fence upload all site.plan
+    """
     upload(targets, file, ["fence"], force, json_output)
 
 
 @fences.command("download")
 def _download(vehicle: OneVehicle, file: OutFile = None, force: Overwrite = False, json_output: Json = False) -> None:
-    """Read the fence of a vehicle."""
+    """Read the fence of a vehicle.
+
+    Example: skygcs-cli fence download alpha site.plan
+    """
     download(vehicle, file, ["fence"], force, json_output)
 
 
@@ -186,9 +204,12 @@ def _download(vehicle: OneVehicle, file: OutFile = None, force: Overwrite = Fals
 def _clear(
     targets: Targets,
     force: Annotated[bool, typer.Option("--force", help="Although it is in the air.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Delete the vehicles' fences."""
+    """Delete the vehicles' fences.
+
+    Example: skygcs-cli fence clear all
+    """
     clear(targets, ["fence"], force, json_output)
 
 
@@ -199,7 +220,10 @@ ChangeId = Annotated[str, typer.Argument(metavar="ID|all", help="As `undo list` 
 
 @undo.command("list")
 def _undo_list(json_output: Json = False) -> None:
-    """Show the changes to undo; skygcs never undoes them by itself."""
+    """Show the changes to undo; skygcs never undoes them by itself.
+
+    Example: skygcs-cli undo list
+    """
     run_show("undo.list", json_output, _undo_lines)
 
 
@@ -211,7 +235,10 @@ def _undo_run(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the values of before, and read them back."""
+    """Set the values of before, and read them back.
+
+    Example: skygcs-cli undo run all
+    """
 
     async def command(gcs: Client) -> int:
         outcomes: dict[str, Any] = {}
@@ -225,7 +252,10 @@ def _undo_run(
 
 @undo.command("drop")
 def _undo_drop(id: ChangeId) -> None:
-    """Remove a change from the list; the vehicle keeps its values."""
+    """Remove a change from the list; the vehicle keeps its values.
+
+    Example: skygcs-cli undo drop all
+    """
 
     async def command(gcs: Client) -> None:
         for one in await _ids(gcs, id):
@@ -259,5 +289,5 @@ def _values(table: dict[str, float]) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(fences, name="fence", rich_help_panel="Orders")
-    app.add_typer(undo, name="undo", rich_help_panel="Orders")
+    app.add_typer(fences, name="fence")
+    app.add_typer(undo, name="undo")

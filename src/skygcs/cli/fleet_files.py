@@ -13,6 +13,7 @@ from pathlib import Path
 from skygcs.cli.render import table
 from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
+from skygcs.config.extension_tables import find_owners
 from skygcs.config.federation import FederationConfig, is_loopback, server_address
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
@@ -30,14 +31,12 @@ from skygcs.config.router_import import import_router
 from skygcs.config.signing import read_key
 from skygcs.core.geo import EAST_DEG
 from skygcs.errors import ConfigError, KeyFileError, SkygcsError
+from skygcs.terminal_text import visible
 
 PIPE_COLUMNS = 160
 """Width where there is no terminal: a table has room for a path."""
 
 EXTRAS = {
-    "metrics": ("prometheus_client",),
-    "web": ("aiohttp",),
-    "companions": ("asyncssh",),
     "federation": ("nats", "nkeys"),
 }
 """Tables of the fleet file that need an extra of their own name, and what it installs."""
@@ -48,15 +47,18 @@ def check(file: Path) -> int:
     try:
         config = load_fleet(file)
     except ConfigError as error:
-        print(error, file=sys.stderr)
+        print(visible(str(error), lines=True), file=sys.stderr)
         return 1
     _show(Path(file), config)
     return 0
 
 
 def _show(file: Path, config: FleetConfig) -> None:
+    from rich import markup
     from rich.console import Console
-    from rich.markup import escape
+
+    def escape(text: str) -> str:
+        return markup.escape(visible(text))
 
     screen = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_COLUMNS)
     # the daemon itself
@@ -72,7 +74,7 @@ def _show(file: Path, config: FleetConfig) -> None:
         screen.print(f"origin   {origin.lat_deg}, {origin.lon_deg}, {origin.alt_amsl_m} m above sea level{axes}")
     if config.federation is not None:
         joined = config.federation
-        screen.print(f"hub      {', '.join(joined.servers)} as {joined.role} {joined.site or ''}".rstrip())
+        screen.print(escape(f"hub      {', '.join(joined.servers)} as {joined.role} {joined.site or ''}".rstrip()))
     # links
     rows = []
     for name, link in config.links.items():
@@ -130,13 +132,11 @@ def _notes(config: FleetConfig) -> list[str]:
                 notes.append(f"links.{name}.signing: {error}; skygcs does not start with this error")
     notes += [f"links.{name}: {text}" for name, text in link_warnings(config).items()]
     notes += [f"links.{name}: {text}" for name, text in open_servers(config).items()]
-    tokens = {
-        "daemon": config.daemon.token_file,
-        "metrics": None if config.metrics is None else config.metrics.token_file,
-    }
-    for owner, token in tokens.items():
-        if token is not None and not token.is_file():
-            notes.append(f"{owner}.token_file: the file {token} does not exist now")
+    token = config.daemon.token_file
+    if token is not None and not token.is_file():
+        notes.append(f"daemon.token_file: the file {token} does not exist now")
+    for name, owner in find_owners(set(config.extensions))[0].items():
+        notes += [f"{name}: {text}" for text in owner.notes(config.extensions[name])]
     for table_name, modules in EXTRAS.items():
         missing = [module for module in modules if find_spec(module) is None]
         if getattr(config, table_name) is not None and missing:

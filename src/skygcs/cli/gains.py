@@ -125,6 +125,8 @@ def gains(
     """Show how stable control gains are, what delay they tolerate, and which gains suit the delay of a link.
 
     Without options: the default gains in short. Any option, or --full, prints the whole analysis.
+
+    Example: skygcs-cli gains --delay 0.15
     """
     # check the options
     within("--hover", hover, 0.01, 1)
@@ -159,7 +161,7 @@ def gains(
 def _report(question: Question, plot: Path | None, json_output: bool, *, brief: bool) -> None:
     """Compute, draw, print. ``brief`` prints one line per axis. Raises SkygcsError if the figure cannot be drawn."""
     if plot is not None:
-        from skygcs.tlog.figure import require_matplotlib
+        from skygcs.cli.figure import require_matplotlib
 
         require_matplotlib()
     answer = study(question)
@@ -622,7 +624,7 @@ PLANT_TEXTS = {"tilt": "tilt angle and vertical acceleration", "thrust": "normal
 
 def draw(answer: Answer, path: Path) -> None:
     """Draw the step responses, one panel per axis and plant. Raises SkygcsError if the file cannot be written."""
-    from skygcs.tlog.figure import new_figure, save
+    from skygcs.cli.figure import new_figure, save
 
     loops = answer["loops"]
     plants = list(dict.fromkeys(loop["plant"] for loop in loops))
@@ -641,7 +643,7 @@ def draw(answer: Answer, path: Path) -> None:
 
 
 def _draw_loop(panel: Axes, loop: Answer, gains: Answer) -> None:
-    from skygcs.tlog.figure import COLOURS
+    from skygcs.cli.figure import COLOURS
 
     panel.axhline(1, color="0.7", linewidth=0.8)
     for step, colour, line in zip(loop["steps"], COLOURS, LINES, strict=False):
@@ -681,4 +683,4 @@ def _label(step: Answer) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Show")(gains)
+    app.command()(gains)

@@ -1,7 +1,7 @@
 """Import the daemon's libraries without what it never uses of them: a tenth of its resident memory.
 
-- asyncio and uvloop import ssl, and with it OpenSSL. A daemon without companions speaks no TLS: they get a stand-in
-  with the names that they look up while they are imported. Any other name of it imports ssl itself.
+- asyncio and uvloop import ssl, and with it OpenSSL. Most daemons speak no TLS: they get a stand-in with the names that
+  they look up while they are imported. Any other name of it imports ssl itself.
 - hashlib imports OpenSSL's hashes, too. Those built into the interpreter are the same, and 0.5 µs slower for a signed
   frame; where a distribution has built it without them, OpenSSL's are used.
 - pydantic imports importlib.metadata, and with it email and zipfile, to look for plugins, which are switched off;
@@ -35,6 +35,10 @@ BUILT_IN_HASHES = (
 )
 """All that hashlib looks for; it reports each one that is missing."""
 
+TABLES_WITH_TLS = ("companion", "companions")
+"""Tables of extensions that serve or call over TLS inside the daemon. They stand here because OpenSSL is loaded with
+asyncio or never: before anything is imported that could find an extension and ask it."""
+
 _ERRORS = (
     "CertificateError",
     "SSLError",
@@ -49,28 +53,28 @@ _NUMBERS = {"SSL_ERROR_WANT_READ": 2, "SSL_ERROR_WANT_WRITE": 3, "SSL_ERROR_SYSC
 
 
 def needs_tls(arguments: list[str]) -> bool:
-    """Whether one of these files has a table [companion] or [companions]: such a daemon speaks TLS."""
+    """True if one of these files has one of `TABLES_WITH_TLS`."""
     for argument in arguments:
         try:
             text = Path(argument).read_bytes() if argument.endswith(".toml") else b""
         except OSError:
             continue  # what is wrong with it is reported when it is read
-        if b"companion" in text and _has_companions(text):
+        if any(name.encode() in text for name in TABLES_WITH_TLS) and _speaks_tls(text):
             return True
     return False
 
 
-def _has_companions(text: bytes) -> bool:
+def _speaks_tls(text: bytes) -> bool:
     try:
         table = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         return False
-    return "companion" in table or "companions" in table
+    return any(name in table for name in TABLES_WITH_TLS)
 
 
 def prepare_daemon(*, tls: bool = False) -> None:
     """Import asyncio, uvloop, hashlib and pydantic as above; does nothing for those that are imported already. ``tls``:
-    with OpenSSL, as the daemon connects to companions or is one."""
+    with OpenSSL, as the daemon serves or calls over TLS."""
     if not tls and "_hashlib" not in sys.modules and all(util.find_spec(name) for name in BUILT_IN_HASHES):
         with _instead_of("_hashlib", None):
             importlib.import_module("hashlib")

@@ -26,7 +26,7 @@ from skygcs.cli.render import (
     print_lines,
     table,
 )
-from skygcs.core.radio_link.capacity import FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
+from skygcs.core.radio_link.capacity import FLOWN_HZ, FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
@@ -63,25 +63,37 @@ def _links_default(ctx: typer.Context, json_output: Json = False) -> None:
 
 @links.command("list")
 def _list_links(json_output: Json = False) -> None:
-    """Show every link and channel with its counters."""
+    """Show every link and channel with its counters.
+
+    Example: skygcs-cli links list
+    """
     _links("links.list", json_output)
 
 
 @links.command("add")
 def _add_link(name: LinkName, pairs: Pairs, json_output: Json = False) -> None:
-    """Add a link until the daemon ends: `links add qgc type=udp_client host=10.0.0.5 port=14550`."""
+    """Add a link until the daemon ends: `links add qgc type=udp_client host=10.0.0.5 port=14550`.
+
+    Example: skygcs-cli links add tablet type=udp_client host=192.168.1.20 port=14550 role=gcs
+    """
     _links("links.add", json_output, name=name, link=parse_link(pairs))
 
 
 @links.command("change")
 def _change_link(name: LinkName, pairs: Pairs, json_output: Json = False) -> None:
-    """Close a link and open it again with these keys changed."""
+    """Close a link and open it again with these keys changed.
+
+    Example: skygcs-cli links change tablet port=14551
+    """
     _links("links.change", json_output, name=name, link=parse_link(pairs))
 
 
 @links.command("remove")
 def _remove_link(name: LinkName, json_output: Json = False) -> None:
-    """Close a link and remove it."""
+    """Close a link and remove it.
+
+    Example: skygcs-cli links remove tablet
+    """
     _links("links.remove", json_output, name=name)
 
 
@@ -179,7 +191,10 @@ def status(
     every_s: Annotated[float, typer.Option("--every", metavar="S", help="Period.", parser=finite)] = 1.0,
     json_output: Json = False,
 ) -> None:
-    """Show what each radio carries: budget, classes, vehicles, losses, signal. Live with --follow."""
+    """Show what each radio carries: budget, classes, vehicles, losses, signal. Live with --follow.
+
+    Example: skygcs-cli link status --follow
+    """
     within("--every", every_s, 0.1, 3600)
 
     async def command(gcs: Client) -> None:
@@ -206,7 +221,10 @@ def status(
 def _select(
     targets: Annotated[str, typer.Argument(metavar="TARGETS", help="Vehicles, or none.", show_default=False)],
 ) -> None:
-    """Give some vehicles twice the share of the others on a radio that is too slow for all; `none` ends it."""
+    """Give some vehicles twice the share of the others on a radio that is too slow for all; `none` ends it.
+
+    Example: skygcs-cli link select 3
+    """
 
     async def command(gcs: Client) -> None:
         answer = await gcs.call("link.select", targets=None if targets == "none" else targets)
@@ -400,7 +418,10 @@ def plan(
     ] = 0.5,
     json_output: Json = False,
 ) -> None:
-    """Compute whether vehicles fit on a radio, what each gets, and what would fit. Exit 1 if they do not fit."""
+    """Compute whether vehicles fit on a radio, what each gets, and what would fit. Exit 1 if they do not fit.
+
+    Example: skygcs-cli link plan 8 --air-speed 64
+    """
     within("--fill", fill, 0.05, 1)
     if setpoint != "none":
         within("--setpoint-rate", setpoint_hz, 0.1, 100)
@@ -450,8 +471,14 @@ def _plan_lines(answer: LinkPlan) -> Iterator[str]:
     if demand.setpoint != "none":
         yield f"setpoints: {answer.setpoint_hz:.2g} Hz each"
     yield f"vehicles that fit with these options: {answer.most_vehicles}"
+    most = min(answer.most_streamed, answer.most_vehicles)
+    yield f"`plan run` flies {_streamed(most)} by position setpoints ({FLOWN_HZ['position']:g} Hz), more by goto"
     for proposal in answer.proposals:
         yield f"would fit: {proposal}"
+
+
+def _streamed(count: int) -> str:
+    return f"up to {count} vehicle{'' if count == 1 else 's'}" if count else "none"
 
 
 def _plan_json(answer: LinkPlan) -> dict[str, object]:
@@ -469,6 +496,7 @@ def _plan_json(answer: LinkPlan) -> dict[str, object]:
             {**asdict(direction), "share": direction.share, "fits": direction.fits} for direction in answer.directions
         ],
         "most_vehicles": answer.most_vehicles,
+        "most_streamed": answer.most_streamed,
         "rates_hz": dict(answer.rates_hz),
         "setpoint_hz": answer.setpoint_hz,
         "problems": answer.problems,
@@ -504,5 +532,5 @@ def _one_of(option: str, name: str, known: Iterable[str]) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(links, name="links", rich_help_panel="Show")
-    app.add_typer(link, name="link", rich_help_panel="Show")
+    app.add_typer(links, name="links")
+    app.add_typer(link, name="link")

@@ -18,7 +18,15 @@ from typer.main import get_command_name, get_group
 from typer.models import CommandInfo
 
 from skygcs import __version__
+from skygcs.cli.connection import Exit, fail, json_is_wanted, want_json
+from skygcs.cli.topics import all_topics, extension_commands, front_page, of_skygcs, topic_page
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
+
+UsageError: type[Any] = typer.BadParameter.__mro__[1]
+"""The class of errors in what was typed; typer exports only this subclass of it."""
+
+EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
+"""The line of a command's docstring that a person can type."""
 
 HELP_OPTIONS = ["-h", "--help"]
 
@@ -26,6 +34,7 @@ GLOBAL_OPTIONS = ("--socket", "--token-file")
 
 COMMANDS = (
     ("status", ("status", "components", "watch", "events", "info")),
+    ("alarms", ("alarms",)),
     ("preflight", ("preflight",)),
     ("calibrate", ("calibrate",)),
     (
@@ -36,37 +45,29 @@ COMMANDS = (
         ),
     ),
     ("monitor", ("monitor",)),
-    ("mocap", ("mocap",)),
     ("control", ("track", "control")),
     ("setpoint", ("setpoint",)),
-    ("joystick", ("joystick",)),
     ("trajectory", ("trajectory",)),
     ("table", ("table",)),
     ("plan", ("plan",)),
     ("messages", ("message",)),
+    ("gate", ("gate",)),
     ("links", ("links", "link")),
-    ("companions", ("companions",)),
     ("federation", ("federation",)),
-    ("bring_up", ("up", "down")),
     ("origin", ("origin",)),
     ("missions", ("mission",)),
     ("fences", ("fence", "undo")),
     ("params", ("param",)),
-    ("radio", ("radio",)),
-    ("xbee", ("xbee",)),
     ("corrections", ("corrections",)),
     ("signing", ("signing",)),
     ("gains", ("gains",)),
-    ("plot", ("plot",)),
-    ("tlog", ("tlog",)),
     ("onboard_logs", ("log",)),
-    ("foxglove", ("foxglove",)),
     ("status", ("call", "discover")),
 )
 """Modules, and commands that their ``add_to(app)`` adds, in the order of the help. A module is imported when one of its
 commands is called: importing all of them takes longer than `status` does."""
 
-_MODULE_OF = {name: module for module, names in COMMANDS for name in names}
+_MODULE_OF = {name: f"skygcs.cli.{module}" for module, names in COMMANDS for name in names}
 
 
 class _Commands(Mapping[str, Any]):
@@ -76,20 +77,20 @@ class _Commands(Mapping[str, Any]):
         return _command(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_MODULE_OF)
+        return iter((*_MODULE_OF, *extension_commands()))
 
     def __len__(self) -> int:
-        return len(_MODULE_OF)
+        return len(_MODULE_OF) + len(extension_commands())
 
 
 @functools.cache
 def _command(name: str) -> Any:
     """Import the module of this command and make the command, no other one. Raises KeyError."""
     made = typer.Typer(callback=lambda: None)
-    importlib.import_module(f"skygcs.cli.{_MODULE_OF[name]}").add_to(made)
+    importlib.import_module(_MODULE_OF.get(name) or extension_commands()[name][1]).add_to(made)
     made.registered_commands = [c for c in made.registered_commands if command_name(c) == name]
     made.registered_groups = [g for g in made.registered_groups if g.name == name]
-    return literal_help(without_bool(get_group(made).commands[name]))
+    return literal_help(with_example(without_bool(get_group(made).commands[name])))
 
 
 def literal_help(command: Any) -> Any:
@@ -101,6 +102,21 @@ def literal_help(command: Any) -> Any:
     for inner in getattr(command, "commands", {}).values():
         literal_help(inner)
     return command
+
+
+def with_example(command: Any) -> Any:
+    """The same command; the help of a group ends with the example of its first command, of which it shows only a
+    line."""
+    inner = [with_example(one) for one in getattr(command, "commands", {}).values()]
+    if inner:
+        command.epilog = _example(inner[0])
+    return command
+
+
+def _example(command: Any) -> str:
+    """The example of a command's help; empty if it has none."""
+    found = EXAMPLE.search(command.epilog or command.help or "")
+    return found[0] if found is not None else ""
 
 
 def _escaped(text: str | None) -> str | None:
@@ -144,21 +160,61 @@ class _RootGroup(TyperGroup):
         return list(options)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, hoisted(json_last(args)))
+        args = hoisted(json_last(args))
+        want_json(args)
+        if args[:1] == ["help"]:
+            args = self._help_arguments(args[1:])
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except UsageError as error:
+            error.message += _targets_hint(error) or _program_hint(error)
+            if json_is_wanted():
+                fail(error.message)
+                raise typer.Exit(Exit.USAGE) from None
+            raise
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        formatter.write(front_page(__version__) + "\n")
+
+    def _help_arguments(self, asked: list[str]) -> list[str]:
+        """The arguments that `help` stands for; the page of a topic is printed here."""
+        if asked and asked[0] not in self.commands and asked[0] in (topics := all_topics()):
+            commands = topics[asked[0]][1]
+            typer.echo(topic_page(asked[0], {name: self.commands[name].get_short_help_str(500) for name in commands}))
+            raise typer.Exit
+        return [*asked, "--help"]
+
+
+def _targets_hint(error: Any) -> str:
+    """A hint for `land d01 d02`, where d02 is no argument: several targets are one word. Empty for other errors."""
+    left = re.fullmatch(r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)", error.message)
+    targets = (error.ctx.params.get("targets") if error.ctx is not None else None) or ""
+    if left is None or not targets:
+        return ""
+    return f"; several targets are one word: {','.join([targets, *left[1].split()])}"
+
+
+def _program_hint(error: Any) -> str:
+    """A hint for `skygcs-cli run`: a command of the other program. Empty for other errors."""
+    unknown = re.match(r"No such command '(.+?)'", error.message)
+    return f" That is: skygcs {unknown[1]}" if unknown is not None and of_skygcs(unknown[1]) else ""
 
 
 def json_last(args: list[str]) -> list[str]:
-    """Move a --json that stands before the command to the end of the line, where the command reads it."""
+    """Move a --json or --json-lines before the command to the end of the line, where the command reads it."""
     skipped = 0
     for i, arg in enumerate(args):
         if skipped:
             skipped -= 1
         elif arg in GLOBAL_OPTIONS:
             skipped = 1
-        elif arg == "--json":
+        elif arg in ("--json", "--json-lines"):
             rest = args[i + 1 :]
             end = rest.index("--") if "--" in rest else len(rest)
-            return [*args[:i], *rest[:end], "--json", *rest[end:]] if rest else args
+            return [*args[:i], *rest[:end], arg, *rest[end:]] if rest else args
         elif not arg.startswith("-"):
             break
     return args

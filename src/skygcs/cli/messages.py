@@ -56,7 +56,10 @@ def watch_messages(
     count: Annotated[int, typer.Option("--count", metavar="N", help="End after N messages.", min=1)] = sys.maxsize,
     json_output: Json = False,
 ) -> None:
-    """Print messages as they arrive, until Ctrl-C."""
+    """Print messages as they arrive, until Ctrl-C.
+
+    Example: skygcs-cli message watch ATTITUDE --from alpha --count 3
+    """
     wanted = [name_or_id(name) for name in names or ()]
 
     async def command(gcs: Client) -> None:
@@ -101,6 +104,8 @@ def send_message(
     """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Values may be enum names.
 
     A message with a target field needs --to TARGETS, --link LINK, or that field (0: all).
+
+    Example: skygcs-cli message send COMMAND_LONG command=512 param1=148 --to alpha --force
     """
     values = parse_pairs(fields or [])
     if target is not None and link is not None:
@@ -145,7 +150,10 @@ def last_message(
     name: MessageName,
     json_output: Json = False,
 ) -> None:
-    """Show the last message of one name from a vehicle: of its autopilot, else of another component."""
+    """Show the last message of one name from a vehicle: of its autopilot, else of another component.
+
+    Example: skygcs-cli message last alpha GPS_RAW_INT
+    """
 
     async def command(gcs: Client) -> int:
         answer = await gcs.call("messages.latest", target=target, name=name_or_id(name))
@@ -164,7 +172,10 @@ def last_message(
 
 @messages.command("request")
 def request_message(targets: ComponentTargets, name: MessageName, json_output: Json = False) -> None:
-    """Request one message once, and show it: `message request all AUTOPILOT_VERSION`."""
+    """Request one message once, and show it: `message request all AUTOPILOT_VERSION`.
+
+    Example: skygcs-cli message request alpha AUTOPILOT_VERSION
+    """
 
     async def command(gcs: Client) -> int:
         message = name_or_id(name)
@@ -193,7 +204,10 @@ def list_messages(
     part: Annotated[str, typer.Argument(metavar="[PART]", help="Only names that contain PART.")] = "",
     json_output: Json = False,
 ) -> None:
-    """List the dialect's messages and their fields."""
+    """List the dialect's messages and their fields.
+
+    Example: skygcs-cli message list ATTITUDE
+    """
 
     def lines(found: list[dict[str, Any]]) -> Iterator[str]:
         if not found:
@@ -209,4 +223,4 @@ def list_messages(
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(messages, name="message", rich_help_panel="Show")
+    app.add_typer(messages, name="message")

@@ -21,6 +21,7 @@ from skygcs.cli.connection import (
     Exit,
     client,
     exit_code,
+    give_order,
     print_outcomes,
     run,
     run_offline,
@@ -28,7 +29,8 @@ from skygcs.cli.connection import (
     run_show,
     waiting,
 )
-from skygcs.cli.options import Json, OneVehicle, OptionalTargets, Targets
+from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Targets
+from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import finite, parse_number
 from skygcs.cli.render import event_line, plural, print_json
 from skygcs.core.mavlink.dialect import Dialect
@@ -77,6 +79,7 @@ OutFile = Annotated[
     Path | None,
     typer.Argument(metavar="[FILE]", help="Default: printed. A .plan, or one list as WPL.", show_default=False),
 ]
+InTheWay = Annotated[bool, typer.Option("--force", help="Although another vehicle is in the way.")]
 Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite FILE.")]
 
 
@@ -120,7 +123,10 @@ def _check(
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Show what a plan file holds, and everything that is wrong with it, by item."""
+    """Show what a plan file holds, and everything that is wrong with it, by item.
+
+    Example: skygcs-cli mission check survey.plan --autopilot px4
+    """
     place = None if vehicle is None else _place("--vehicle", vehicle)
     limits = CheckLimits(max_height_m, max_distance_m, max_items)
     request = _CheckRequest(limits, _family(autopilot), place, dialect)
@@ -142,7 +148,10 @@ def _convert(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite OUT.")] = False,
 ) -> None:
-    """Write a plan in the other format. Surveys and scans become their single items."""
+    """Write a plan in the other format. Surveys and scans become their single items.
+
+    Example: skygcs-cli mission convert survey.plan survey.waypoints
+    """
     kind = None if only is None else MissionType[only.upper()]
     run_offline(lambda: _convert_file(file, out, kind, _family(autopilot), force=force))
 
@@ -303,9 +312,12 @@ def _upload(
     force: Annotated[
         bool, typer.Option("--force", help="Although the plan has errors, or the vehicle flies a mission.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Check a plan against each vehicle and upload what it holds: mission, fence, rally points."""
+    """Check a plan against each vehicle and upload what it holds: mission, fence, rally points.
+
+    Example: skygcs-cli mission upload alpha survey.plan
+    """
     upload(targets, file, None if only is None else [name.value for name in only], force, json_output)
 
 
@@ -317,7 +329,10 @@ def _download(
     force: Overwrite = False,
     json_output: Json = False,
 ) -> None:
-    """Read a vehicle's mission, fence and rally points."""
+    """Read a vehicle's mission, fence and rally points.
+
+    Example: skygcs-cli mission download alpha alpha.plan
+    """
     download(vehicle, file, [name.value for name in only or ListName], force, json_output)
 
 
@@ -326,9 +341,12 @@ def _clear(
     targets: Targets,
     only: Lists = None,
     force: Annotated[bool, typer.Option("--force", help="Although it flies a mission.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Delete the vehicles' missions; with --only fences and rally points."""
+    """Delete the vehicles' missions; with --only fences and rally points.
+
+    Example: skygcs-cli mission clear alpha
+    """
     lists = ["mission"] if only is None else [name.value for name in only]
     clear(targets, lists, force, json_output)
 
@@ -338,38 +356,56 @@ def _start(
     targets: Targets,
     first: Annotated[int, typer.Option("--first", metavar="ITEM", min=1, help="Begin with this item.")] = 1,
     arm: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
-    force: Annotated[bool, typer.Option("--force", help="Without a required preflight.")] = False,
-    json_output: Json = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Without a required preflight, and although another vehicle is in the way.")
+    ] = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Fly the mission that is in the vehicle."""
+    """Fly the mission that is in the vehicle.
+
+    Example: skygcs-cli mission start alpha
+    """
     run_order("missions.start", json_output, targets=targets, first=first, arm=arm, force=force)
 
 
 @missions.command("pause")
-def _pause(targets: Targets, json_output: Json = False) -> None:
-    """Stop and hold position."""
+def _pause(targets: Targets, json_output: OrderJson = None) -> None:
+    """Stop and hold position.
+
+    Example: skygcs-cli mission pause alpha
+    """
     run_order("missions.pause", json_output, targets=targets)
 
 
 @missions.command("resume")
-def _resume(targets: Targets, json_output: Json = False) -> None:
-    """Continue with the current item."""
-    run_order("missions.resume", json_output, targets=targets)
+def _resume(targets: Targets, force: InTheWay = False, json_output: OrderJson = None) -> None:
+    """Continue with the current item.
+
+    Example: skygcs-cli mission resume alpha
+    """
+    run_order("missions.resume", json_output, targets=targets, force=force)
 
 
 @missions.command("current")
 def _current(
     targets: Targets,
     item: Annotated[int, typer.Argument(metavar="ITEM", min=1, help="Counted from 1.", show_default=False)],
-    json_output: Json = False,
+    force: InTheWay = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Make an item the current one."""
-    run_order("missions.set_current", json_output, targets=targets, item=item)
+    """Make an item the current one.
+
+    Example: skygcs-cli mission current alpha 4
+    """
+    run_order("missions.set_current", json_output, targets=targets, item=item, force=force)
 
 
 @missions.command("status")
 def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show where vehicles are in their missions."""
+    """Show where vehicles are in their missions.
+
+    Example: skygcs-cli mission status all
+    """
 
     def lines(statuses: list[dict[str, Any]]) -> Iterator[str]:
         return (_mission_line(status) for status in statuses)
@@ -383,7 +419,10 @@ def _watch(
     count: Annotated[int, typer.Option("--count", metavar="N", help="End after N events.", min=1)] = sys.maxsize,
     json_output: Json = False,
 ) -> None:
-    """Follow missions and transfers: the status, then every item reached, until Ctrl-C."""
+    """Follow missions and transfers: the status, then every item reached, until Ctrl-C.
+
+    Example: skygcs-cli mission watch alpha
+    """
 
     def show(item: dict[str, Any], line: str) -> None:
         if json_output:
@@ -441,19 +480,18 @@ def _of_missions(event: dict[str, Any]) -> bool:
 # --- transfers --------------------------------------------------------------------------------------------------------
 
 
-def upload(targets: str, file: Path, lists: list[str] | None, force: bool, json_output: bool) -> NoReturn:
+def upload(targets: str, file: Path, lists: list[str] | None, force: bool, json_output: JsonForm) -> NoReturn:
     """Upload lists of a plan (None: all it holds). The plan file is read before the daemon is called."""
 
     async def sent(content: str, plan: MissionPlan) -> int:
         try:
-            async with client() as gcs, waiting(f"missions.upload {targets}"):
-                answer = await gcs.call(
-                    "missions.upload", targets=targets, plan=content, name=file.name, lists=lists, force=force
-                )
+            async with client() as gcs:
+                given = {"plan": content, "name": file.name, "lists": lists, "force": force}
+                outcomes = await give_order(gcs, "missions.upload", json_output, targets=targets, **given)
         except asyncio.CancelledError:
             kinds = lists or [kind.word for kind in plan.holds()]
             return await report_held(targets, kinds, plan, file.name, json_output)
-        return print_outcomes(answer["outcomes"], json_output)
+        return exit_code(outcomes)
 
     def command() -> int:
         imported = load_plan(file)
@@ -464,16 +502,18 @@ def upload(targets: str, file: Path, lists: list[str] | None, force: bool, json_
     run_offline(command)
 
 
-def clear(targets: str, lists: list[str], force: bool, json_output: bool) -> NoReturn:
+def clear(targets: str, lists: list[str], force: bool, json_output: JsonForm) -> NoReturn:
     """Delete lists in vehicles."""
 
     async def cleared() -> int:
         try:
-            async with client() as gcs, waiting(f"missions.clear {targets}"):
-                answer = await gcs.call("missions.clear", targets=targets, lists=lists, force=force)
+            async with client() as gcs:
+                outcomes = await give_order(
+                    gcs, "missions.clear", json_output, targets=targets, lists=lists, force=force
+                )
         except asyncio.CancelledError:
             return await report_held(targets, lists, MissionPlan(), "", json_output)
-        return print_outcomes(answer["outcomes"], json_output)
+        return exit_code(outcomes)
 
     run_offline(lambda: asyncio.run(cleared()))
 
@@ -529,7 +569,7 @@ def _write(file: Path, plan: str | None, lists: list[str]) -> None:
 # --- after an interrupted transfer ------------------------------------------------------------------------------------
 
 
-async def report_held(targets: str, lists: Sequence[str], sent: MissionPlan, file: str, json_output: bool) -> int:
+async def report_held(targets: str, lists: Sequence[str], sent: MissionPlan, file: str, json_output: JsonForm) -> int:
     """After Ctrl-C in a transfer: read from the vehicles what they hold now, and compare it with ``sent``.
 
     The daemon stops a transfer when its client disconnects, and keeps how it ended (`missions.status`, ``last``). An
@@ -614,4 +654,4 @@ def held_line(answer: dict[str, Any], sent: MissionPlan, kind: MissionType, file
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(missions, name="mission", rich_help_panel="Orders")
+    app.add_typer(missions, name="mission")

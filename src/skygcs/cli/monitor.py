@@ -13,7 +13,10 @@ from skygcs.cli.render import fixed, plural
 
 
 def monitor(json_output: Json = False) -> None:
-    """Show which vehicles are about to meet, and which cannot be watched for it."""
+    """Show which vehicles are about to meet, and which cannot be watched for it.
+
+    Example: skygcs-cli monitor
+    """
     run_show("monitor.status", json_output, monitor_lines)
 
 
@@ -52,4 +55,4 @@ def conflict_line(conflict: Mapping[str, Any]) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Show")(monitor)
+    app.command()(monitor)

@@ -20,7 +20,10 @@ log = typer.Typer(help="The logs that autopilots have on board: list them, get t
 
 @log.command("list")
 def list_(targets: Targets, json_output: Json = False) -> None:
-    """List the logs on board."""
+    """List the logs on board.
+
+    Example: skygcs-cli log list all
+    """
 
     async def command(gcs: Client) -> int:
         async with waiting(f"logs of {targets}"):
@@ -45,6 +48,8 @@ def get(
     """Get logs over USB or Wi-Fi into the daemon's log folder; the same command goes on where one was broken off.
 
     A .bin of ArduPilot, a .ulg of PX4. Several vehicles at the same time. The vehicles must be disarmed.
+
+    Example: skygcs-cli log get alpha
     """
     if everything and logs:
         raise typer.BadParameter("give ids or --all")
@@ -103,4 +108,4 @@ async def _progress(*, quiet: bool) -> AsyncIterator[None]:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(log, name="log", rich_help_panel="Show")
+    app.add_typer(log, name="log")

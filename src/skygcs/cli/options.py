@@ -132,6 +132,16 @@ MessageName = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
+OrderJson = Annotated[
+    bool | None,
+    typer.Option(
+        "--json/--json-lines",
+        help="Print JSON: one object at the end, or a line for each vehicle as it answers.",
+        show_default=False,
+    ),
+]
+"""See `skygcs.cli.order_output.JsonForm`."""
+
 
 # --- options that several commands have in common ---------------------------------------------------------------------
 

@@ -13,22 +13,23 @@ import typer
 from skygcs.cli.connection import (
     Exit,
     client,
+    exit_code,
     fail,
+    give_order,
     names_other_sites,
-    print_outcomes,
     run,
     run_order,
-    waiting,
 )
 from skygcs.cli.options import (
     ComponentTargets,
-    Json,
+    OrderJson,
     Targets,
     complete_commands,
     complete_messages,
     complete_modes,
     complete_targets,
 )
+from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
@@ -61,20 +62,20 @@ class StopAction(StrEnum):
     KILL = "kill"
 
 
-def _order(name: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
+def _order(name: str, targets: str, json_output: JsonForm, **params: Any) -> NoReturn:
     run_order(f"vehicles.{name}", json_output, targets=targets, **params)
 
 
-def _order_confirmed(name: str, targets: str, json_output: bool, confirm: str | None, **params: Any) -> NoReturn:
+def _order_confirmed(name: str, targets: str, json_output: JsonForm, confirm: str | None, **params: Any) -> NoReturn:
     """As `_order`; if the daemon requires a word to confirm it, the person at the terminal is asked for the word."""
 
     station = names_other_sites(targets)
 
     async def command(gcs: Client) -> int:
         async def ordered(word: str | None, daemon: Client = gcs) -> int:
-            async with waiting(f"{name} {targets}"):
-                answer = await daemon.call(f"vehicles.{name}", targets=targets, confirm=word, **params)
-            return print_outcomes(answer["outcomes"], json_output)
+            return exit_code(
+                await give_order(daemon, f"vehicles.{name}", json_output, targets=targets, confirm=word, **params)
+            )
 
         # the refusal names the vehicles and the word
         try:
@@ -112,9 +113,12 @@ def arm(
         bool, typer.Option("--force", help="Skip the autopilot's arming checks, and a required preflight.")
     ] = False,
     wait: Wait = 0.0,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Arm vehicles."""
+    """Arm vehicles.
+
+    Example: skygcs-cli arm all --wait 20
+    """
     _order("arm", targets, json_output, force=force, wait_s=wait)
 
 
@@ -129,9 +133,12 @@ def disarm(
             help="Needed while two vehicles have one system id: disarm-N. Default: asks for it.",
         ),
     ] = None,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Disarm vehicles."""
+    """Disarm vehicles.
+
+    Example: skygcs-cli disarm alpha
+    """
     _order_confirmed("disarm", targets, json_output, confirm, force=force)
 
 
@@ -148,24 +155,36 @@ def takeoff(
         bool, typer.Option("--force", help="Skip a required preflight; though another vehicle is in the way.")
     ] = False,
     wait: Wait = 0.0,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Take off, arming first."""
+    """Take off, arming first.
+
+    Example: skygcs-cli takeoff all 10
+    """
     _order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait, force=force)
 
 
-def land(targets: Targets, json_output: Json = False) -> None:
-    """Land at the present position."""
+def land(targets: Targets, json_output: OrderJson = None) -> None:
+    """Land at the present position.
+
+    Example: skygcs-cli land alpha,bravo
+    """
     _order("land", targets, json_output)
 
 
-def rtl(targets: Targets, json_output: Json = False) -> None:
-    """Return to the launch position and land there."""
+def rtl(targets: Targets, json_output: OrderJson = None) -> None:
+    """Return to the launch position and land there.
+
+    Example: skygcs-cli rtl all
+    """
     _order("rtl", targets, json_output)
 
 
-def hold(targets: Targets, json_output: Json = False) -> None:
-    """Stop and hold position."""
+def hold(targets: Targets, json_output: OrderJson = None) -> None:
+    """Stop and hold position.
+
+    Example: skygcs-cli hold all
+    """
     _order("hold", targets, json_output)
 
 
@@ -185,11 +204,13 @@ def goto(
     same_place: Annotated[
         bool, typer.Option("--same-place", help="Send several vehicles to the same point; their heights must differ.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Fly to a position: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`.
+    """Fly to a position: LAT LON [HEIGHT], or with --enu in metres from the origin.
 
     Several vehicles keep their formation; its centre flies to the position.
+
+    Example: skygcs-cli goto alpha --enu 20,-5,15 --yaw 90
     """
     params: dict[str, Any] = {"yaw_deg": yaw, "force": force, "same_place": same_place}
     numbers = _numbers(place, ("LAT", "LON", "HEIGHT"))
@@ -220,18 +241,27 @@ def mode(
         str,
         typer.Argument(metavar="MODE", help="AUTO.LOITER (PX4), GUIDED (ArduCopter), …", autocompletion=complete_modes),
     ],
-    json_output: Json = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Into a mode flown by sticks, in the air, although none are seen.")
+    ] = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Set the flight mode, by the name that the autopilot uses."""
-    _order("mode", targets, json_output, mode=mode_name)
+    """Set the flight mode, by the name that the autopilot uses.
+
+    Example: skygcs-cli mode charlie LOITER
+    """
+    _order("mode", targets, json_output, mode=mode_name, force=force)
 
 
 def reboot(
     targets: Targets,
     force: Annotated[bool, typer.Option("--force", help="Although it is armed.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Reboot the autopilot."""
+    """Reboot the autopilot.
+
+    Example: skygcs-cli reboot alpha
+    """
     _order("reboot", targets, json_output, force=force)
 
 
@@ -240,9 +270,12 @@ def forget(
     force: Annotated[
         bool, typer.Option("--force", help="Although it is heard, or was armed when it was lost in the last half hour.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Remove vehicles that are gone, also from `all`. A vehicle that is heard again is added again."""
+    """Remove vehicles that are gone, also from `all`. A vehicle that is heard again is added again.
+
+    Example: skygcs-cli forget bravo
+    """
     _order("forget", targets, json_output, force=force)
 
 
@@ -255,9 +288,12 @@ def sysid(
     force: Annotated[
         bool, typer.Option("--force", help="Although the fleet file assigns N to a vehicle that is not heard.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Change the system id of a vehicle: set it, restart, find the vehicle again, read back. Disarmed only."""
+    """Change the system id of a vehicle: set it, restart, find the vehicle again, read back. Disarmed only.
+
+    Example: skygcs-cli sysid 1 7
+    """
 
     run_order("vehicles.renumber", json_output, target=target, sysid=number, force=force)
 
@@ -266,9 +302,12 @@ def home(
     targets: Targets,
     place: HomePlace = None,
     force: Annotated[bool, typer.Option("--force", help="Also in the air, or beyond the distance limit.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Set home to the present position of the vehicle, or to a given position."""
+    """Set home to the present position of the vehicle, or to a given position.
+
+    Example: skygcs-cli home alpha
+    """
     numbers = _numbers(place, ("LAT", "LON", "ALT"))
     if len(numbers) == 1:
         raise typer.BadParameter("give LAT LON [ALT], or nothing for its present position")
@@ -282,9 +321,12 @@ def interval(
     rate: Annotated[
         str, typer.Argument(metavar="HZ", help="Per second; 0 stops it; default: the autopilot's own rate.")
     ],
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Request one message at a rate: `interval all ATTITUDE 10`, `interval 1 ATTITUDE default`."""
+    """Request one message at a rate: `interval all ATTITUDE 10`, `interval 1 ATTITUDE default`.
+
+    Example: skygcs-cli interval alpha ATTITUDE 10
+    """
     rate_hz = None if rate == "default" else parse_number(rate, "HZ")
     _order("interval", targets, json_output, message=name_or_id(message), rate_hz=rate_hz)
 
@@ -293,9 +335,12 @@ def stream(
     targets: ComponentTargets,
     name: Annotated[str, typer.Argument(metavar="STREAM", help="MAV_DATA_STREAM: POSITION, EXTRA1, … or number.")],
     rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.", parser=finite)],
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Request a group of messages at a rate (older ArduPilot)."""
+    """Request a group of messages at a rate (older ArduPilot).
+
+    Example: skygcs-cli stream charlie ALL 2
+    """
     _order("stream", targets, json_output, stream=name_or_id(name), rate_hz=rate_hz)
 
 
@@ -319,9 +364,12 @@ def command(
     y: Annotated[int | None, typer.Option("--y", help="As in the message: longitude * 1e7.")] = None,
     z: Annotated[float | None, typer.Option("--z", metavar="Z", help="Metres.", parser=finite)] = None,
     force: Annotated[bool, typer.Option("--force", help="Skip the checks of the order that does the same.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Send any MAV_CMD and wait for its acknowledgement."""
+    """Send any MAV_CMD and wait for its acknowledgement.
+
+    Example: skygcs-cli command charlie DO_SET_MODE 1 4
+    """
     numbers = [parse_unset_number(p, f"PARAM{i}") for i, p in enumerate(params or [], 1)]
     more: dict[str, Any] = {}
     if (x is None) != (y is None):
@@ -346,9 +394,12 @@ def stop(
             "--confirm", metavar="WORD", help="For kill: kill-N, N is the number of vehicles. Default: asks for it."
         ),
     ] = None,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Emergency stop: sent over every link, also to lost vehicles, and repeated until the vehicle shows the effect."""
+    """Emergency stop: sent over every link, also to lost vehicles, and repeated until the vehicle shows the effect.
+
+    Example: skygcs-cli stop all land
+    """
     _order_confirmed("stop", targets, json_output, confirm, action=action.value)
 
 
@@ -359,6 +410,6 @@ def add_to(app: typer.Typer) -> None:
     with_numbers = (takeoff, goto, home, interval, stream, command)
     for function in (*functions, *further):
         if function in with_numbers:
-            app.command(rich_help_panel="Orders", cls=NumbersCommand, context_settings=dict(NUMBERS))(function)
+            app.command(cls=NumbersCommand, context_settings=dict(NUMBERS))(function)
         else:
-            app.command(rich_help_panel="Orders")(function)
+            app.command()(function)

@@ -7,9 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import run_order, run_show
-from skygcs.cli.options import Json, OneVehicle, Targets
+from skygcs.cli.connection import run, run_order, run_show, show
+from skygcs.cli.options import Json, OneVehicle, OrderJson, Targets
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite
+from skygcs.core.vehicle.state import AIRBORNE
+from skygcs.rpc.client import Client
 
 app = typer.Typer(
     help="Show or set the origin of the frame in which positions are given; this moves no vehicle.",
@@ -38,7 +40,10 @@ def _origin_default(ctx: typer.Context, json_output: Json = False) -> None:
 
 @app.command("get")
 def get(json_output: Json = False) -> None:
-    """Show the origin (as `origin` alone)."""
+    """Show the origin (as `origin` alone).
+
+    Example: skygcs-cli origin get
+    """
     _ask("origin.get", json_output)
 
 
@@ -51,7 +56,10 @@ def set_(
     force: Annotated[bool, typer.Option("--force", help="Although a vehicle is farther than 20 km from it.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the origin: `origin set 43.7806 -79.4653 180 --heading 30`. Coordinates change, no vehicle moves."""
+    """Set the origin. Coordinates change, no vehicle moves.
+
+    Example: skygcs-cli origin set 43.7806 -79.4653 180 --heading 30
+    """
     _ask(
         "origin.set",
         json_output,
@@ -71,8 +79,17 @@ def from_(
     force: Annotated[bool, typer.Option("--force", help="Without a 3D fix, or far from other vehicles.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the origin to the present position of a vehicle."""
-    _ask("origin.from_vehicle", json_output, target=vehicle, heading=heading, force=force)
+    """Set the origin to the present position of a vehicle.
+
+    Example: skygcs-cli origin from alpha
+    """
+
+    async def command(gcs: Client) -> None:
+        status = await gcs.call("origin.from_vehicle", target=vehicle, heading=heading, force=force)
+        state = await gcs.call("vehicles.get", target=vehicle)
+        show(status, json_output, lambda _: (_line(status), *zero_in_the_air(status["origin"], state)))
+
+    run(command)
 
 
 @app.command("push")
@@ -84,11 +101,13 @@ def push(
     force: Annotated[
         bool, typer.Option("--force", help="Although vehicles are armed, or the home would be in the air or far away.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
     """Send the origin to vehicles for their own local frame, which programs on board use; skygcs does not need it.
 
     ArduPilot accepts it only while it has no origin.
+
+    Example: skygcs-cli origin push all
     """
     run_order("origin.push", json_output, targets=targets, home=home, force=force)
 
@@ -108,6 +127,18 @@ def _ask(method: str, json_output: bool, *, kept_heading: bool = False, **params
     run_show(method, json_output, lines, **params)
 
 
+def zero_in_the_air(origin: Mapping[str, Any], state: Mapping[str, Any]) -> Iterator[str]:
+    """The altitude of zero, if the vehicle that gave the origin flies: "up" then counts from there, not the ground."""
+    if state["landed"] not in AIRBORNE:
+        return
+    position = state["position"]
+    over_home = "" if position is None else f", {position['alt_rel_m']:.1f} m above its home"
+    yield (
+        f"up is 0 where {state['name']} flies: {origin['alt_amsl_m']:.1f} m above sea level{over_home}; "
+        "heights near the ground are negative"
+    )
+
+
 def _line(status: Mapping[str, Any]) -> str:
     origin = status["origin"]
     if origin is None:
@@ -123,4 +154,4 @@ def _line(status: Mapping[str, Any]) -> str:
 
 
 def add_to(app_: typer.Typer) -> None:
-    app_.add_typer(app, name="origin", rich_help_panel="Orders")
+    app_.add_typer(app, name="origin")

@@ -14,13 +14,15 @@ from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import Exit, run, run_offline, show
-from skygcs.cli.options import Json, OneVehicle, Targets
+from skygcs.cli.connection import Exit, clear_spinner, run, run_offline, show
+from skygcs.cli.options import Json, OneVehicle, OrderJson, Targets
+from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.cli.render import plural, print_json, print_lines
 from skygcs.config.files import write_whole
-from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float, value_text
 from skygcs.core.params.compare import ApplyPlan, Change, Difference, diff, plan
+from skygcs.core.params.metadata import ParamMetadata
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import MAX_CHARS, Entry, Kind, ParamFile, Rounding, of_vehicle, parse, write
 from skygcs.errors import ConfigError, RefusedError
@@ -80,11 +82,40 @@ def get(
     names: Annotated[list[str], typer.Argument(metavar="NAME …", help="Names of parameters.", show_default=False)],
     json_output: Json = False,
 ) -> None:
-    """Read parameters from vehicles: `param get all NAV_RCL_ACT`."""
+    """Read parameters from vehicles: `param get all NAV_RCL_ACT`.
+
+    Example: skygcs-cli param get all MPC_XY_VEL_MAX
+    """
 
     async def command(gcs: Client) -> int:
         answer = await gcs.call("params.get", targets=targets, names=[n.upper() for n in names])
         return _show_outcomes(answer["outcomes"], json_output)
+
+    run(command)
+
+
+@params.command("show")
+def show_(
+    targets: Targets,
+    names: Annotated[list[str], typer.Argument(metavar="NAME …", help="Names of parameters.", show_default=False)],
+    read: Annotated[
+        bool,
+        typer.Option("--read", help="Read the vehicle's own metadata file over a slow link, too (some 70 kB)."),
+    ] = False,
+    json_output: Json = False,
+) -> None:
+    """Show values with unit, range, meaning and description: `param show all MPC_XY_CRUISE`.
+
+    Example: skygcs-cli param show alpha RTL_RETURN_ALT
+    """
+
+    async def command(gcs: Client) -> int:
+        wanted = [n.upper() for n in names]
+        described = (await gcs.call("params.metadata", targets=targets, names=wanted, read=read))["vehicles"]
+        outcomes = (await gcs.call("params.get", targets=targets, names=wanted))["outcomes"]
+        answer = {"metadata": described, "outcomes": outcomes}
+        show(answer, json_output, lambda _: metadata_lines(described, outcomes))
+        return Exit.DONE if all(o["ok"] for by_name in outcomes.values() for o in by_name.values()) else Exit.FAILED
 
     run(command)
 
@@ -95,15 +126,28 @@ def set_(
     pairs: Annotated[
         list[str], typer.Argument(metavar="NAME VALUE …", help="One or more, set in this order.", show_default=False)
     ],
-    json_output: Json = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Values outside their range; in the air, or in a flight, what is not listed as harmless."
+        ),
+    ] = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Set parameters and read them back: `param set 1 NAV_RCL_ACT 0 COM_RC_IN_MODE 4`."""
+    """Set parameters and read them back: `param set 1 NAV_RCL_ACT 1 COM_RC_IN_MODE 4`.
+
+    Example: skygcs-cli param set all RTL_RETURN_ALT 30
+    """
     if len(pairs) % 2:
         raise typer.BadParameter(f"{pairs[-1]} is not followed by a value")
     values = {name.upper(): parse_number(text, name) for name, text in zip(pairs[::2], pairs[1::2], strict=True)}
 
     async def command(gcs: Client) -> int:
-        return _show_outcomes(await _set(gcs, targets, values), json_output)
+        output = _SetOutput(json_output)
+        outcomes = await _set(gcs, targets, values, force=force, output=output)
+        if json_output is True:
+            print_json({"outcomes": outcomes})
+        return _exit_code(outcomes)
 
     run(command)
 
@@ -118,7 +162,10 @@ def list_(
     burst: Burst = False,
     json_output: Json = False,
 ) -> None:
-    """List all parameters of vehicles, or those whose names match a pattern."""
+    """List all parameters of vehicles, or those whose names match a pattern.
+
+    Example: skygcs-cli param list alpha 'MPC_*'
+    """
 
     async def command(gcs: Client) -> int:
         lists = await _lists(gcs, targets, refresh=refresh, burst=burst)
@@ -141,7 +188,10 @@ def save(
     refresh: Refresh = False,
     burst: Burst = False,
 ) -> None:
-    """Save all parameters of a vehicle to a file."""
+    """Save all parameters of a vehicle to a file.
+
+    Example: skygcs-cli param save alpha alpha.params
+    """
     kind = kind_of(file)
     if file.exists() and not force:
         raise typer.BadParameter(f"{file} exists; --force overwrites it")
@@ -163,7 +213,10 @@ def apply(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print what would be set.")] = False,
     include: Include = "",
     force: Annotated[
-        bool, typer.Option("--force", help="Although the file seems to belong to another vehicle.")
+        bool,
+        typer.Option(
+            "--force", help="Although the file seems to belong to another vehicle, or has values outside their ranges."
+        ),
     ] = False,
     refresh: Refresh = False,
     burst: Burst = False,
@@ -173,6 +226,8 @@ def apply(
 
     Calibration, statistics and system ids are left alone without --include. Nothing is sent if the file has a value
     that the vehicle cannot hold, or seems to belong to another vehicle.
+
+    Example: skygcs-cli param apply all lab.param --dry-run
     """
     sorts = include_of(include)
 
@@ -191,7 +246,7 @@ def apply(
                 continue
             # set it, unless the file is wrong for this vehicle
             _refuse(held.name, made, force=force)
-            done = await _applied(gcs, contents, held, made, sorts, quiet=json_output)
+            done = await _applied(gcs, contents, held, made, sorts, force=force, quiet=json_output)
             answers[held.name] |= done
             if done["differs"] or not all(o["ok"] for o in done["outcomes"].values()):
                 exit_code = Exit.FAILED
@@ -208,7 +263,14 @@ def _planned(contents: ParamFile, held: HeldParams, sorts: frozenset[Sort]) -> A
 
 
 async def _applied(
-    gcs: Client, contents: ParamFile, held: HeldParams, made: ApplyPlan, sorts: frozenset[Sort], *, quiet: bool
+    gcs: Client,
+    contents: ParamFile,
+    held: HeldParams,
+    made: ApplyPlan,
+    sorts: frozenset[Sort],
+    *,
+    force: bool,
+    quiet: bool,
 ) -> dict[str, Any]:
     """Set the changes of a plan, read the parameters again and report; returns the same for JSON."""
 
@@ -217,7 +279,8 @@ async def _applied(
 
     if not made.changes:
         return {"outcomes": {}, "differs": []}
-    outcomes = (await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}))[held.name]
+    wanted = {change.name: change.value for change in made.changes}
+    outcomes = (await _set(gcs, str(held.sysid), wanted, force=force))[held.name]
     report(outcome_lines({held.name: outcomes}))
     # read again what the vehicle holds now; after a change of its identity it is another vehicle to the daemon
     left: Sequence[Change] = ()
@@ -255,6 +318,8 @@ def diff_(
 
     Values are compared exactly, as the 32-bit floats that vehicles hold. If the program that wrote a file rounds
     (MAVProxy, Mission Planner), a value of it equals all values that round to it.
+
+    Example: skygcs-cli param diff alpha alpha.params
     """
     sorts = include_of(include)
     notes: list[str] = []
@@ -293,7 +358,10 @@ def diff_(
 
 @params.command("cancel")
 def cancel(targets: Targets) -> None:
-    """Stop all reading and setting of parameters, by any program."""
+    """Stop all reading and setting of parameters, by any program.
+
+    Example: skygcs-cli param cancel all
+    """
 
     async def command(gcs: Client) -> None:
         for name, count in (await gcs.call("params.cancel", targets=targets)).items():
@@ -309,17 +377,54 @@ def _is_file(name: str) -> bool:
 
 def _show_outcomes(outcomes: OutcomesByVehicle, json_output: bool) -> int:
     show({"outcomes": outcomes}, json_output, lambda _: outcome_lines(outcomes))
+    return _exit_code(outcomes)
+
+
+def _exit_code(outcomes: OutcomesByVehicle) -> Exit:
     return Exit.DONE if all(o["ok"] for by_name in outcomes.values() for o in by_name.values()) else Exit.FAILED
 
 
 # --- vehicles ---------------------------------------------------------------------------------------------------------
 
 
-async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[str, dict[str, dict[str, Any]]]:
+class _SetOutput:
+    """Prints what was set in each vehicle when it is done; ``form`` True: nothing, one JSON object comes at the end."""
+
+    def __init__(self, form: JsonForm) -> None:
+        self._form = form
+        self._width = 0
+
+    def begin(self, vehicles: Sequence[str]) -> None:
+        self._width = max((len(name) for name in vehicles), default=0)
+
+    def take(self, vehicle: str, outcomes: Mapping[str, Mapping[str, Any]]) -> None:
+        if self._form is False:
+            print_json({"vehicle": vehicle, "outcome": outcomes}, line=True)
+        elif self._form is None:
+            clear_spinner()
+            print_lines(outcome_lines({vehicle: outcomes}, self._width))
+            sys.stdout.flush()
+
+
+async def _set(
+    gcs: Client,
+    targets: str,
+    values: Mapping[str, float],
+    *,
+    force: bool = False,
+    output: _SetOutput | None = None,
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Set parameters of vehicles; each vehicle's outcomes go to ``output`` when they are there."""
+    shown = output or _SetOutput(True)
     async with _progress(gcs, targets):
-        answer = await gcs.call("params.set", targets=targets, params=dict(values))
-    outcomes: dict[str, dict[str, dict[str, Any]]] = answer["outcomes"]
-    return outcomes
+        return await gcs.order(
+            "params.set",
+            on_vehicles=shown.begin,
+            on_outcome=shown.take,
+            targets=targets,
+            params=dict(values),
+            force=force,
+        )
 
 
 async def _lists(
@@ -434,14 +539,53 @@ def write_file(path: Path, held: HeldParams, kind: Kind, state: Mapping[str, Any
 # --- lines ------------------------------------------------------------------------------------------------------------
 
 
-def outcome_lines(outcomes: OutcomesByVehicle) -> Iterator[str]:
-    """One line per vehicle and parameter."""
-    width = max((len(name) for name in outcomes), default=0)
+def outcome_lines(outcomes: OutcomesByVehicle, width: int = 0) -> Iterator[str]:
+    """One line per vehicle and parameter; ``width``: of the vehicles' names at least."""
+    width = max((width, *(len(name) for name in outcomes)))
     for vehicle, by_name in outcomes.items():
         for asked, outcome in by_name.items():
             name = asked if asked == outcome["name"] else f"{asked} ({outcome['name']})"
             word = "ok  " if outcome["ok"] else "FAIL"
             yield f"{word} {vehicle:<{width}}  {name:<{NAME_CHARS}}  {outcome['message']}"
+
+
+def metadata_lines(described: Mapping[str, Mapping[str, Any]], outcomes: OutcomesByVehicle) -> Iterator[str]:
+    """Each vehicle's parameters with their metadata, below the source of these."""
+    for vehicle, found in described.items():
+        yield f"{vehicle}: metadata of {found['source'] or 'no source: its firmware is not known'}"
+        for asked, outcome in outcomes.get(vehicle, {}).items():
+            known = found["parameters"].get(asked)
+            if not outcome["ok"]:
+                yield f"  {asked:<{NAME_CHARS}}  FAIL {outcome['message']}"
+            elif known is None:
+                yield f"  {outcome['name']:<{NAME_CHARS}}  {_value(outcome['value'])}  (no metadata)"
+            else:
+                yield from _described(outcome["name"], outcome["value"], known)
+
+
+def _described(name: str, value: float | None, known: Mapping[str, Any]) -> Iterator[str]:
+    """One parameter: its value with the meaning, its range, its description, and what its values and bits mean."""
+    entry = ParamMetadata(
+        name,
+        known["unit"],
+        known["least"],
+        known["greatest"],
+        known["reboot"],
+        {float(v): text for v, text in known["values"].items()},
+        {int(bit): text for bit, text in known["bits"].items()},
+        known["description"],
+    )
+    meaning = "" if value is None else entry.meaning(value)
+    unit = f" {entry.unit}" if entry.unit else ""
+    within = f"  (range {entry.range_text()})" if entry.range_text() else ""
+    yield f"  {name:<{NAME_CHARS}}  {_value(value)}{unit}{f' = {meaning}' if meaning else ''}{within}"
+    yield f"  {'':<{NAME_CHARS}}  {entry.description}{'; takes effect after a reboot' if entry.reboot else ''}"
+    if value is not None and (why := entry.outside(value) or entry.without_meaning(value)):
+        yield f"  {'':<{NAME_CHARS}}  WARNING: {why}"
+    for title, meanings in (("values", entry.values), ("bits", entry.bits)):
+        if meanings:
+            listed = ", ".join(f"{value_text(key)} {text}" for key, text in meanings.items())
+            yield f"  {'':<{NAME_CHARS}}  {title}: {listed}"
 
 
 def list_lines(lists: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
@@ -499,7 +643,7 @@ def plan_lines(vehicle: str, made: ApplyPlan) -> Iterator[str]:
         yield f"  the vehicle has no {_named(made.unknown)}"
         yield "  (ArduPilot has some parameters only while their feature is on: switch it on, then apply again)"
     if made.changes:
-        yield "  some parameters take effect only after a reboot; autopilots do not report which"
+        yield "  what takes effect only after a reboot is said of each parameter that is set"
 
 
 def bar(event: Mapping[str, Any]) -> str:
@@ -531,4 +675,4 @@ def _value(value: float | None) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.add_typer(params, name="param", rich_help_panel="Set up")
+    app.add_typer(params, name="param")

@@ -86,6 +86,8 @@ def check(
     """Certify a plan or refuse it: the closest pair, when and where, and every term of its margin.
 
     Exit code 0: certified, 1: refused.
+
+    Example: skygcs-cli plan check show.json --fleet
     """
     motion, here, added = motion_limits(limits), origin_of(origin), place.space()
     if fleet:
@@ -133,6 +135,8 @@ def make(
     its start and its goal (with --formation or --fleet one is enough), anything else is a path that is kept as it is,
     as are .plan files of QGroundControl. With --fleet and --formation vehicles may be named instead of a file.
     Exit code 0: certified and written, 1: refused.
+
+    Example: skygcs-cli plan make goals.csv --fleet -o plan.json
     """
     motion, space, here = motion_limits(limits), place.space(), origin_of(origin)
     shape.require_valid()
@@ -160,7 +164,10 @@ def show(
     origin: OriginOption = None,
     json_output: Json = False,
 ) -> None:
-    """Show the vehicles of a plan: where from, where to, how long, how fast; and draw it."""
+    """Show the vehicles of a plan: where from, where to, how long, how fast; and draw it.
+
+    Example: skygcs-cli plan show show.json -o show.html
+    """
     motion, place = motion_limits(limits), origin_of(origin)
     if output is not None and output.suffix.lower() not in (".svg", ".html"):
         raise typer.BadParameter(f"--output: {output.name!r} ends neither in .svg nor in .html")
@@ -174,7 +181,7 @@ def show(
 
 
 def add_to(app_: typer.Typer) -> None:
-    app_.add_typer(app, name="plan", rich_help_panel="Orders")
+    app_.add_typer(app, name="plan")
 
 
 # --- questions and answers --------------------------------------------------------------------------------------------

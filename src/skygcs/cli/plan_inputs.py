@@ -15,8 +15,10 @@ from skygcs.cli.parsing import finite
 from skygcs.cli.plan_options import vector
 from skygcs.core.geo import Origin
 from skygcs.core.plan.file_reading import MAX_FILE_BYTES
+from skygcs.core.plan.flight_steps import ends_of, starts_of
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
 from skygcs.core.plan.plan_files import NamedFile, ReadPlan, read_together
+from skygcs.core.plan.plan_json import read_plan_json
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import PlanFileError
@@ -154,6 +156,9 @@ def starts_and_goals(file: Path, *, one_is_enough: bool = False) -> tuple[Places
     SkygcsError."""
     if file.suffix.lower() == MISSIONS or "=" in file.name:
         return {}, None
+    if file.suffix.lower() == ".json":  # another plan between the places of one
+        plan, _ = read_plan_json(str(file), bytes_of(file))
+        return starts_of(plan), ends_of(plan)
     if file.suffix.lower() == ".toml" or any(column in bytes_of(file)[:4096] for column in (b"initial_x", b"final_x")):
         from skygcs.cli.table import read_table
         from skygcs.core.plan.position_table import spots

@@ -39,6 +39,15 @@ class ControlModeName(StrEnum):
     ATTITUDE = "attitude"
 
 
+class GuidanceName(StrEnum):
+    """The way in which the vehicles are guided."""
+
+    AUTO = "auto"
+    GOTO = "goto"
+    SETPOINTS = "setpoints"
+    ONBOARD = "onboard"
+
+
 Force = Annotated[bool, typer.Option("--force", help="Although checks refuse it that can be insisted on.")]
 File = Annotated[
     Path,
@@ -60,6 +69,10 @@ def run_plan(
     file: File,
     targets: Vehicles = None,
     mode: Annotated[ControlModeName, typer.Option("--mode", help="The control mode.")] = ControlModeName.POSITION,
+    by: Annotated[
+        GuidanceName,
+        typer.Option("--by", help="goto: one order for each leg; setpoints: a stream; onboard: companions."),
+    ] = GuidanceName.AUTO,
     speed: Annotated[
         float, typer.Option("--speed", metavar="FACTOR", help="Multiple of the planned speed.", parser=finite)
     ] = 1.0,
@@ -79,6 +92,8 @@ def run_plan(
 
     Ctrl-C asks whether to abort; without a terminal it aborts. Exit code 0: all at their goals, 1: refused, stopped or
     aborted, 130: left while it flies on.
+
+    Example: skygcs-cli plan run show.json --set-return-heights
     """
     within("--speed", speed, MIN_SPEED_FACTOR, MAX_SPEED_FACTOR)
     within("--margin", margin, 0.01, 1000.0)
@@ -87,6 +102,7 @@ def run_plan(
         kept = await _load(gcs, file)
         names = await _vehicles(gcs, kept["vehicles"], targets)
         request = {"plan": kept["plan"], "vehicles": names, "mode": mode.value, "speed": speed, "force": force}
+        request["by"] = by.value
         request |= {} if margin is None else {"margin_m": margin}
         if dry_run:
             async with waiting("checking"):
@@ -246,6 +262,7 @@ def headline(status: State) -> str:
 
 def report_lines(report: State) -> Iterator[str]:
     """What was found: what is in the way first, then what to know."""
+    yield by_line(report)
     order = {"refused": 0, "warning": 1, "note": 2, "ok": 3}
     for finding in sorted(report["findings"], key=lambda f: order.get(f["severity"], 0)):
         word = {"refused": "NO  ", "warning": "warn", "note": "note"}.get(finding["severity"], "ok  ")
@@ -262,8 +279,14 @@ def report_lines(report: State) -> Iterator[str]:
         yield f"     {duration(report['duration_s'])}: {steps}"
 
 
+def by_line(report: State) -> str:
+    """The way in which it is flown, and why."""
+    return f"by {report['by']}: {report['why']}"
+
+
 def notes(report: State) -> Iterable[str]:
     """What passed but should be known."""
+    yield by_line(report)
     for finding in report["findings"]:
         if finding["severity"] in ("refused", "warning"):
             yield f"note: {finding['vehicle'] or 'plan'} {finding['check']}: {finding['text']}"
@@ -273,12 +296,18 @@ def notes(report: State) -> Iterable[str]:
 
 
 def watch(json_output: Json = False) -> None:
-    """Show the plan in flight until it is over or stopped; Ctrl-C as for `plan run`."""
+    """Show the plan in flight until it is over or stopped; Ctrl-C as for `plan run`.
+
+    Example: skygcs-cli plan watch
+    """
     run(lambda gcs: _follow(gcs, json_output))
 
 
 def pause(json_output: Json = False) -> None:
-    """Stop all on their ways, smoothly; `plan resume` goes on."""
+    """Stop all on their ways, smoothly; `plan resume` goes on.
+
+    Example: skygcs-cli plan pause
+    """
     _order("plan.pause", json_output)
 
 
@@ -289,7 +318,10 @@ def resume(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Go on after a pause or a stop, by a new certificate: from where they are, back to their ways."""
+    """Go on after a pause or a stop, by a new certificate: from where they are, back to their ways.
+
+    Example: skygcs-cli plan resume
+    """
     _order("plan.resume", json_output, force=force)
 
 
@@ -297,13 +329,19 @@ def speed_(
     factor: Annotated[float, typer.Argument(metavar="FACTOR", help="Of the planned speed.", parser=finite)],
     json_output: Json = False,
 ) -> None:
-    """Fly faster or slower, at most as fast as the plan was certified for."""
+    """Fly faster or slower, at most as fast as the plan was certified for.
+
+    Example: skygcs-cli plan speed 0.5
+    """
     within("FACTOR", factor, MIN_SPEED_FACTOR, MAX_SPEED_FACTOR)
     _order("plan.speed", json_output, speed=factor)
 
 
 def abort(json_output: Json = False) -> None:
-    """Stop all for good, and hold."""
+    """Stop all for good, and hold.
+
+    Example: skygcs-cli plan abort
+    """
     _order("plan.abort", json_output)
 
 
@@ -311,17 +349,26 @@ def land(
     force: Annotated[bool, typer.Option("--force", help="All at once, without a certificate.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Stop all, and land them where they are: at once, or the lowest first, as it is certified."""
+    """Stop all, and land them where they are: at once, or the lowest first, as it is certified.
+
+    Example: skygcs-cli plan land
+    """
     _order("plan.land", json_output, force=force)
 
 
 def unload(json_output: Json = False) -> None:
-    """Forget the plan that is loaded."""
+    """Forget the plan that is loaded.
+
+    Example: skygcs-cli plan unload
+    """
     _order("plan.unload", json_output)
 
 
 def status(json_output: Json = False) -> None:
-    """Show the plan that is loaded, and its flight."""
+    """Show the plan that is loaded, and its flight.
+
+    Example: skygcs-cli plan status
+    """
     run_show("plan.status", json_output, status_lines)
 
 

@@ -39,6 +39,8 @@ def preflight(
 
     The fleet file says what is expected of them ([types.NAME.preflight]). --fix shows the parameters it would set,
     asks, sets them, reads them back and checks again.
+
+    Example: skygcs-cli preflight all --fix
     """
     if fix and json_output and not yes:
         raise typer.BadParameter("--fix asks before it sets anything: with --json give --yes, too")
@@ -157,4 +159,4 @@ def _value(value: float) -> str:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Show")(preflight)
+    app.command()(preflight)

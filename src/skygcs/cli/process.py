@@ -16,6 +16,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skygcs.cli.journal import JournalLogger, goes_to_journal
+from skygcs.cli.log_limit import LibraryLog, LogLimit, bounded, readable
+from skygcs.descriptors import raise_limit
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ async def serve_until_signal(
             links=", ".join(daemon.links.open_names()) or "none",
             sysid=daemon.config.daemon.sysid,
             compid=daemon.config.daemon.compid,
-            **({} if daemon.web is None else {"web": f"{daemon.web.more['page']} (skygcs web link prints an address)"}),
+            **daemon.extensions.announcements(),
         )
         if on_ready is not None:
             on_ready()
@@ -128,8 +130,17 @@ def _notify_service_manager(state: str) -> None:
         notify.sendto(state.encode(), address)
 
 
+NOT_FOR_OTHERS = 0o027
+"""The umask of a running daemon; a stricter one stays. Its group may read the logs (`config.files.LOG_MODE`)."""
+
+
 def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
-    """Run on uvloop if it is installed. Raises the first SkygcsError of a task group, not the group."""
+    """Run on uvloop if it is installed. Raises the first SkygcsError of a task group, not the group.
+
+    Files that it and its children write are not for others: logs show where vehicles are and who flies them.
+    """
+    os.umask(os.umask(0o077) | NOT_FOR_OTHERS)
+    raise_limit()
     try:
         import uvloop
 
@@ -183,11 +194,14 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
     structlog = import_structlog()
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr.isatty()
+    limit = LogLimit()
+    within = [bounded(limit, structlog.DropEvent), readable]
+    logging.basicConfig(level=logging.WARNING, handlers=[LibraryLog(limit)], force=True)
     # plain: a traceback with the values of local variables could print a signing key or a token
     if goes_to_journal():
         journal = JournalLogger()
         structlog.configure(
-            processors=[structlog.processors.add_log_level, structlog.processors.format_exc_info, _as_fields],
+            processors=[*within, structlog.processors.add_log_level, structlog.processors.format_exc_info, _as_fields],
             wrapper_class=structlog.make_filtering_bound_logger(level),
             logger_factory=lambda *_: journal,
             cache_logger_on_first_use=False,
@@ -197,6 +211,7 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
     renderer: Any = structlog.dev.ConsoleRenderer(colors=tty, pad_event_to=0, exception_formatter=plain)
     structlog.configure(
         processors=[
+            *within,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="%H:%M:%S" if tty else "iso", utc=not tty),
             renderer,

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
+from skygcs.terminal_text import visible
+
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.live import Live
@@ -48,7 +50,7 @@ def print_json(value: object, *, line: bool = False) -> None:
 
 def print_lines(lines: Iterable[str]) -> None:
     for line in lines:
-        typer.echo(line)
+        typer.echo(visible(line, lines=True))
 
 
 # --- terminal and tables ----------------------------------------------------------------------------------------------
@@ -107,7 +109,8 @@ def table(
             overflow="fold" if column in wrap else "ellipsis",
         )
     for i, row in enumerate(rows):
-        cells = (Text(cell) if isinstance(cell, str) else Text(cell[0], style=cell[1]) for cell in row)
+        styled = ((cell, "") if isinstance(cell, str) else cell for cell in row)
+        cells = (Text(visible(text, lines=True), style=style) for text, style in styled)
         made.add_row(*cells, style=styles[i] if styles else None)
     return made
 
@@ -166,15 +169,21 @@ class LiveView:
 # --- outcomes and events ----------------------------------------------------------------------------------------------
 
 
-def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None = None) -> list[str]:
-    """One line per vehicle: whether the order succeeded, and how or why not. A long reason is printed in full once."""
-    width = max((len(name) for name in outcomes), default=0)
-    lines = []
-    first_with: dict[str, str] = {}
-    for name, outcome in outcomes.items():
+class OutcomeLines:
+    """The lines of an order's outcomes: whether it succeeded for each vehicle, and how or why not. A long reason that
+    several vehicles share is printed in full once. ``columns``: of the terminal; ``width``: of the longest name."""
+
+    def __init__(self, columns: int | None = None, width: int = 0) -> None:
+        self.width = width
+        self._columns = columns
+        self._first_with: dict[str, str] = {}
+
+    def of(self, name: str, outcome: Mapping[str, Any]) -> list[str]:
+        """The lines of one vehicle."""
+        width = self.width
         word = "ok  " if outcome["ok"] else "FAIL"
         message = outcome["message"] or outcome["result"]
-        first = first_with.setdefault(message, name)
+        first = self._first_with.setdefault(message, name)
         if first != name and len(message) > LONG_REASON:
             message = f"{message.partition(';')[0][:LONG_REASON]} … as {first}"
         sent = outcome["attempts"]
@@ -183,8 +192,13 @@ def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None
             message = f"{message} ({how})"
         extra = [t for t in outcome.get("status_texts") or () if t not in message]
         rows = [f"{word} {name:<{width}}  {message}", *(f"     {'':<{width}}  {text}" for text in extra)]
-        lines += [wrapped(row, columns, indent=width + 7) for row in rows]
-    return lines
+        return [wrapped(row, self._columns, indent=width + 7) for row in rows]
+
+
+def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None = None) -> list[str]:
+    """`OutcomeLines` of all of them."""
+    lines = OutcomeLines(columns, max((len(name) for name in outcomes), default=0))
+    return [line for name, outcome in outcomes.items() for line in lines.of(name, outcome)]
 
 
 def event_line(event: Mapping[str, Any]) -> str:

@@ -7,13 +7,13 @@ typer and rich would take a third of that.
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skygcs import __version__
-from skygcs.cli.companion_keys import add_companion
 from skygcs.cli.federation_process import add_federation
 from skygcs.cli.process import (
     EXIT_FAILED,
@@ -23,8 +23,10 @@ from skygcs.cli.process import (
     serve_until_signal,
     without_collections,
 )
+from skygcs.cli.topics import OF_SKYGCS, extension_programs, of_skygcs, of_skygcs_cli
 from skygcs.cli.web import add_web
 from skygcs.errors import SkygcsError
+from skygcs.terminal_text import visible
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
@@ -32,11 +34,15 @@ if TYPE_CHECKING:
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of `skygcs`. Exits 0 done, 1 failed (one line on stderr says why), 2 usage."""
-    args = _parser().parse_args(argv)
+    first = (sys.argv[1:] if argv is None else argv)[:1]
+    parser = new_parser(whole=not first or first[0] not in OF_SKYGCS)
+    if first and not of_skygcs(first[0]) and of_skygcs_cli(first[0]):
+        parser.error(f"{first[0]} is a command of the other program: skygcs-cli {first[0]}")
+    args = parser.parse_args(argv)
     try:
         code = args.run(args)
     except SkygcsError as error:
-        print(f"skygcs: {error}", file=sys.stderr)
+        print(f"skygcs: {visible(str(error), lines=True)}", file=sys.stderr)
         code = EXIT_FAILED
     except KeyboardInterrupt:
         code = EXIT_OK
@@ -46,26 +52,31 @@ def main(argv: list[str] | None = None) -> None:
     sys.exit(code)
 
 
-def _parser() -> argparse.ArgumentParser:
+def new_parser(*, whole: bool = True) -> argparse.ArgumentParser:
+    """The parser of all commands; not ``whole``: of those of the core, without a look for extensions (5 to 20 ms)."""
     parser = argparse.ArgumentParser(
         prog="skygcs",
         description="Ground-control daemon for fleets of MAVLink vehicles. skygcs-cli sends commands to it.",
+        epilog="Example: skygcs init sim && skygcs run fleet.toml",
     )
     parser.add_argument("--version", action="version", version=f"skygcs {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_fleet_files(commands)
+    _add_beside_daemon(commands)
     _add_demo(commands)
     _add_sim(commands)
     _add_sitl(commands)
     add_web(commands)
-    add_companion(commands)
     add_federation(commands)
+    if whole:
+        for module in extension_programs().values():
+            importlib.import_module(module).add_to_program(commands)
     return parser
 
 
 def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The commands about fleet files and what belongs to a daemon: init, run, check, …"""
-    run = commands.add_parser("run", help="run the daemon with a fleet file")
+    """The commands about fleet files: run, init, check, import-router."""
+    run = commands.add_parser("run", help="run the daemon with a fleet file", epilog="Example: skygcs run fleet.toml")
     run.add_argument("file", type=Path, metavar="FLEET.toml")
     run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
     run.add_argument("--log-dir", type=Path, help="where tlogs go instead of the file's daemon.log_dir")
@@ -73,40 +84,67 @@ def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParse
     run.add_argument("-q", "--quiet", action="store_true", help="log warnings and errors only")
     run.set_defaults(run=_run)
 
-    init = commands.add_parser("init", help="write a commented fleet file to begin with")
+    init = commands.add_parser(
+        "init", help="write a commented fleet file to begin with", epilog="Example: skygcs init field-radio lab"
+    )
     init.add_argument("scenario", nargs="?", metavar="SCENARIO", help="without one: list them")
     init.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help="default: this folder")
     init.add_argument("--force", action="store_true", help="overwrite a fleet.toml that is there")
     init.set_defaults(run=_init)
 
-    check = commands.add_parser("check", help="check a fleet file and print everything that is wrong with it")
+    check = commands.add_parser(
+        "check",
+        help="check a fleet file and print everything that is wrong with it",
+        epilog="Example: skygcs check fleet.toml",
+    )
     check.add_argument("file", type=Path, metavar="FLEET.toml")
     check.set_defaults(run=_check)
 
-    router = commands.add_parser("import-router", help="convert a mavlink-router configuration into a fleet file")
+    router = commands.add_parser(
+        "import-router",
+        help="convert a mavlink-router configuration into a fleet file",
+        epilog="Example: skygcs import-router main.conf -o fleet.toml",
+    )
     router.add_argument("file", type=Path, metavar="MAIN.conf")
     router.add_argument("-o", "--output", type=Path, metavar="FLEET.toml", help="default: standard output")
     router.add_argument("--force", action="store_true", help="overwrite the output")
     router.set_defaults(run=_import_router)
 
-    metrics = commands.add_parser("metrics", help="print the Grafana dashboard or the alert rules for Prometheus")
+
+def _add_beside_daemon(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The commands about what belongs to a daemon on its machine: metrics, service, completion."""
+    metrics = commands.add_parser(
+        "metrics",
+        help="print the Grafana dashboard or the alert rules for Prometheus",
+        epilog="Example: skygcs metrics rules",
+    )
     metrics.add_argument("what", choices=("dashboard", "rules"))
     metrics.set_defaults(run=_metrics)
 
-    service = commands.add_parser("service", help="run the daemon under systemd: install, status, uninstall")
+    service = commands.add_parser(
+        "service",
+        help="run the daemon under systemd: install, status, uninstall",
+        epilog="Example: skygcs service install fleet.toml --user",
+    )
     service.add_argument("what", choices=("install", "status", "uninstall"))
     service.add_argument("file", type=Path, nargs="?", metavar="FLEET.toml", help="install: the fleet file to run")
     service.add_argument("--user", action="store_true", help="a service of your own, instead of the machine's")
     service.add_argument("--force", action="store_true", help="install: overwrite a unit that differs")
     service.set_defaults(run=_service)
 
-    completion = commands.add_parser("completion", help='print a shell\'s completion: eval "$(skygcs completion bash)"')
+    completion = commands.add_parser(
+        "completion",
+        help='print a shell\'s completion: eval "$(skygcs completion bash)"',
+        epilog="Example: skygcs completion bash",
+    )
     completion.add_argument("shell", nargs="?", choices=("bash", "zsh", "fish"))
     completion.set_defaults(run=_completion)
 
 
 def _add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    demo = commands.add_parser("demo", help="fly three simulated vehicles; needs no hardware and no file")
+    demo = commands.add_parser(
+        "demo", help="fly three simulated vehicles; needs no hardware and no file", epilog="Example: skygcs demo --stay"
+    )
     demo.add_argument(
         "--stay", action="store_true", help="keep daemon and vehicles running for skygcs-cli; Ctrl-C ends it"
     )
@@ -116,7 +154,9 @@ def _add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    sim = commands.add_parser("sim", help="run simulated vehicles as a separate process")
+    sim = commands.add_parser(
+        "sim", help="run simulated vehicles as a separate process", epilog="Example: skygcs sim --px4 2 --ardupilot 1"
+    )
     sim.add_argument("--px4", type=int, default=1, metavar="N", help="number of PX4 quadrotors (default 1)")
     sim.add_argument("--ardupilot", type=int, default=1, metavar="N", help="number of ArduCopters (default 1)")
     sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
@@ -170,6 +210,7 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "sitl",
         help="run real autopilot firmware as simulators",
         description="Run the autopilot binaries named by SKYGCS_PX4 and SKYGCS_ARDUCOPTER as simulated vehicles.",
+        epilog="Example: skygcs sitl --px4 2 --ardupilot 1",
     )
     sitl.add_argument("--px4", type=int, default=0, metavar="N", help="number of PX4 quadrotors (SIH)")
     sitl.add_argument("--ardupilot", type=int, default=0, metavar="N", help="number of ArduCopters")
@@ -236,7 +277,7 @@ def _init(args: argparse.Namespace) -> int:
 def _completion(args: argparse.Namespace) -> int:
     from skygcs.cli.completion import script, this_shell
 
-    print(script(_parser(), args.shell or this_shell()), end="")
+    print(script(new_parser(), args.shell or this_shell()), end="")
     return EXIT_OK
 
 
@@ -266,7 +307,7 @@ def _metrics(args: argparse.Namespace) -> int:
     from importlib.resources import files
 
     name = {"dashboard": "dashboard.json", "rules": "alerts.yml"}[args.what]
-    print(files("skygcs.metrics").joinpath(name).read_text(encoding="utf-8"), end="")
+    print(files("skygcs.ext.metrics").joinpath(name).read_text(encoding="utf-8"), end="")
     return EXIT_OK
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pwd
 import subprocess
@@ -12,6 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from skygcs.config.files import make_log_folder
 from skygcs.errors import ConfigError, SkygcsError
 
 NAME = "skygcs.service"
@@ -131,13 +133,11 @@ def install(fleet_file: Path, *, user: bool, force: bool) -> int:
 
     config = load_fleet(fleet_file)
     log_dir = config.daemon.log_dir
+    name = None if user else os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
     try:
-        log_dir.mkdir(parents=True, exist_ok=True)
+        _make_log_dir(log_dir, name)
     except OSError as error:
         raise ConfigError(str(fleet_file), [f"daemon.log_dir: {log_dir}: {error.strerror or error}"]) from None
-    name = None if user else os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
-    if name is not None:
-        _give(log_dir, name)
     program = Path(sys.argv[0]).resolve()
     installation = Installation(fleet_file.resolve(), log_dir, program, name)
     _write(unit_path(user=user), unit_text(installation), force=force)
@@ -191,11 +191,25 @@ def _quoted(path: Path) -> str:
     return f'"{text}"' if any(c in text for c in " \t\"'\\;") else text
 
 
-def _give(folder: Path, name: str) -> None:
-    """The log folder belongs to the user that the daemon runs as."""
-    if os.getuid() == 0 and name != "root":
-        entry = pwd.getpwnam(name)
-        os.chown(folder, entry.pw_uid, entry.pw_gid)
+def _make_log_dir(folder: Path, name: str | None) -> None:
+    """Make the log folder if it is not there, for the user that the daemon runs as (None: our own). Raises OSError.
+
+    A folder that is there keeps its owner: the fleet file may name any. It must belong to that user already.
+    """
+    as_root = name is not None and name != "root" and os.getuid() == 0
+    if not folder.exists():
+        made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+        make_log_folder(folder)
+        if as_root:
+            entry = pwd.getpwnam(name or "")
+            for one in made:
+                os.chown(one, entry.pw_uid, entry.pw_gid, follow_symlinks=False)
+    elif not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    elif as_root and folder.stat().st_uid != pwd.getpwnam(name or "").pw_uid:
+        owner = folder.stat().st_uid
+        text = f"belongs to another user (uid {owner}), not to {name}: name a folder of {name}'s, or give it to them"
+        raise OSError(errno.EPERM, text)
 
 
 def _write(path: Path, text: str, *, force: bool) -> None:

@@ -130,13 +130,14 @@ def setpoint(
     valid_s: Valid = None,
     json_output: Json = False,
 ) -> None:
-    """Stream setpoints to vehicles under `control`: `setpoint alpha --pos 5 -3 10 --for 20`.
+    """Stream setpoints to vehicles under `control`.
 
     From your own program: `./my-planner | skygcs-cli setpoint alpha --stdin`, one line each: {"pos": [5, -3, 10]} or
     5,-3,10. Level flight: `--vel 1 0 - --pos - - 10`. When the setpoints end, vehicles stay where they then are.
     Under `control set alpha raw`: `--att 5 0 90 --thrust 0.5`, `--rates 10 0 0 --thrust 0.5`, `--acc 0.5 0 0`.
+
+    Example: skygcs-cli setpoint alpha --pos 5 -3 10 --yaw 90 --for 20
     """
-    # the setpoint of the options, or standard input
     given = _given(position, velocity, yaw, yaw_rate, acceleration)
     given.update(_given_raw(attitude, quaternion, rates, thrust))
     if stdin and (given or duration_s is not None):
@@ -148,7 +149,6 @@ def setpoint(
             given = checked(given)
         except LineError as error:
             raise typer.BadParameter(f"{error}: give --pos X Y Z, --vel X Y Z, a raw setpoint, or --stdin") from None
-    # rate and validity
     within("--for", duration_s, 0.0, 86400.0)
     rate, valid_for_s = _pace(rate_hz, valid_s, stdin=stdin)
 
@@ -675,4 +675,4 @@ async def forward(sender: Sender, targets: str, source: AsyncIterator[bytes], ra
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Orders")(setpoint)
+    app.command()(setpoint)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cli.connection import run, run_offline, run_order, run_show
-from skygcs.cli.options import Json, Targets
+from skygcs.cli.options import Json, OrderJson, Targets
 from skygcs.rpc.client import Client
 
 app = typer.Typer(
@@ -23,7 +23,10 @@ DROPPED = ("unsigned", "bad_signature", "replayed", "stale", "ahead", "too_many_
 
 @app.command("status")
 def status(json_output: Json = False) -> None:
-    """Show which links have a key, and what they accepted and dropped."""
+    """Show which links have a key, and what they accepted and dropped.
+
+    Example: skygcs-cli signing status
+    """
     run_show("signing.status", json_output, _lines)
 
 
@@ -34,16 +37,22 @@ def setup(
     force: Annotated[
         bool, typer.Option("--force", help="Although others can receive the link: the key is sent unencrypted.")
     ] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Send the key to vehicles and wait until they sign with it; over a cable, disarmed."""
+    """Send the key to vehicles and wait until they sign with it; over a cable, disarmed.
+
+    Example: skygcs-cli signing setup alpha --key lab.key
+    """
     path = os.path.abspath(os.path.expanduser(key))
     run_order("signing.setup", json_output, targets=targets, key_file=path, force=force)
 
 
 @app.command("off")
-def off(targets: Targets, json_output: Json = False) -> None:
-    """Delete the key in vehicles: they accept orders without a signature again."""
+def off(targets: Targets, json_output: OrderJson = None) -> None:
+    """Delete the key in vehicles: they accept orders without a signature again.
+
+    Example: skygcs-cli signing off alpha
+    """
     run_order("signing.off", json_output, targets=targets)
 
 
@@ -52,7 +61,10 @@ def reset_clock(
     key_id: Annotated[str, typer.Argument(metavar="KEYID", help="As `signing status` shows it.")],
     force: Annotated[bool, typer.Option("--force", help="Although a vehicle is armed.")] = False,
 ) -> None:
-    """Set the signing clock of a key to this computer's time, after a wrong timestamp moved it far ahead."""
+    """Set the signing clock of a key to this computer's time, after a wrong timestamp moved it far ahead.
+
+    Example: skygcs-cli signing reset-clock 2c6184d5
+    """
 
     async def command(gcs: Client) -> None:
         typer.echo((await gcs.call("signing.reset_clock", key_id=key_id, force=force))["message"])
@@ -62,7 +74,10 @@ def reset_clock(
 
 @app.command("key")
 def key(file: Annotated[Path, typer.Argument(metavar="NEWFILE", help="A file that does not exist yet.")]) -> None:
-    """Create a key file, mode 0600, with 32 random bytes in hexadecimal. Needs no daemon."""
+    """Create a key file, mode 0600, with 32 random bytes in hexadecimal. Needs no daemon.
+
+    Example: skygcs-cli signing key lab.key
+    """
 
     def command() -> None:
         from skygcs.config.signing import write_new_key
@@ -107,4 +122,4 @@ def _clock_lines(key: dict[str, Any]) -> Iterator[str]:
 
 
 def add_to(app_: typer.Typer) -> None:
-    app_.add_typer(app, name="signing", rich_help_panel="Set up")
+    app_.add_typer(app, name="signing")

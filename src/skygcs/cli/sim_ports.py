@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import cast
 
-from skygcs.cli.radio_port import port_rate, set_port_rate
+from skygcs.cli.serial_ports import port_rate, set_port_rate
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import Exit, fail, run, run_on_sites, run_show, show, waiting
+from skygcs.cli.connection import USAGE_ERRORS, Exit, fail, run, run_on_sites, run_show, show, waiting
 from skygcs.cli.options import Json, OptionalTargets, complete_methods
 from skygcs.cli.parsing import finite, parse_json
 from skygcs.cli.render import (
@@ -28,6 +28,7 @@ from skygcs.cli.render import (
     print_json,
     table,
 )
+from skygcs.errors import RpcError
 from skygcs.rpc.client import EVENT_KINDS, Client
 
 if TYPE_CHECKING:
@@ -67,14 +68,17 @@ OUTCOME_KEYS = ("outcome", "outcomes", "lists")
 """Keys under which answers of RPC methods say whether the order succeeded."""
 
 Rate = Annotated[float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.", parser=finite)]
-Count = Annotated[int, typer.Option("--count", metavar="N", help="End after N updates.", min=1)]
+Count = Annotated[int, typer.Option("--count", metavar="N", help="End after N updates.", min=1, show_default=False)]
 
 
 # --- vehicles and components ------------------------------------------------------------------------------------------
 
 
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show every vehicle, or some; with [federation] those of all sites."""
+    """Show every vehicle, or some; with [federation] those of all sites.
+
+    Example: skygcs-cli status alpha
+    """
 
     async def command(gcs: Client, targets: str) -> None:
         states = await gcs.vehicles(targets)
@@ -95,7 +99,10 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
 
 
 def components(json_output: Json = False) -> None:
-    """Show every component that was heard: autopilots, companions, cameras, gimbals, ground stations."""
+    """Show every component that was heard: autopilots, companions, cameras, gimbals, ground stations.
+
+    Example: skygcs-cli components
+    """
 
     async def command(gcs: Client) -> None:
         heard = await gcs.call("components.list")
@@ -122,7 +129,10 @@ def watch(
     json_output: Json = False,
 ) -> None:
     """Show vehicles as they change, until Ctrl-C; with [federation] those of all sites. On a pipe or with --json: one
-    line per update."""
+    line per update.
+
+    Example: skygcs-cli watch all --rate 1
+    """
     wanted = [f.strip() for f in fields.split(",") if f.strip()]
     sections = sorted({f.split(".")[0] for f in wanted} | {"connected"}) if wanted else None
 
@@ -340,7 +350,10 @@ def events(
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Show what happened: found and lost vehicles, arming, modes, texts, links."""
+    """Show what happened: found and lost vehicles, arming, modes, texts, links.
+
+    Example: skygcs-cli events --follow --kind statustext
+    """
     unknown = [k for k in kind or () if k not in EVENT_KINDS]
     if unknown:
         raise typer.BadParameter(f"--kind: no kind {', '.join(unknown)}; there are: {', '.join(EVENT_KINDS)}")
@@ -369,7 +382,10 @@ def events(
 
 
 def info(json_output: Json = False) -> None:
-    """Show the daemon itself: version, ids, dialect, recorder."""
+    """Show the daemon itself: version, ids, dialect, recorder.
+
+    Example: skygcs-cli info --json
+    """
 
     def lines(answer: dict[str, dict[str, Any]]) -> Iterator[str]:
         rows = [(f"{section}.{key}", value) for section, values in answer.items() for key, value in values.items()]
@@ -391,7 +407,10 @@ def call(
     params: Annotated[str, typer.Argument(metavar="[JSON]", help="Its parameters, an object.")] = "{}",
     _json: Annotated[bool, typer.Option("--json", help="No effect: the answer is always JSON.")] = False,
 ) -> None:
-    """Call any method and print the result as JSON; `discover` lists the methods."""
+    """Call any method and print the result as JSON; `discover` lists the methods.
+
+    Example: skygcs-cli call router.stats
+    """
     try:
         given = parse_json(params)
     except ValueError as error:
@@ -400,8 +419,14 @@ def call(
         raise typer.BadParameter('parameters are a JSON object: {"targets": "all"}')
 
     async def command(gcs: Client) -> int:
-        async with waiting(method):
-            result = await gcs.call(method, **given)
+        try:
+            async with waiting(method):
+                result = await gcs.call(method, **given)
+        except RpcError as error:
+            if error.code not in USAGE_ERRORS:
+                raise
+            fail(str(error))  # with the method's own names: they were typed
+            return Exit.USAGE
         print_json(result)
         outcomes = [result.get(key, {}) for key in OUTCOME_KEYS] if isinstance(result, dict) else []
         return Exit.DONE if all(_succeeded(outcome) for outcome in outcomes) else Exit.FAILED
@@ -415,7 +440,10 @@ def _succeeded(outcome: dict[str, Any]) -> bool:
 
 
 def discover(json_output: Json = False) -> None:
-    """List the RPC methods; --json prints the OpenRPC document."""
+    """List the RPC methods; --json prints the OpenRPC document.
+
+    Example: skygcs-cli discover --json
+    """
 
     def lines(document: dict[str, Any]) -> Iterator[str]:
         for method in document["methods"]:
@@ -429,7 +457,7 @@ def discover(json_output: Json = False) -> None:
 def add_to(app: typer.Typer) -> None:
     looking: tuple[Callable[..., None], ...] = (status, components, watch, events, info)
     for function in looking:
-        app.command(rich_help_panel="Show")(function)
+        app.command()(function)
     programming: tuple[Callable[..., None], ...] = (call, discover)
     for function in programming:
-        app.command(rich_help_panel="Programming")(function)
+        app.command()(function)

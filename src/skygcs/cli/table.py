@@ -92,6 +92,8 @@ def table(
 
     The flight is certified first: positions and straight paths keep every margin at any timing, also from
     vehicles that take no part. Positions too close are refused, paths too close need --force.
+
+    Example: skygcs-cli table places.csv final --timeout 60
     """
     for option, value, most in (("--arrive", arrive_m, 100), ("--timeout", timeout_s, 86400)):
         if not 0 < value <= most:
@@ -174,7 +176,9 @@ async def _prepared(
     if answer["plan"] is not None:
         return flights
     if answer["attempts"] == ["goals"]:
-        raise RefusedError("\n".join([*answer["reasons"], "move the positions apart, or give a --separation"]))
+        raise RefusedError(
+            "\n".join([*answer["reasons"], "move the positions apart or into the fence, or give a --separation"])
+        )
     if not force:
         raise RefusedError("\n".join([*answer["reasons"], HINT]))
     for reason in answer["reasons"]:
@@ -411,4 +415,4 @@ def _point(values: Sequence[float]) -> Point:
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Orders")(table)
+    app.command()(table)

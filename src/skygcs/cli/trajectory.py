@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cli.connection import print_outcomes, run, run_order, run_show
-from skygcs.cli.options import Json, OptionalTargets, Targets
+from skygcs.cli.options import Json, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite, within
 from skygcs.cli.plan_inputs import origin_of_fleet, print_notes, read_files
 from skygcs.core.plan.fleet_plan import TimedPlan
@@ -45,6 +45,8 @@ def load(
     A file of one trajectory is for the one vehicle named here, whatever its name there; a file of several is for the
     vehicles of those names, as far as TARGETS names them. CSV: vehicle,t,x,y,z,yaw, of which vehicle and yaw may be
     missing; metres of the fleet's frame, degrees counter-clockwise from x.
+
+    Example: skygcs-cli trajectory load figure8.csv alpha
     """
 
     async def command(gcs: Client) -> int:
@@ -105,12 +107,14 @@ def start(
         float, typer.Option("--speed", metavar="FACTOR", help="Multiple of the planned speed.", parser=finite)
     ] = 1.0,
     force: Annotated[bool, typer.Option("--force", help="Although one comes too close to another vehicle.")] = False,
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
     """Start vehicles on their trajectories, on one clock: all of them or none.
 
     Each must be under `control`, near its first point, its whole trajectory within fence and limits, and away from all
     other vehicles as they move now.
+
+    Example: skygcs-cli trajectory start all --in 10
     """
     if after_s is not None and at_s is not None:
         raise typer.BadParameter("give --in or --at, not both")
@@ -121,14 +125,20 @@ def start(
 
 
 @app.command("pause")
-def pause(targets: Targets, json_output: Json = False) -> None:
-    """Stop vehicles smoothly on their paths, with all that started with them."""
+def pause(targets: Targets, json_output: OrderJson = None) -> None:
+    """Stop vehicles smoothly on their paths, with all that started with them.
+
+    Example: skygcs-cli trajectory pause all
+    """
     run_order("trajectory.pause", json_output, targets=targets)
 
 
 @app.command("resume")
-def resume(targets: Targets, json_output: Json = False) -> None:
-    """Let paused vehicles go on, with all that started with them."""
+def resume(targets: Targets, json_output: OrderJson = None) -> None:
+    """Let paused vehicles go on, with all that started with them.
+
+    Example: skygcs-cli trajectory resume all
+    """
     run_order("trajectory.resume", json_output, targets=targets)
 
 
@@ -136,28 +146,40 @@ def resume(targets: Targets, json_output: Json = False) -> None:
 def speed_(
     targets: Targets,
     factor: Annotated[float, typer.Argument(metavar="FACTOR", help="Multiple of the planned speed.", parser=finite)],
-    json_output: Json = False,
+    json_output: OrderJson = None,
 ) -> None:
-    """Fly faster or slower, with all that started with them."""
+    """Fly faster or slower, with all that started with them.
+
+    Example: skygcs-cli trajectory speed all 0.5
+    """
     within("FACTOR", factor, MIN_SPEED_FACTOR, MAX_SPEED_FACTOR)
     run_order("trajectory.speed", json_output, targets=targets, speed=factor)
 
 
 @app.command("abort")
-def abort(targets: Targets, json_output: Json = False) -> None:
-    """Stop vehicles smoothly on their paths for good; they stay there under control."""
+def abort(targets: Targets, json_output: OrderJson = None) -> None:
+    """Stop vehicles smoothly on their paths for good; they stay there under control.
+
+    Example: skygcs-cli trajectory abort all
+    """
     run_order("trajectory.abort", json_output, targets=targets)
 
 
 @app.command("unload")
-def unload(targets: Targets, json_output: Json = False) -> None:
-    """Forget loaded trajectories."""
+def unload(targets: Targets, json_output: OrderJson = None) -> None:
+    """Forget loaded trajectories.
+
+    Example: skygcs-cli trajectory unload all
+    """
     run_order("trajectory.unload", json_output, targets=targets)
 
 
 @app.command("status")
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show what is loaded and flown."""
+    """Show what is loaded and flown.
+
+    Example: skygcs-cli trajectory status
+    """
     run_show("trajectory.status", json_output, status_lines, targets=targets)
 
 
@@ -182,4 +204,4 @@ def status_lines(answer: State) -> Iterator[str]:
 
 
 def add_to(app_: typer.Typer) -> None:
-    app_.add_typer(app, name="trajectory", rich_help_panel="Orders")
+    app_.add_typer(app, name="trajectory")

@@ -28,7 +28,10 @@ NICE = 5
 def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The parser of `skygcs web`."""
     web = commands.add_parser(
-        "web", help="serve the web page of a running daemon", description="Serve the ground station as a web page."
+        "web",
+        help="serve the web page of a running daemon",
+        description="Serve the ground station as a web page.",
+        epilog="Example: skygcs web link --view",
     )
     web.add_argument(
         "action",

@@ -8,10 +8,8 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from itertools import combinations
 
-from skygcs.config.companions import companions_problems
-from skygcs.config.control import ControlSettings
+from skygcs.config.control import GROUND, ControlSettings
 from skygcs.config.federation import federation_problems
-from skygcs.config.mocap import mocap_problems
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
@@ -51,8 +49,6 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _simulated(config)
     problems += _radios(config)
     problems += _control(config)
-    problems += _mocap(config)
-    problems += _companions(config)
     problems += federation_problems(config.federation, config.vehicles)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
@@ -70,18 +66,20 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     return problems
 
 
-def _mocap(config: FleetConfig) -> list[Problem]:
-    simulated = any(link.enabled and isinstance(link, SimulatedLinkConfig) for link in config.links.values())
-    return mocap_problems(config.mocap, set(config.vehicles), origin=config.origin is not None, simulated=simulated)
-
-
-def _companions(config: FleetConfig) -> list[Problem]:
-    servers = {
-        name: link.type
-        for name, link in config.links.items()
-        if link.enabled and isinstance(link, UdpServerLinkConfig | TcpServerLinkConfig)
-    }
-    return companions_problems(config.companions, set(config.vehicles), servers)
+def control_place_problems(config: FleetConfig, places: Mapping[str, str]) -> list[Problem]:
+    """Values of `ControlSettings.at` where nothing flies a vehicle. ``places``: those that extensions know, with the
+    names of their tables."""
+    problems = []
+    present = [GROUND, *(place for place, table in places.items() if table in config.extensions)]
+    for path, settings in _settings(config):
+        at = None if settings.control is None else settings.control.at
+        if at is None or at in present:
+            continue
+        text = f"must be one of {', '.join([GROUND, *places])}, not {at!r}"
+        if at in places:
+            text = f"{at!r} needs the table [{places[at]}], which this file does not have"
+        problems.append(Problem((*path, "control", "at"), text))
+    return problems
 
 
 def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[str]:
@@ -244,7 +242,7 @@ def _vehicle_types(config: FleetConfig) -> Iterator[Problem]:
 
 def _own_sysid(config: FleetConfig) -> Iterator[Problem]:
     for name, entry in config.vehicles.items():
-        if entry.sysid == config.daemon.sysid and (config.companion is None or name != config.companion.vehicle):
+        if entry.sysid == config.daemon.sysid and name != config.aboard:
             text = f"{entry.sysid} is skygcs's own system id (daemon.sysid)"
             yield Problem(("vehicles", name, "sysid"), text)
 
@@ -260,7 +258,7 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
             yield Problem(("links", name), "has no vehicles: give their number with px4 and ardupilot")
         elif sysids[-1] > MAX_SYSID:
             yield Problem(path, f"{len(sysids)} vehicles from {sysids[0]} on need system ids above {MAX_SYSID}")
-        elif config.daemon.sysid in sysids and config.companion is None:
+        elif config.daemon.sysid in sysids and config.aboard is None:
             yield Problem(path, f"{config.daemon.sysid} is skygcs's own system id and cannot be a simulated vehicle")
         elif clash := next((s for s in sysids if s in taken), None):
             yield Problem(path, f"{clash} is also a vehicle of the simulated link {taken[clash]}")
@@ -420,7 +418,7 @@ def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> I
                 "links of other roles carry vehicles and are sent our own orders"
             )
             yield Problem((*path, "vehicles"), text)
-        known = ("daemon", "sysid") not in wrong and config.companion is None
+        known = ("daemon", "sysid") not in wrong and config.aboard is None
         own_sysid = config.daemon.sysid if known else None
         yield from _vehicles(config, name, link, own_sysid, wrong)
         yield from _translated_sysid(name, link, own_sysid)

@@ -19,6 +19,7 @@ from skygcs.core.control.guard import GuardConfig
 from skygcs.core.control.predictor_margin import why_not_predicted
 from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, MAX_RATE_HZ, PX4_LOOP
 from skygcs.core.geo import Origin
+from skygcs.core.radio_link.capacity import FLOWN_HZ
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.vehicle.raw_setpoint import RawLimits
 from skygcs.core.vehicle.trajectory_flight import TrajectoryLimits
@@ -28,8 +29,11 @@ Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
 Seconds = Annotated[float, Field(gt=0, le=60)]
 Span = Annotated[tuple[float, float], Field(description="[least, most] in metres")]
 
-ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
-VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
+GROUND = "ground"
+"""`ControlSettings.at` of vehicles whose setpoints this daemon makes."""
+
+ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, FLOWN_HZ["attitude"]
+VELOCITY_HZ, POSITION_HZ = FLOWN_HZ["velocity"], FLOWN_HZ["position"]
 """The defaults of `core.vehicle.offboard_controller.OffboardConfig`; a test compares them."""
 
 
@@ -120,9 +124,9 @@ class ControlSettings(Model):
     fence: ControlFenceSettings | None = None
     raw: RawSettings | None = None
     trajectory: TrajectorySettings | None = None
-    at: Literal["ground", "companion"] | None = None
-    """Where the control loops run: on the ground, or in the skygcs of the vehicle's companion, to which this one then
-    relays all orders of control: "ground"."""
+    at: str | None = None
+    """Where the control loops run: here, which is "ground", or where an extension of the fleet file relays all orders
+    of control to (`Extension.control_at`)."""
     engage_after_takeoff: Literal["off", "position", "velocity", "attitude"] | None = None
     """Control is engaged in this mode when a take-off that was ordered through skygcs has reached its height: "off"."""
 

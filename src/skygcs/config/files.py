@@ -36,6 +36,24 @@ def open_regular(path: Path) -> BinaryIO:
         raise
 
 
+LOG_MODE = 0o640
+"""Mode of a file that the daemon writes into a log folder: its owner's, and its group may read it. A umask takes more
+away, never gives more."""
+
+FOLDER_MODE = 0o750
+"""And of a folder that it makes there."""
+
+
+def open_new(path: Path, mode: int = LOG_MODE) -> BinaryIO:
+    """A new file, open for writing. Raises OSError, FileExistsError if it exists."""
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb")
+
+
+def make_log_folder(folder: Path) -> None:
+    """Make a folder for files of the daemon, with its parents, if it is not there. Raises OSError."""
+    folder.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+
+
 def write_whole(path: Path, content: bytes, mode: int, *, durable: bool = True) -> None:
     """Write a file of this mode whole or not at all: beside it, then renamed. Raises OSError.
 

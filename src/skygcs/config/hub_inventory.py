@@ -20,10 +20,10 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from skygcs.config.companions import host_and_port
+from skygcs.config.addresses import HostAndPort, host_and_port
 from skygcs.config.federation import ANY_SITE, SITE_PATTERN, ServerAddress, is_loopback
 from skygcs.config.tables import KeyPath, Model, key_lines, line_of
 from skygcs.errors import ConfigError
@@ -40,11 +40,6 @@ OrderTarget = Annotated[str, Field(pattern=rf"{SITE_PATTERN}|^\*$")]
 
 HubRole = Literal["site", "operator", "observer", "keeper"]
 """A keeper makes the hub's stores and does nothing else: its key stays on the hub's computer."""
-
-
-def _listen(text: str) -> str:
-    host_and_port(text)
-    return text
 
 
 class HubTls(Model):
@@ -81,7 +76,7 @@ class HubUser(Model):
 class HubInventory(Model):
     """A whole inventory."""
 
-    listen: Annotated[str, AfterValidator(_listen)] = "127.0.0.1:4222"
+    listen: HostAndPort = "127.0.0.1:4222"
     """HOST:PORT; another address than loopback needs [tls]."""
     store: Path = Path("jetstream")
     """Folder of leases and logs that are being collected; relative to the inventory."""

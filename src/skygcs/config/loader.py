@@ -7,43 +7,29 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
-from skygcs.config.companion import CompanionConfig
-from skygcs.config.companion_role import as_companion, companion_problems
-from skygcs.config.companions import CompanionEntry, CompanionsConfig
-from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
-from skygcs.config.dialects import load_dialect
-from skygcs.config.federation import FederationConfig, SharedVehicle
-from skygcs.config.metrics import MetricsConfig
-from skygcs.config.mocap import MocapConfig, SimulatedMocapConfig
-from skygcs.config.models import (
-    AnyLink,
-    DaemonConfig,
-    FleetConfig,
-    LinkCommon,
-    LinkConfig,
-    OriginConfig,
-    RateLimits,
-    ReplayLinkConfig,
-    SimulatedLinkConfig,
-    VehicleEntry,
-    VehicleSettings,
+from skygcs.config.checks import (
+    conflicts,
+    control_place_problems,
+    dialect_problems,
+    message_problems,
+    stream_problems,
 )
-from skygcs.config.preflight import PreflightSettings, RuleSettings
-from skygcs.config.separation import MonitorConfig, SeparationSettings
-from skygcs.config.signing import SigningSettings
-from skygcs.config.tables import KeyPath, Problem, key_lines, line_of
-from skygcs.config.web import WebConfig, WebMapConfig
+from skygcs.config.dialects import load_dialect
+from skygcs.config.extension_tables import TableOwner, find_owners, installed, places_of_control
+from skygcs.config.models import NO_TABLES, AnyLink, FleetConfig, LinkCommon, LinkConfig
+from skygcs.config.tables import KeyPath, Problem, key_lines, line_of, model_at, with_absolute_paths
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
 from skygcs.spelling import near_names
+
+_CORE_TABLES = set(FleetConfig.model_fields) - NO_TABLES
 
 _LINK_TYPES: dict[str, type[LinkCommon]] = {m.model_fields["type"].default: m for m in get_args(LinkConfig)}
 
@@ -93,12 +79,18 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     text = _read(path)
     table = _parse(path, text)
     lines = key_lines(text)
-    config, problems, wrong = _validate(table)
+    owners, problems = find_owners(set(table) - _CORE_TABLES)
+    unusable = {problem.path[0] for problem in problems}
+    config, found, wrong = _validate({name: part for name, part in table.items() if name not in unusable}, owners)
+    problems += found
     dialect: Dialect | None = None
     if config is not None:
-        problems += companion_problems(config)
-        config = as_companion(config)
+        as_written = config
+        for name, extension_table in as_written.extensions.items():
+            problems += owners[name].problems(extension_table, as_written)
+            config = owners[name].applied(extension_table, config)
         problems += conflicts(config, wrong)
+        problems += _place_problems(config, owners)
         config, unplaced = _with_paths(config, path.parent.absolute())
         problems += unplaced
         try:
@@ -165,23 +157,47 @@ def _as_json(table: dict[str, Any]) -> str:
     return json.dumps(table, default=str)
 
 
-def _validate(table: dict[str, Any]) -> tuple[FleetConfig | None, list[Problem], set[KeyPath]]:
+def _validate(
+    table: dict[str, Any], owners: Mapping[str, type[TableOwner]]
+) -> tuple[FleetConfig | None, list[Problem], set[KeyPath]]:
     """(config, problems, key paths that were wrong). After problems the config is what remains without the wrong keys,
     so that they do not hide the conflicts among the right ones; None if nothing usable remains."""
     rest = copy.deepcopy(table)
     problems: list[Problem] = _named_links(rest) + _nul_characters(rest)
+    for name in NO_TABLES & rest.keys():
+        del rest[name]
+        hint = "; an extension's table has the extension's name" if name == "extensions" else ""
+        problems.append(Problem((name,), f"unknown key{hint}"))
     rest = _without_nul(rest)
     wrong: set[KeyPath] = {p.path for p in problems}
     for attempt in range(8):
+        errors: list[ErrorDetails] = []
+        config: FleetConfig | None = None
+        extensions: dict[str, Any] = {}
+        for name in owners.keys() & rest.keys():
+            try:
+                extensions[name] = owners[name].Config.model_validate_json(_as_json(rest[name]), strict=True)
+            except ValidationError as error:
+                errors += [{**e, "loc": (name, *e["loc"])} for e in error.errors(include_url=False)]
         try:
-            return FleetConfig.model_validate_json(_as_json(rest), strict=True), problems, wrong
+            core = {name: part for name, part in rest.items() if name not in owners}
+            config = FleetConfig.model_validate_json(_as_json(core), strict=True)
         except ValidationError as error:
-            found = _translated(error.errors(include_url=False), rest)
+            errors += error.errors(include_url=False)
+        if config is not None and not errors:
+            return config.model_copy(update={"extensions": extensions}), problems, wrong
+        found = _translated(errors, rest, owners)
         problems += [p for p in found if attempt == 0 or not (p.missing or _mentions(p, wrong))]
         for problem in found:
             wrong.add(problem.path)
             _remove(rest, problem.path[:-1] if problem.missing else problem.path)
     return None, problems, wrong
+
+
+def _place_problems(config: FleetConfig, owners: Mapping[str, type[TableOwner]]) -> list[Problem]:
+    """Values of `ControlSettings.at` that no extension of this file knows: the others are asked only then."""
+    own = {owner.control_at: name for name, owner in owners.items() if owner.control_at is not None}
+    return control_place_problems(config, own) and control_place_problems(config, places_of_control())
 
 
 def _mentions(problem: Problem, wrong: set[KeyPath]) -> bool:
@@ -228,7 +244,9 @@ def _remove(table: dict[str, Any], path: KeyPath) -> None:
         node.pop(path[-1] if path else "", None)
 
 
-def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[Problem]:
+def _translated(
+    errors: Iterable[ErrorDetails], table: dict[str, Any], owners: Mapping[str, type[TableOwner]] | None = None
+) -> list[Problem]:
     """pydantic's errors in a person's words, one problem per key."""
     expected: dict[KeyPath, list[str]] = {}
     given: dict[KeyPath, Any] = {}
@@ -240,7 +258,7 @@ def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[P
             expected.setdefault(path, []).append(wanted)
             given[path] = error["input"]
         elif kind == "extra_forbidden":
-            problems.append(Problem(path, _unknown_key(path, table)))
+            problems.append(Problem(path, _unknown_key(path, table, owners or {})))
         elif kind == "missing":
             problems.append(Problem(path, "is missing", missing=True))
         elif kind == "value_error":
@@ -303,9 +321,13 @@ def _key_path(error: ErrorDetails, table: dict[str, Any]) -> KeyPath:
     return tuple(path)
 
 
-def _unknown_key(path: KeyPath, table: dict[str, Any]) -> str:
-    model = _model_at(path[:-1], table)
+def _unknown_key(path: KeyPath, table: dict[str, Any], owners: Mapping[str, type[TableOwner]]) -> str:
+    owner = owners.get(str(path[0]))
+    root, inner = (FleetConfig, path[:-1]) if owner is None else (owner.Config, path[1:-1])
+    model = model_at(root, inner, table if owner is None else table[str(path[0])])
     known = [k for k in model.model_fields if not (issubclass(model, LinkCommon) and k == "name")] if model else []
+    if model is FleetConfig:
+        known = [k for k in known if k not in NO_TABLES] + list(installed())
     if (new := RENAMED_KEYS.get(str(path[-1]))) in known:
         return f"is called {new} now: rename the key"
     hint = _did_you_mean(str(path[-1]), known)
@@ -317,61 +339,6 @@ def _did_you_mean(word: str, known: Iterable[str]) -> str:
     plain = {re.sub("[^a-z0-9]", "", k.lower()): k for k in known}
     near = near_names(re.sub("[^a-z0-9]", "", word.lower()), plain, n=1, cutoff=0.6)
     return f"; did you mean {plain[near[0]]}?" if near else ""
-
-
-def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
-    match path:
-        case ():
-            return FleetConfig
-        case ("daemon",):
-            return DaemonConfig
-        case ("origin",):
-            return OriginConfig
-        case ("defaults",) | ("types", _):
-            return VehicleSettings
-        case ("vehicles", _):
-            return VehicleEntry
-        case ("monitor",):
-            return MonitorConfig
-        case ("metrics",):
-            return MetricsConfig
-        case ("mocap",):
-            return MocapConfig
-        case ("mocap", "simulated"):
-            return SimulatedMocapConfig
-        case ("web",):
-            return WebConfig
-        case ("web", "map"):
-            return WebMapConfig
-        case ("companion",):
-            return CompanionConfig
-        case ("companions",):
-            return CompanionsConfig
-        case ("companions", _):
-            return CompanionEntry
-        case ("federation",):
-            return FederationConfig
-        case ("federation", "vehicles", _):
-            return SharedVehicle
-        case (*_, "separation"):
-            return SeparationSettings
-        case (*_, "preflight"):
-            return PreflightSettings
-        case (*_, "preflight", "params", _):
-            return RuleSettings
-        case (*_, "control"):
-            return ControlSettings
-        case (*_, "control", "xy" | "z"):
-            return GainSettings
-        case (*_, "control", "fence"):
-            return ControlFenceSettings
-        case ("links", _, "rate_in" | "rate_out"):
-            return RateLimits
-        case ("links", _, "signing"):
-            return SigningSettings
-        case ("links", name):
-            return _LINK_TYPES.get(str(table["links"][name].get("type")))
-    return None
 
 
 def _quoted(value: Any) -> str:
@@ -391,86 +358,13 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
             problems.append(Problem(key, f"{_quoted(str(value))}: there is no user of this name, or no home of theirs"))
             return value
 
-    daemon = config.daemon
-    paths = {
-        key: absolute(value, ("daemon", key))
-        for key in ("socket", "token_file", "log_dir")
-        if (value := getattr(daemon, key)) is not None
-    }
-    links = {name: _link_with_paths(name, link, absolute) for name, link in config.links.items()}
-    metrics = config.metrics
-    if metrics is not None and metrics.token_file is not None:
-        token_file = absolute(metrics.token_file, ("metrics", "token_file"))
-        metrics = metrics.model_copy(update={"token_file": token_file})
-    mocap = config.mocap
-    if mocap is not None and mocap.file is not None:
-        mocap = mocap.model_copy(update={"file": absolute(mocap.file, ("mocap", "file"))})
     dialect = tuple(
         os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
         for name in _listed(config.dialect)
     )
-    web = None if config.web is None else _web_with_paths(config.web, absolute)
-    companion = config.companion
-    if companion is not None:
-        companion = _companion_with_paths(companion, absolute)
-    companions = config.companions
-    if companions is not None:
-        companions = companions.model_copy(update={"key_dir": absolute(companions.key_dir, ("companions", "key_dir"))})
-    federation = config.federation
-    if federation is not None:
-        federation = _federation_with_paths(federation, absolute)
-    update = {
-        "daemon": daemon.model_copy(update=paths),
-        "links": links,
-        "dialect": dialect,
-        "metrics": metrics,
-        "mocap": mocap,
-        "web": web,
-        "companion": companion,
-        "companions": companions,
-        "federation": federation,
-    }
-    return config.model_copy(update=update), problems
-
-
-def _web_with_paths(web: WebConfig, absolute: Callable[[Path, KeyPath], Path]) -> WebConfig:
-    paths: dict[str, Any] = {
-        key: absolute(value, ("web", key))
-        for key in ("tls_cert", "tls_key")
-        if (value := getattr(web, key)) is not None
-    }
-    if web.map is not None:
-        paths["map"] = web.map.model_copy(update={"image": absolute(web.map.image, ("web", "map", "image"))})
-    return web.model_copy(update=paths)
-
-
-def _companion_with_paths(companion: CompanionConfig, absolute: Callable[[Path, KeyPath], Path]) -> CompanionConfig:
-    update: dict[str, Any] = {"key_dir": absolute(companion.key_dir, ("companion", "key_dir"))}
-    if companion.signing is not None:
-        key_file = absolute(companion.signing.key_file, ("companion", "signing", "key_file"))
-        update["signing"] = companion.signing.model_copy(update={"key_file": key_file})
-    return companion.model_copy(update=update)
-
-
-def _federation_with_paths(federation: FederationConfig, absolute: Callable[[Path, KeyPath], Path]) -> FederationConfig:
-    update = {
-        key: absolute(value, ("federation", key))
-        for key in ("nkey", "ca", "cert", "key")
-        if (value := getattr(federation, key)) is not None
-    }
-    return federation.model_copy(update=update)
-
-
-def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyPath], Path]) -> LinkConfig:
-    key: KeyPath = ("links", name)
-    if link.signing is not None:
-        key_file = absolute(link.signing.key_file, (*key, "signing", "key_file"))
-        link = link.model_copy(update={"signing": link.signing.model_copy(update={"key_file": key_file})})
-    if isinstance(link, ReplayLinkConfig):
-        return link.model_copy(update={"file": absolute(link.file, (*key, "file"))})
-    if isinstance(link, SimulatedLinkConfig) and link.params is not None:
-        return link.model_copy(update={"params": absolute(link.params, (*key, "params"))})
-    return link
+    extensions = {name: with_absolute_paths(part, (name,), absolute) for name, part in config.extensions.items()}
+    core = with_absolute_paths(config.model_copy(update={"extensions": {}}), (), absolute)
+    return core.model_copy(update={"dialect": dialect, "extensions": extensions}), problems
 
 
 def _shown(problems: list[Problem], lines: dict[KeyPath, int]) -> list[str]:

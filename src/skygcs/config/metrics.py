@@ -9,6 +9,7 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from skygcs.config.tables import Model
+from skygcs.config.web import HostName
 
 DEFAULT_PORT = 9464
 """The port of OpenTelemetry's exporter for Prometheus; 9090 is Prometheus itself, 9100 the node exporter."""
@@ -21,6 +22,8 @@ class MetricsConfig(Model):
     """The numeric address to listen on; other addresses than loopback need ``token_file``."""
     port: Annotated[int, Field(ge=0, le=65535)] = DEFAULT_PORT
     """0: one that the system chooses; the log names it."""
+    names: tuple[HostName, ...] = ()
+    """Further names and addresses by which a scraper asks, without the port."""
     token_file: Path | None = None
     """File with the token that a scraper sends (``Authorization: Bearer``), readable by you alone."""
 

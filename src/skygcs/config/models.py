@@ -6,20 +6,16 @@ import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, SerializeAsAny, field_validator, model_validator
 
-from skygcs.config.companion import CompanionConfig
-from skygcs.config.companions import CompanionsConfig
+from skygcs.config.alarms import AlarmsConfig
 from skygcs.config.control import ControlSettings
 from skygcs.config.federation import FederationConfig
-from skygcs.config.metrics import MetricsConfig
-from skygcs.config.mocap import MocapConfig
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
-from skygcs.config.web import WebConfig
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
@@ -372,8 +368,6 @@ class VehicleConfig(Model):
     battery_reserve_percent: float | None = None
     named: bool = False
     """Whether it is in the fleet file."""
-    mocap: bool = False
-    """Whether [mocap] gives it poses."""
     delegated: bool = False
     """Whether [federation.vehicles] names it."""
 
@@ -396,16 +390,16 @@ class OriginConfig(Model):
         return self
 
 
+NO_TABLES = frozenset({"extensions", "aboard"})
+"""Fields of `FleetConfig` that no file has: the loader fills them in."""
+
+
 class FleetConfig(Model):
     """A whole fleet file."""
 
     daemon: DaemonConfig = DaemonConfig()
     monitor: MonitorConfig = MonitorConfig()
-    metrics: MetricsConfig | None = None
-    mocap: MocapConfig | None = None
-    web: WebConfig | None = None
-    companion: CompanionConfig | None = None
-    companions: CompanionsConfig | None = None
+    alarms: AlarmsConfig = AlarmsConfig()
     federation: FederationConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
@@ -413,6 +407,10 @@ class FleetConfig(Model):
     defaults: VehicleSettings = VehicleSettings()
     types: dict[str, VehicleSettings] = Field(default_factory=dict)
     vehicles: dict[str, VehicleEntry] = Field(default_factory=dict)
+    extensions: dict[str, SerializeAsAny[Model]] = Field(default_factory=dict)
+    """Tables of extensions, by their names (`config.extension_tables`)."""
+    aboard: str | None = None
+    """The vehicle on whose computer the daemon runs, under the system id of its autopilot; None: a ground station."""
 
     @field_validator("links")
     @classmethod
@@ -467,7 +465,5 @@ class FleetConfig(Model):
                 merged["separation"] = layer.separation.over(merged.get("separation", SeparationSettings()))
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
-        mocap = self.mocap is not None and name in self.mocap.bodies
-        delegated = self.federation is not None and name in self.federation.vehicles
-        merged |= {"mocap": mocap, "delegated": delegated}
+        merged["delegated"] = self.federation is not None and name in self.federation.vehicles
         return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

@@ -1,10 +1,14 @@
-"""What every table of the fleet file shares: the base of its models, and problems with the line of their key."""
+"""What every table of the fleet file shares: its model, its paths, and problems with the line of their key."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict
 
@@ -26,6 +30,63 @@ class Problem:
     path: KeyPath
     text: str
     missing: bool = False
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def model_at(model: type[BaseModel], path: KeyPath, table: Any) -> type[BaseModel] | None:
+    """The model of the table at this path below a table of ``model``; None: there is none. ``table``: the values as
+    read, whose "type" chooses among several models."""
+    found = list(dict.fromkeys(_models_at(model, path)))
+    for part in path:
+        table = table.get(part) if isinstance(table, dict) else None
+    kind = table.get("type") if isinstance(table, dict) else None
+    if len(found) > 1:
+        found = [one for one in found if "type" in one.model_fields and one.model_fields["type"].default == kind]
+    return found[0] if found else None
+
+
+def _models_at(annotation: Any, path: KeyPath) -> Iterator[type[BaseModel]]:
+    """The models of tables at this path below a value of this type."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        yield from _models_at(get_args(annotation)[0], path)
+    elif origin is Union or origin is UnionType:
+        for one in get_args(annotation):
+            yield from _models_at(one, path)
+    elif origin is dict and path:
+        yield from _models_at(get_args(annotation)[1], path[1:])
+    elif isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        if not path:
+            yield annotation
+        elif (field := annotation.model_fields.get(str(path[0]))) is not None:
+            yield from _models_at(field.annotation, path[1:])
+        elif annotation.model_config.get("extra") == "allow":  # its further tables, by name
+            yield from _models_at(get_type_hints(annotation)["__pydantic_extra__"], path)
+
+
+def with_absolute_paths(table: M, key: KeyPath, absolute: Callable[[Path, KeyPath], Path]) -> M:
+    """The same table with every path in it made absolute by ``absolute``, which gets the path and its key."""
+    update = {}
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        changed = _absolute(value, (*key, name), absolute)
+        if changed is not value:
+            update[name] = changed
+    return table.model_copy(update=update) if update else table
+
+
+def _absolute(value: Any, key: KeyPath, absolute: Callable[[Path, KeyPath], Path]) -> Any:
+    """The same value with absolute paths; the value itself if it has none."""
+    if isinstance(value, Path):
+        return absolute(value, key)
+    if isinstance(value, BaseModel):
+        return with_absolute_paths(value, key, absolute)
+    if isinstance(value, dict):
+        changed = {name: _absolute(item, (*key, name), absolute) for name, item in value.items()}
+        return changed if any(changed[name] is not item for name, item in value.items()) else value
+    return value
 
 
 _TOKEN = re.compile(

@@ -24,7 +24,8 @@ MODE = 0o600
 
 
 class AuditFile:
-    """The file of records. Call `remembered` once, then `append` for each record. The folder is made when needed."""
+    """The file of records. Call `remembered` once, then `append` for each record, from one thread (`DiskWriter`). The
+    folder is made when needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

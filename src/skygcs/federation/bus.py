@@ -30,10 +30,12 @@ import nats.errors
 import nats.js.errors
 from nats.aio.client import Client as NatsClient
 
+from skygcs.cancellation import end_if_cancelled
 from skygcs.config.federation import server_address
+from skygcs.core.federation.fair_share import FairShare
 from skygcs.errors import BusError, HubAway, NobodyThere, NotPermitted, ReplyLost
 from skygcs.events import Event
-from skygcs.federation.hub_config import INBOX, MAX_PAYLOAD_BYTES, ORDERS
+from skygcs.federation.hub_config import INBOX, MAX_PAYLOAD_BYTES, ORDERS, STOPS
 from skygcs.federation.server_program import version_warning
 
 if TYPE_CHECKING:
@@ -82,8 +84,14 @@ MAX_WAITING_MESSAGES = 1000
 MAX_REQUESTS = 2048
 """Requests in progress: an emergency stop for a thousand vehicles, and the questions for their outcomes."""
 
-MAX_ANSWERING = 64
-"""Default number of requests that one `serve` answers at the same time."""
+SHARE_FACTOR = 4.0
+"""How many times the free places the requests of one station may have: four of five if it is alone."""
+
+MAX_ANSWERING = 80
+"""Default number of requests that one `serve` answers at the same time, 64 of one station."""
+
+SIGNED = (ORDERS, STOPS)
+"""Subjects that end with the public key of the station that sends."""
 
 _DENIED = re.compile(r'permissions violation for (publish|subscription) to "([^"]{1,256})"', re.IGNORECASE)
 
@@ -259,7 +267,7 @@ class Bus:
             raise BusError(subject, f"{len(data)} bytes are more than the {self._longest(client)} that the hub takes")
         if self._open_requests >= MAX_REQUESTS or client.pending_data_size > MAX_PENDING_BYTES:
             raise HubAway(subject, "not sent: too many requests wait for the hub")
-        to = f"{subject}.{self.options.public_key}" if subject.startswith(ORDERS) else subject
+        to = f"{subject}.{self.options.public_key}" if subject.startswith(SIGNED) else subject
         denied: asyncio.Future[None] = self._loop.create_future()
         self._requests.setdefault(to.lower(), set()).add(denied)
         self._open_requests += 1
@@ -328,22 +336,28 @@ class Bus:
         is_urgent: Callable[[bytes], bool] = lambda _: False,
     ) -> Subscription:
         """Like `subscribe`, for requests: the result of ``on_request`` is the answer; None: no answer, since another
-        station answers. At most ``at_once`` run at the same time, and ``reserved`` more whose payload ``is_urgent``;
-        further requests are counted and not answered."""
-        answering: set[asyncio.Task[None]] = set()
+        station answers. At most ``at_once`` run at the same time, and ``reserved`` more whose payload ``is_urgent``,
+        shared among the stations that send them; further requests are counted and not answered."""
+        usual, urgent = FairShare(at_once, SHARE_FACTOR), FairShare(reserved)
 
         def received(message: Msg) -> None:
             if not self._takes(message):
                 return
             if not message.reply.startswith(INBOX):  # this station would publish where the sender may not
                 self.counters.bad_reply_to += 1
-            elif len(answering) >= at_once + (reserved if is_urgent(message.data) else 0):
-                self.counters.busy += 1
-            else:
-                task = self._loop.create_task(self._respond(message, on_request), name=f"answer {subject}")
-                for tasks in (answering, self._answering):
-                    tasks.add(task)
-                    task.add_done_callback(tasks.discard)
+                return
+            sender = _read(message).sender
+            places = usual
+            if not usual.has_room(sender):
+                if not urgent.has_room(sender) or not is_urgent(message.data):
+                    self.counters.busy += 1
+                    return
+                places = urgent
+            places.take(sender)
+            task = self._loop.create_task(self._respond(message, on_request), name=f"answer {subject}")
+            self._answering.add(task)
+            task.add_done_callback(self._answering.discard)
+            task.add_done_callback(lambda _: places.give_back(sender))
 
         return await self._subscribed(subject, received)
 
@@ -359,7 +373,7 @@ class Bus:
             await self.publish(message.reply, answer)
 
     async def _subscribed(self, subject: str, received: Callable[[Msg], None]) -> Subscription:
-        made = Subscription(self, f"{subject}.*" if subject.startswith(ORDERS) else subject, received)
+        made = Subscription(self, f"{subject}.*" if subject.startswith(SIGNED) else subject, received)
         self._subscriptions.append(made)
         if self._client is not None:
             with contextlib.suppress(nats.errors.Error):  # the connection ends: made on the next one
@@ -425,7 +439,7 @@ class Bus:
             for server in itertools.cycle(self.options.servers):
                 if await self._connection(server):
                     pause_s = FIRST_PAUSE_S
-                _end_if_cancelled()
+                end_if_cancelled()
                 await asyncio.sleep(pause_s * random.uniform(0.75, 1.0))
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
         finally:
@@ -440,7 +454,7 @@ class Bus:
         reason = "closed"
         try:
             await self._connect(client, server, lost)
-            _end_if_cancelled()
+            end_if_cancelled()  # nats-py uses `wait_for`
             self._client, self._lost, self._why = client, lost, ""
             for subscription in list(self._subscriptions):
                 await subscription.attach(client)
@@ -621,7 +635,7 @@ def store_errors(what: str) -> Iterator[None]:
 
 
 def _read(message: Msg) -> Message:
-    if not message.subject.startswith(ORDERS):
+    if not message.subject.startswith(SIGNED):
         return Message(message.subject, message.data)
     subject, _, sender = message.subject.rpartition(".")
     return Message(subject, message.data, sender)
@@ -656,15 +670,6 @@ def _reason(error: Exception, client: _Client) -> str:
     if "authorization violation" in text.lower():
         return "does not accept this station's key: its public key must be in the hub's inventory"
     return text or type(cause).__name__
-
-
-def _end_if_cancelled() -> None:
-    """Raise CancelledError if this task was cancelled and the cancellation was lost. In Python 3.11 asyncio.wait_for,
-    which nats-py uses to connect, returns a result that arrives together with a cancellation (CPython issue 86296);
-    without this check `run` would not end."""
-    task = asyncio.current_task()
-    if task is not None and task.cancelling():
-        raise asyncio.CancelledError
 
 
 async def _dispose(client: NatsClient, *, orderly: bool) -> None:

@@ -2,7 +2,7 @@
 
     away        the daemon answers                      -> connected; the observers are called
     connected   it is closed, or has not answered a
-                question of ASK_EVERY_S for SILENT_S     -> away; the observers are called
+                question of ASK_EVERY_S for DAEMON_SILENT_S     -> away; the observers are called
     away        PAUSE_S                                 -> the next attempt
 
 Its requests do not count as the presence of an operator for operator_timeout_s (operator.relay).
@@ -21,7 +21,7 @@ PAUSE_S = 0.5
 ASK_EVERY_S = 5.0
 """Period of daemon.info: the daemon closes idle connections when all its places are taken."""
 
-SILENT_S = 15.0
+DAEMON_SILENT_S = 15.0
 """A connection without an answer for this time is given up; a daemon that is stopped for some seconds is waited for."""
 
 
@@ -68,10 +68,10 @@ class DaemonLink:
                     self._change(client, "connected")
                     while True:
                         await asyncio.sleep(ASK_EVERY_S)
-                        async with asyncio.timeout(SILENT_S):
+                        async with asyncio.timeout(DAEMON_SILENT_S):
                             await client.call("daemon.info")
             except TimeoutError:
-                self._change(None, f"the daemon at {self.address} has not answered for {SILENT_S:g} s")
+                self._change(None, f"the daemon at {self.address} has not answered for {DAEMON_SILENT_S:g} s")
             except RpcError as error:
                 self._change(None, str(error))
             finally:

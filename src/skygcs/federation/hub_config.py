@@ -5,7 +5,7 @@ Who may do what, by role. Everything that is not in a list is refused by the ser
     observer   reads    the state batches, events and audit of all sites
                asks     here.* and state.*.full.*
     operator   reads    as an observer
-               asks     as an observer; log.*; orders (cmd) and requests for leases of the sites in `orders`
+               asks     as an observer; log.*; orders (cmd, stop) and requests for leases of the sites in `orders`
     site S     reads    as an observer; here, full states, orders and logs that are asked of S; requests for leases of
                         its own vehicles and of those of the sites in `orders`
                asks     as an operator
@@ -46,6 +46,9 @@ INBOX = "_INBOX_"
 ORDERS = "cmd."
 """Subjects of orders, cmd.SITE.VEHICLE.KEY: who sends one cannot name another's key, so the site knows who it was."""
 
+STOPS = "stop."
+"""Subjects of emergency stops, stop.SITE.VEHICLE.KEY: no flood of other messages fills the queue that they come in."""
+
 MAX_PAYLOAD_BYTES = 1 << 20
 MAX_PENDING_BYTES = 8 << 20
 """A reader that is so far behind is cut off: four sites' states of two seconds. The others do not wait for it."""
@@ -78,10 +81,12 @@ def permissions(inventory: HubInventory, name: str) -> Permissions:
     if user.role == "observer":
         return Permissions(asks, reads, False)
     asks += ["log.*", *_file_reads()]
-    asks += [subject for site in ordered for subject in (f"{ORDERS}{site}.*.{user.nkey}", f"lease.{site}.*.request")]
+    asks += [f"{kind}{site}.*.{user.nkey}" for site in ordered for kind in (ORDERS, STOPS)]
+    asks += [f"lease.{site}.*.request" for site in ordered]
     if user.role == "operator":
         return Permissions(asks, reads, False)
-    asked = [f"bridge.{name}", f"here.{name}", f"state.{name}.full.*", f"{ORDERS}{name}.*.*", f"log.{name}"]
+    asked = [f"bridge.{name}", f"here.{name}", f"state.{name}.full.*", f"{ORDERS}{name}.*.*", f"{STOPS}{name}.*.*"]
+    asked.append(f"log.{name}")
     asked += [f"lease.{site}.*.request" for site in (name, *ordered)]
     sends = [f"state.{name}.fast", f"state.{name}.slow", f"event.{name}", f"audit.{name}", f"bridge.{name}"]
     sends.append(f"lease.{name}.*.request")

@@ -19,7 +19,7 @@ from skygcs.core.federation.remote_sites import RemoteSites
 from skygcs.federation.station import Part, Station
 from skygcs.metrics.endpoint import MetricsEndpoint
 from skygcs.metrics.exposition import Samples, exposed
-from skygcs.metrics.table import MetricInfo, metrics_with
+from skygcs.metrics.metric_info import MetricInfo, metrics_with
 
 TABLE = "federation.metrics"
 

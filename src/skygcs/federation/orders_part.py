@@ -8,9 +8,11 @@ from typing import Any
 
 from skygcs.core.federation.own_states import OwnStates
 from skygcs.core.federation.remote_sites import CONTESTED_S, RemoteSites
+from skygcs.disk_writer import DiskWriter
 from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.bus import Message
 from skygcs.federation.daemon_orders import DaemonOrders
+from skygcs.federation.hub_config import ORDERS, STOPS
 from skygcs.federation.orders_taken import MAX_MESSAGES, MAX_STOP_MESSAGES, OrdersTaken, names_stop
 from skygcs.federation.station import Station
 from skygcs.rpc.client import connect
@@ -50,8 +52,9 @@ class OrdersTakenPart:
         )
         file = AuditFile(station.fleet.daemon.log_dir / FILE_NAME)
         self._site = site
+        disk = DiskWriter(station.loop, station.report)
         self._taken = OrdersTaken(
-            site, self._daemon, file, self._publish, self._why_not, station.clock.site_s, station.loop
+            site, self._daemon, file, disk, self._publish, self._why_not, station.clock.site_s, station.loop
         )
 
     async def run(self) -> None:
@@ -62,15 +65,24 @@ class OrdersTakenPart:
         async def answer(message: Message) -> bytes:
             return await self._taken.answer(message.subject, message.data, message.sender)
 
-        subscription = await self._station.bus.serve(
-            f"cmd.{self._site}.*", answer, at_once=MAX_MESSAGES, reserved=MAX_STOP_MESSAGES, is_urgent=names_stop
-        )
+        bus = self._station.bus
+        subscriptions = [
+            await bus.serve(f"{STOPS}{self._site}.*", answer, at_once=MAX_STOP_MESSAGES),
+            await bus.serve(
+                f"{ORDERS}{self._site}.*",
+                answer,
+                at_once=MAX_MESSAGES,
+                reserved=MAX_STOP_MESSAGES,
+                is_urgent=names_stop,
+            ),
+        ]
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._daemon.run(), name="daemon of the orders")
                 group.create_task(self._send_records(), name="record of orders")
         finally:
-            await subscription.close()
+            for subscription in subscriptions:
+                await subscription.close()
             await self._taken.close()
 
     def status(self) -> dict[str, Any]:

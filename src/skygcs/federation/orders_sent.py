@@ -6,7 +6,7 @@
     sent           an answer within FIRST_ANSWER_S of the beginning                       the one of the answer
                    no answer, or the hub finds no subscriber                              unknown
     running        the site is asked for the outcome until the order has ended            the outcome
-                   no answer for SILENT_S                                                 unknown
+                   no answer for ANSWER_SILENT_S                                                 unknown
 
 The deadline of an order is the moment at which this station stops waiting for the first answer, converted to the
 site's clock: an order that is shown as unknown is not begun after that, except an emergency stop, which the site
@@ -49,6 +49,8 @@ from skygcs.core.federation.remote_sites import RemoteSites
 from skygcs.core.federation.site_names import SITE_NAME, qualified, select_at
 from skygcs.core.vehicle import stop
 from skygcs.errors import BusError, NobodyThere, RefusedError, ReplyLost, TargetError
+from skygcs.federation.hub_config import ORDERS, STOPS
+from skygcs.rpc.order_reports import OrderReports
 
 FIRST_ANSWER_S = 0.8
 """Time limit of the first answer, from the beginning of the order, the comparison of the clocks included: the loss of
@@ -78,7 +80,7 @@ ASK_PAUSE_S = 0.2
 ASKS_PER_S = 200.0
 """Largest rate of questions of this station, for an order to many vehicles."""
 
-SILENT_S = 3.0
+ANSWER_SILENT_S = 3.0
 """Time without an answer after which a running order is unknown. A hub that is restarted is back within 2 s."""
 
 LONGEST_S = 150.0
@@ -180,16 +182,26 @@ class OrdersSent:
         self._check(method, params, [*own, *map(str, vehicles)])
 
     async def give(
-        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        targets: Mapping[str, Sequence[str]],
+        by: str,
+        own: int = 0,
+        reports: OrderReports | None = None,
     ) -> dict[str, Json]:
         """Give one order to vehicles of other sites and return the outcomes by "site/name". ``by``: the user. ``own``:
-        number of vehicles of this station that get it, too; then `check` must have been called with them. Raises
-        SkygcsError before anything is sent."""
+        number of vehicles of this station that get it, too; then `check` must have been called with them. ``reports``
+        gets each outcome when it comes. Raises SkygcsError before anything is sent."""
         vehicles, empty = self._vehicles(targets)
         if not own:
             self._check(method, params, [str(vehicle) for vehicle in vehicles])
+        if reports is not None:
+            reports.begun([*map(str, vehicles), *empty])
+            for name, outcome in empty.items():
+                reports.ended_with(name, outcome)
         several = len(vehicles) + own > 1
-        return empty | await self._order(method, params, vehicles, by, several=several)
+        return empty | await self._order(method, params, vehicles, by, several=several, reports=reports)
 
     async def order(
         self, method: str, params: Mapping[str, Any], vehicles: Sequence[RemoteVehicle], user: str
@@ -247,7 +259,14 @@ class OrdersSent:
         return vehicles, empty
 
     async def _order(
-        self, method: str, params: Mapping[str, Any], vehicles: Sequence[RemoteVehicle], user: str, *, several: bool
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        vehicles: Sequence[RemoteVehicle],
+        user: str,
+        *,
+        several: bool,
+        reports: OrderReports | None = None,
     ) -> dict[str, Json]:
         given = dict(params)
         given.pop("targets", None)
@@ -260,11 +279,15 @@ class OrdersSent:
         sites = list(dict.fromkeys(vehicle.site for vehicle in vehicles))
         offsets = dict(zip(sites, await asyncio.gather(*(self._offset(site) for site in sites)), strict=True))
         until = began + FIRST_ANSWER_S + EACH_FURTHER_S * (len(vehicles) - 1)
-        replies = await asyncio.gather(
-            *(self._given(v, method, given, by, seq, until, offsets[v.site]) for v in vehicles)
-        )
-        took_s = self._loop.time() - began
-        return {str(v): self._outcome(v, reply, took_s) for v, reply in zip(vehicles, replies, strict=True)}
+
+        async def one(vehicle: RemoteVehicle) -> Json:
+            reply = await self._given(vehicle, method, given, by, seq, until, offsets[vehicle.site])
+            outcome = self._outcome(vehicle, reply, self._loop.time() - began)
+            if reports is not None:
+                reports.ended_with(str(vehicle), outcome)
+            return outcome
+
+        return dict(zip(map(str, vehicles), await asyncio.gather(*map(one, vehicles)), strict=True))
 
     def _check(self, method: str, params: Mapping[str, Any], names: Sequence[str]) -> None:
         """Raises RefusedError for an order that may not be sent to other sites, or lacks its word of confirmation."""
@@ -330,7 +353,8 @@ class OrdersSent:
 
     async def _first_answer(self, sent: _Sent, until: float) -> OrderReply:
         request, site = sent.request, sent.site
-        subject = f"cmd.{site}.{vehicle_token(request.vehicle)}"
+        kind = STOPS if request.method == STOP else ORDERS
+        subject = f"{kind}{site}.{vehicle_token(request.vehicle)}"
         try:
             payload = await self._bus.request(subject, request.encoded(), max(until - self._loop.time(), 0.0))
         except UNCERTAIN as error:
@@ -359,7 +383,7 @@ class OrdersSent:
                     return reply
                 await asyncio.sleep(max(0.0, self._following / ASKS_PER_S - ASK_WAIT_S))
             now = self._loop.time()
-            if failing_since is not None and now - failing_since > SILENT_S - ASK_TIMEOUT_S:
+            if failing_since is not None and now - failing_since > ANSWER_SILENT_S - ASK_TIMEOUT_S:
                 return OrderReply(key, "unknown", f"{sent.site} carries it out, and then was not heard: {why}")
             if now - began > LONGEST_S:
                 return OrderReply(key, "unknown", f"{sent.site} still carries it out after {LONGEST_S:.0f} s")

@@ -1,8 +1,9 @@
-"""Takes the orders of other stations at the home site: the only subscriber of cmd.<site>.*.
+"""Takes the orders of other stations at the home site: the only subscriber of cmd.<site>.* and stop.<site>.*.
 
     message             core.federation.order_gate decides; an admitted order is passed to the daemon once
     answer              the outcome, if it is known within ANSWER_S; else "running": the station then asks for it
     record              before the order begins and when it has ended: in a file here, and on audit.<site>
+    disk is stuck       an order that ends a flight begins after FLIGHT_END_WAIT_S; others are refused after DISK_WAIT_S
 
 An order is carried out to its outcome even if the station that gave it, or the hub, is lost meanwhile.
 """
@@ -12,11 +13,12 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
+from functools import partial
+from typing import Any, Protocol
 
 import structlog
 
-from skygcs.core.federation.audit import record
+from skygcs.core.federation.audit import AuditRecord, record
 from skygcs.core.federation.order_gate import MAX_AHEAD_S, STOP_LATE_S, Begin, OrderGate, Refuse, Repeated
 from skygcs.core.federation.order_messages import (
     ENDS_FLIGHT,
@@ -28,8 +30,10 @@ from skygcs.core.federation.order_messages import (
     decode_request,
     vehicle_of_token,
 )
+from skygcs.disk_writer import DiskWriter
 from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import Carried
+from skygcs.federation.hub_config import STOPS
 
 ANSWER_S = 0.1
 """An order that has not ended by then is answered with "running"; the station waits 0.8 s for the first answer."""
@@ -42,6 +46,15 @@ MAX_MESSAGES = 1024
 
 MAX_STOP_MESSAGES = 1024
 """Further ones that name an emergency stop: no flood of other orders and questions keeps a stop out."""
+
+RECORD = "the record of orders"
+"""Names the file in reports about the disk."""
+
+DISK_WAIT_S = 1.0
+"""An order waits so long for its record; a disk takes one in less than a millisecond, a card that throttles in 1 s."""
+
+FLIGHT_END_WAIT_S = 0.05
+"""The same of an order that ends a flight, which is carried out without its record as well."""
 
 _log = structlog.get_logger(__name__)
 
@@ -58,10 +71,12 @@ class Daemon(Protocol):
 
 
 class OrdersTaken:
-    """The orders that this site takes. Call `answer` for each message of cmd.<site>.*, and `close` at the end.
+    """The orders that this site takes. Call `answer` for each message of cmd.<site>.* and stop.<site>.*, at the end
+    `close`.
 
     ``clock``: returns the home site's clock in seconds, which never goes back. ``publish``: sends a payload to a
-    subject, or drops and counts it. ``not_held``: returns why this site does not command a vehicle; None if it does.
+    subject, or drops and counts it. ``disk``: writes ``file`` beside the loop. ``not_held``: returns why this site does
+    not command a vehicle; None if it does.
     """
 
     def __init__(
@@ -69,6 +84,7 @@ class OrdersTaken:
         site: str,
         daemon: Daemon,
         file: AuditFile,
+        disk: DiskWriter,
         publish: Callable[[str, bytes], None],
         not_held: Callable[[str], str | None],
         clock: Callable[[], float],
@@ -78,6 +94,9 @@ class OrdersTaken:
         self._site = site
         self._daemon = daemon
         self._file = file
+        self._disk = disk
+        self._warned = False
+        """Whether it was logged that orders cannot be recorded."""
         self._publish = publish
         self._not_held = not_held
         self._clock = clock
@@ -89,6 +108,8 @@ class OrdersTaken:
         """The answer to one message of the station with the key ``sender``, within MAX_QUESTION_WAIT_S. Never raises,
         whatever the message contains."""
         token = subject.rpartition(".")[2]
+        if subject.startswith(STOPS) and not names_stop(payload):
+            return self._malformed("this subject is for emergency stops; nothing was carried out").encoded()
         if token == OUTCOME_SUBJECT:
             return (await self._answer_question(payload)).encoded()
         return (await self._answer_order(token, payload, sender)).encoded()
@@ -99,7 +120,8 @@ class OrdersTaken:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        self._file.close()
+        self._disk.offer(RECORD, self._file.close)
+        await self._disk.settled()
 
     def status(self) -> dict[str, object]:
         """JSON-able, for federation.status and metrics."""
@@ -156,29 +178,23 @@ class OrdersTaken:
         return OrderReply("", "refused", text)
 
     def _begin(self, request: OrderRequest, now_s: float) -> None:
-        """Start to carry an order out. The record is written first: without it a copy that arrives after a restart
-        would be carried out again. If it cannot be written, only orders that end a flight are carried out."""
-        running = OrderReply(request.key, "running", "")
-        problem = self._note(request, running, now_s)
-        if problem is not None and request.method not in ENDS_FLIGHT:
-            text = f"{self._site} cannot record orders ({problem}); it is not carried out"
-            work = self._refused(request, OrderReply(request.key, "refused", text))
-        else:
-            left_s = request.deadline_s - now_s + (STOP_LATE_S if request.method == STOP else 0.0)
-            work = self._carry_out(request, self._loop.time() + left_s)
+        """Start to carry an order out, until its deadline."""
+        left_s = request.deadline_s - now_s + (STOP_LATE_S if request.method == STOP else 0.0)
+        work = self._carry_out(request, now_s, self._loop.time() + left_s)
         task = self._loop.create_task(work, name=f"{request.method} {request.vehicle}")
         self._running[request.key] = task
 
-    async def _refused(self, request: OrderRequest, reply: OrderReply) -> OrderReply:
-        self._running.pop(reply.key, None)
-        self.gate.ended(reply, self._clock())
-        self._note(request, reply, self._clock())
-        return reply
-
-    async def _carry_out(self, request: OrderRequest, deadline: float) -> OrderReply:
-        """Pass the order to the daemon, once, and record its outcome."""
+    async def _carry_out(self, request: OrderRequest, now_s: float, deadline: float) -> OrderReply:
+        """Record an order, pass it to the daemon, once, and record its outcome. The record comes first: without it a
+        copy that arrives after a restart would be carried out again. If it cannot be written, only orders that end a
+        flight are carried out."""
+        ends_flight = request.method in ENDS_FLIGHT
         try:
-            carried = await self._daemon.order(request.vehicle, request.method, request.params, deadline)
+            problem = await self._recorded(request, now_s, FLIGHT_END_WAIT_S if ends_flight else DISK_WAIT_S)
+            if problem is None or ends_flight:
+                carried = await self._daemon.order(request.vehicle, request.method, request.params, deadline)
+            else:
+                carried = Carried("refused", f"{self._site} cannot record orders ({problem}); it is not carried out")
         except asyncio.CancelledError:
             carried = Carried(
                 "unknown", f"the bridge of {self._site} ended while it was carried out; look at the vehicle"
@@ -189,9 +205,9 @@ class OrdersTaken:
         finally:
             self._running.pop(request.key, None)
         reply = OrderReply(request.key, carried.status, carried.text, carried.outcome)
-        now_s = self._clock()
-        self.gate.ended(reply, now_s)
-        self._note(request, reply, now_s)
+        ended_s = self._clock()
+        self.gate.ended(reply, ended_s)
+        self._note(request, reply, ended_s)
         return reply
 
     async def _after(self, key: str, wait_s: float) -> OrderReply:
@@ -203,11 +219,36 @@ class OrdersTaken:
                 return task.result()
         return self.gate.known(key) or OrderReply(key, "running", "still being carried out")
 
-    def _note(self, request: OrderRequest, reply: OrderReply, now_s: float) -> str | None:
-        """Record an order in the file and on the hub. Returns why the file could not be written, None if it was."""
-        entry = record(request, reply, now_s)
-        problem = self._file.append(entry)
-        if problem is not None and self._file.counters["failed"] == 1:
-            _log.warning("orders of other stations cannot be recorded", reason=problem)
-        self._publish(f"audit.{self._site}", entry.encoded())
+    async def _recorded(self, request: OrderRequest, now_s: float, within_s: float) -> str | None:
+        """Record that an order begins. Returns why that is not known to be written, None if it is."""
+        entry = self._entry(request, OrderReply(request.key, "running", ""), now_s)
+        try:
+            problem: str | None = await self._disk.run(RECORD, partial(self._file.append, entry), within_s=within_s)
+        except OSError as error:
+            problem = f"{self._file.path}: {error.strerror or error}"
+        self._warn(problem)
         return problem
+
+    def _note(self, request: OrderRequest, reply: OrderReply, now_s: float) -> None:
+        """Record what became of an order; nothing waits for the file."""
+        entry = self._entry(request, reply, now_s)
+        written = self._disk.offer(RECORD, partial(self._file.append, entry))
+        if written is None:
+            self.counters["unrecorded"] += 1
+        else:
+            written.add_done_callback(self._on_written)
+
+    def _entry(self, request: OrderRequest, reply: OrderReply, now_s: float) -> AuditRecord:
+        """The record, which is sent to the hub as well."""
+        entry = record(request, reply, now_s)
+        self._publish(f"audit.{self._site}", entry.encoded())
+        return entry
+
+    def _on_written(self, written: asyncio.Future[Any]) -> None:
+        if not written.cancelled():
+            self._warn(written.result())
+
+    def _warn(self, problem: str | None) -> None:
+        if problem is not None and not self._warned:
+            _log.warning("orders of other stations cannot be recorded", reason=problem)
+        self._warned = self._warned or problem is not None

@@ -27,6 +27,7 @@ from typing import Any
 import structlog
 from pydantic_core import from_json, to_json
 
+from skygcs.cancellation import together
 from skygcs.core.federation.own_states import LeaseOf, OwnStates, no_lease
 from skygcs.core.federation.site_names import name_of_token
 from skygcs.core.federation.state_batch import STATE_GROUPS, encode_batch
@@ -141,12 +142,11 @@ class Publisher:
                 continue
             self._states.begin_anew(self._clock.now_s())
             try:
-                async with asyncio.TaskGroup() as group:
-                    group.create_task(self._take_rounds(client), name="rounds")
-                    group.create_task(self._send_events(client), name="events")
-                    group.create_task(self._own.follow(), name="origin")
-            except* RpcError as errors:
-                _log.warning("daemon lost", site=self._site, reason=str(errors.exceptions[0]))
+                await together(
+                    rounds=self._take_rounds(client), events=self._send_events(client), origin=self._own.follow()
+                )
+            except RpcError as error:
+                _log.warning("daemon lost", site=self._site, reason=str(error))
             if self._link.client is client:  # it refused a subscription: pause before the next attempt
                 await asyncio.sleep(REFUSED_PAUSE_S)
 

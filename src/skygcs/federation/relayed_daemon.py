@@ -17,6 +17,7 @@ from skygcs.errors import RpcError
 from skygcs.rpc import error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.dispatch import parse
+from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
 
 REACH_WITHIN_S = 2.0
 """A daemon that accepts no connection within this time counts as away."""
@@ -31,6 +32,8 @@ OnAnswer = Callable[[bytes | RpcError], bytes]
 """Called with the result of a request of the station; its own result is sent to the client in place of the answer."""
 
 _ANSWER = b'{"jsonrpc":"2.0","id":'
+_REPORTS = tuple(b'{"jsonrpc":"2.0","method":"%b","params":{"request":' % name.encode() for name in (BEGUN, OUTCOME))
+"""How the daemon's lines begin that answer a request, or report one."""
 
 
 class RelayedClient(Protocol):
@@ -65,6 +68,8 @@ class RelayedDaemon(asyncio.Protocol):
         self._prefix = f'"{secrets.token_hex(8)}-'.encode()
         """Beginning of the ids of the station's own requests."""
         self._asked: dict[bytes, OnAnswer] = {}
+        self._reported: dict[bytes, bytes] = {}
+        """By the id of a request of the station, the id under which the client gets its reports."""
         self._last_id = 0
 
     @property
@@ -120,9 +125,10 @@ class RelayedDaemon(asyncio.Protocol):
         if self._transport is not None:
             self._transport.write_eof()
 
-    async def ask(self, method: str, params: Mapping[str, Any], **members: Any) -> bytes:
+    async def ask(self, method: str, params: Mapping[str, Any], *, report_as: object = None, **members: Any) -> bytes:
         """Send a request of the station and return its result, as the daemon wrote it. ``members``: further members of
-        the request. Raises RpcError."""
+        the request. ``report_as``: the client gets its reports (`skygcs.rpc.order_reports`) with this id; None: it asks
+        for none. Raises RpcError."""
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 
         def on_answer(result: bytes | RpcError) -> bytes:
@@ -133,13 +139,21 @@ class RelayedDaemon(asyncio.Protocol):
                     future.set_result(result)
             return b""
 
-        self.start_asking(method, params, members, on_answer)
-        return await future
+        if report_as is not None:
+            members[REPORT] = True
+        key = self.start_asking(method, params, members, on_answer)
+        if report_as is None:
+            return await future
+        self._reported[key] = to_json(report_as)
+        try:
+            return await future
+        finally:
+            del self._reported[key]
 
     def start_asking(
         self, method: str, params: Mapping[str, Any], members: Mapping[str, Any], on_answer: OnAnswer
-    ) -> None:
-        """Send a request of the station. Raises RpcError without a connection."""
+    ) -> bytes:
+        """Send a request of the station; returns its id as JSON. Raises RpcError without a connection."""
         if self._transport is None:
             raise RpcError(error_codes.NO_DAEMON, self.absent)
         self._last_id += 1
@@ -147,6 +161,7 @@ class RelayedDaemon(asyncio.Protocol):
         self._asked[key] = on_answer
         request = {"jsonrpc": "2.0", "id": key[1:-1].decode(), "method": method, "params": params, **members}
         self._transport.write(to_json(request) + b"\n")
+        return key
 
     def pause_answers(self) -> None:
         """Stop reading from the daemon, because the client does not read."""
@@ -192,8 +207,17 @@ class RelayedDaemon(asyncio.Protocol):
 
     def _pass_on(self, lines: bytes) -> None:
         if self._asked and self._prefix in lines:
-            lines = b"".join(self._without_our_answer(line) for line in lines.splitlines(keepends=True))
+            lines = b"".join(self._for_client(line) for line in lines.splitlines(keepends=True))
         self._client.on_daemon_lines(lines)
+
+    def _for_client(self, line: bytes) -> bytes:
+        """The line for the client: reports of a request of the station carry the client's id."""
+        begin = next((begin for begin in _REPORTS if line.startswith(begin + self._prefix)), None)
+        if begin is None:
+            return self._without_our_answer(line)
+        end = line.index(b'"', len(begin) + 1) + 1
+        client_id = self._reported.get(line[len(begin) : end])
+        return b"" if client_id is None else begin + client_id + line[end:]
 
     def _without_our_answer(self, line: bytes) -> bytes:
         """The line for the client: an answer to a request of the station is replaced by the result of its callback."""

@@ -50,6 +50,7 @@ from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.dispatch import Dispatcher, Method, error_reply, failure_reply, parse, result_reply
 from skygcs.rpc.openrpc import document
+from skygcs.rpc.order_reports import OrderReports, wants_reports
 from skygcs.rpc.unix_socket import still_reads
 
 MAX_LINE_BYTES = 1 << 20
@@ -228,6 +229,11 @@ class StationClient(asyncio.Protocol):
         if reply:
             self.write(reply + b"\n")
 
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        """Send a notification that may be lost: nothing to a client that does not read."""
+        if self.writable:
+            self.write(to_json({"jsonrpc": "2.0", "method": method, "params": params}) + b"\n")
+
     # -- the daemon
 
     async def _reach_daemon(self) -> None:
@@ -344,7 +350,9 @@ class StationClient(asyncio.Protocol):
         elif self.services.orders is not None and method in self.services.orders.methods:
             rest = {name: value for name, value in params.items() if name != key}
             members = {"deadline_s": request["deadline_s"]} if "deadline_s" in request else {}
-            work = self._order(method, rest, targets, members)
+            asked = wants_reports(request)
+            reports = None if asked is None else OrderReports(self, asked)
+            work = self._order(method, rest, targets, members, reports)
             self._answer(request, work, "order", lasting=method in ENDS_FLIGHT)
         else:
             raise RefusedError(f"{method} does not go to other sites; give vehicles of this one")
@@ -493,7 +501,12 @@ class StationClient(asyncio.Protocol):
         return await self.services.full_state(site, target)
 
     async def _order(
-        self, method: str, params: Mapping[str, Any], targets: SiteTargets, members: Mapping[str, Any]
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        targets: SiteTargets,
+        members: Mapping[str, Any],
+        reports: OrderReports | None,
     ) -> dict[str, Any]:
         """Carry out both parts and return their outcomes. An error of one part becomes the outcome of its targets,
         since the other part has been carried out."""
@@ -512,11 +525,11 @@ class StationClient(asyncio.Protocol):
         parts: dict[str, Awaitable[dict[str, Any]]] = {}
         if targets.others:
             name = ", ".join(f"{site}/{part}" for site, found in targets.others.items() for part in found)
-            parts[name] = orders.give(method, params, targets.others, self.user, len(own))
+            parts[name] = orders.give(method, params, targets.others, self.user, len(own), reports)
         if own:
-            parts[", ".join(targets.own)] = self._order_own(method, own_params, own, members)
+            parts[", ".join(targets.own)] = self._order_own(method, own_params, own, members, reports)
         elif targets.own and self.services.daemon_address is not None:  # our daemon is away: an error as its outcome
-            parts[", ".join(targets.own)] = self._order_own(method, own_params, targets.own, members)
+            parts[", ".join(targets.own)] = self._order_own(method, own_params, targets.own, members, reports)
         answers = await asyncio.gather(*parts.values(), return_exceptions=True)
         if errors := [answer for answer in answers if isinstance(answer, BaseException)]:
             for error in errors:
@@ -538,9 +551,15 @@ class StationClient(asyncio.Protocol):
             raise RefusedError(f"read {late_s:.1f} s after its deadline; it was not carried out")
 
     async def _order_own(
-        self, method: str, params: Mapping[str, Any], own: Sequence[str], members: Mapping[str, Any]
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        own: Sequence[str],
+        members: Mapping[str, Any],
+        reports: OrderReports | None,
     ) -> dict[str, Any]:
-        answer = parse(await self.daemon.ask(method, {**params, "targets": _plain(own)}, **members))
+        asked = None if reports is None else reports.request_id
+        answer = parse(await self.daemon.ask(method, {**params, "targets": _plain(own)}, report_as=asked, **members))
         outcomes: dict[str, Any] = answer["outcomes"]
         return outcomes
 

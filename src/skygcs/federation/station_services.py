@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from skygcs.federation.remote_feed import RemoteFeed
+from skygcs.rpc.order_reports import OrderReports
 
 
 class RemoteOrders(Protocol):
@@ -21,10 +22,17 @@ class RemoteOrders(Protocol):
         ...
 
     async def give(
-        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        targets: Mapping[str, Sequence[str]],
+        by: str,
+        own: int = 0,
+        reports: OrderReports | None = None,
     ) -> dict[str, dict[str, Any]]:
         """The outcome of each vehicle by its name (south/alpha). ``params``: without targets. ``by``: the user of the
-        client. ``own``: how many own vehicles get it, after `check`. Raises SkygcsError before anything was sent."""
+        client. ``own``: how many own vehicles get it, after `check`. ``reports`` gets each outcome as it comes. Raises
+        SkygcsError before anything was sent."""
         ...
 
 

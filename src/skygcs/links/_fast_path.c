@@ -30,7 +30,7 @@
 
 enum {
     BURST = 64,                 /* datagrams received at once, as links.udp.DATAGRAMS_PER_WAKEUP */
-    DATAGRAM_BYTES = 65536,
+    LARGEST_BYTES = 65536,      /* upper limit of `largest` (links.reading.LARGEST_DATAGRAM_BYTES) */
     FRAMES = 256,               /* in one datagram; one with more goes to Python */
     MAX_FLOWS = 16384,          /* 250 vehicles of some 20 messages, on three links; above it all flows are closed and opened again */
     WHOLE_BYTES = 1472,         /* runtime.hub.WHOLE_DATAGRAM_BYTES */
@@ -44,7 +44,6 @@ enum {
 static const double PAUSE_S = 0.5; /* core.routing.source_statistics */
 
 static uint16_t crc_table[256];
-static uint8_t *slots; /* buffers of BURST datagrams, shared: only one fast path receives at a time */
 static int is_receiving;
 static PyObject *s_rx_frames, *s_rx_bytes, *s_last_rx_at, *s_good, *s_on_burst,
     *s_tx_frames, *s_tx_bytes, *s_tx_dropped, *s_frame, *s_at, *s_count;
@@ -278,6 +277,12 @@ struct FastPath {
     FastPath *next;
     PyObject *clock, *slow, *after, *broken; /* see `FastPath` in _fast_path.pyi */
     int fd, settling; /* fd: -1 once it is closed */
+    int largest, first, got; /* bytes of a slot; received datagrams from `first` up to `got` wait to be handled */
+    long long kept, too_large; /* got - first; datagrams that were cut off */
+    uint8_t *slots; /* BURST datagrams */
+    struct mmsghdr messages[BURST];
+    struct iovec parts[BURST];
+    struct sockaddr_in from[BURST];
     uint32_t last_number; /* of a peer */
     Map peers, sources, flows; /* by address; peer and source; peer, source and msgid */
     uint64_t epoch;
@@ -675,37 +680,55 @@ static uint64_t unix_time_us(void) {
     return (uint64_t)clock.tv_sec * 1000000u + (uint64_t)clock.tv_nsec / 1000u;
 }
 
-/* Handle every datagram, even if one fails: they are out of the kernel and would be lost. Python may close the path. */
-static int burst(FastPath *path, int got, struct mmsghdr *messages, struct sockaddr_in *from, PyObject *now) {
+static long long monotonic_ns(void) {
+    struct timespec clock;
+    clock_gettime(CLOCK_MONOTONIC, &clock);
+    return (long long)clock.tv_sec * 1000000000 + clock.tv_nsec;
+}
+
+/* What one call of `ready` may take of the loop: bytes of datagrams that are left to Python, and time. */
+typedef struct { long long left_bytes, ends_at_ns; } Share;
+
+/* Handle the datagrams that wait until the share is spent, even if one fails: they are out of the kernel and would be
+   lost. What is left waits for the next call. Python may close the path. */
+static int burst(FastPath *path, PyObject *now, Share share) {
     Faults faults = {0};
     double seconds = PyFloat_AS_DOUBLE(now);
     uint64_t unix_us = unix_time_us();
-    for (int i = 0; i < got && path->fd >= 0; i++) {
-        const uint8_t *data = slots + (size_t)i * DATAGRAM_BYTES;
-        int size = (int)messages[i].msg_len, passed = 0;
+    for (int spent = 0; path->first < path->got && path->fd >= 0 && !spent;) {
+        int i = path->first++, size = (int)path->messages[i].msg_len, passed = 0;
+        const uint8_t *data = path->slots + (size_t)i * (size_t)path->largest;
+        if (path->messages[i].msg_hdr.msg_flags & MSG_TRUNC) {
+            path->too_large++;
+            continue;
+        }
         if (path->epoch != path->table->epoch && !forget_flows(path)) set_aside(&faults, (PyObject *)path);
-        Peer *peer = map_get(&path->peers, address_key(&from[i]));
+        Peer *peer = map_get(&path->peers, address_key(&path->from[i]));
         if (peer) passed = forward_datagram(path, peer, data, size, seconds, unix_us);
         if (passed < 0) set_aside(&faults, (PyObject *)path);
         if (passed > 0) continue;
-        if (!leave_to_python(path, data, size, &from[i], now)) set_aside(&faults, (PyObject *)path);
+        if (!leave_to_python(path, data, size, &path->from[i], now)) set_aside(&faults, (PyObject *)path);
         unix_us = unix_time_us(); /* Python recorded frames meanwhile: no record may be older than the one before it */
+        share.left_bytes -= size;
+        spent = share.left_bytes <= 0 || monotonic_ns() >= share.ends_at_ns;
     }
+    path->kept = path->fd >= 0 ? path->got - path->first : 0;
     if (!settle(path, now)) set_aside(&faults, (PyObject *)path);
     return none_of(&faults);
 }
 
-/* Receive and handle at most BURST datagrams. False: an exception; an error of the socket goes to `broken` instead. */
-static int receive(FastPath *path, PyObject *now) {
-    static struct mmsghdr messages[BURST];
-    static struct iovec parts[BURST];
-    static struct sockaddr_in from[BURST];
+/* Handle what was kept, else receive at most BURST datagrams and handle them. False: an exception; an error of the
+   socket goes to `broken` instead. */
+static int receive(FastPath *path, PyObject *now, Share share) {
+    if (path->first < path->got) return burst(path, now, share);
     for (int i = 0; i < BURST; i++) {
-        parts[i] = (struct iovec){slots + (size_t)i * DATAGRAM_BYTES, DATAGRAM_BYTES};
-        messages[i].msg_hdr = (struct msghdr){.msg_name = &from[i], .msg_namelen = sizeof from[i], .msg_iov = &parts[i], .msg_iovlen = 1};
+        path->parts[i] = (struct iovec){path->slots + (size_t)i * (size_t)path->largest, (size_t)path->largest};
+        path->messages[i].msg_hdr = (struct msghdr){.msg_name = &path->from[i], .msg_namelen = sizeof path->from[i],
+                                                    .msg_iov = &path->parts[i], .msg_iovlen = 1};
     }
-    int got = recvmmsg(path->fd, messages, BURST, MSG_DONTWAIT, NULL);
-    if (got >= 0) return burst(path, got, messages, from, now);
+    int got = recvmmsg(path->fd, path->messages, BURST, MSG_DONTWAIT, NULL);
+    path->first = 0, path->got = got > 0 ? got : 0;
+    if (got >= 0) return burst(path, now, share);
     if (errno == EAGAIN || errno == EWOULDBLOCK) return 1;
     PyErr_SetFromErrno(PyExc_OSError);
     PyObject *error = take_exception(), *broken = Py_NewRef(path->broken); /* it may close the fast path */
@@ -715,9 +738,13 @@ static int receive(FastPath *path, PyObject *now) {
     return done != NULL;
 }
 
-/* The event loop's callback: the socket can be read. A socket error goes to `broken`; a callback's exception is raised. */
-static PyObject *fast_path_ready(FastPath *path, PyObject *unused) {
-    (void)unused;
+/* ready(left_bytes, seconds): the socket can be read, or datagrams are `kept`. A socket error goes to `broken`; a callback's
+   exception is raised. */
+static PyObject *fast_path_ready(FastPath *path, PyObject *args) {
+    Share share;
+    double share_s;
+    if (!PyArg_ParseTuple(args, "Ld", &share.left_bytes, &share_s)) return NULL;
+    share.ends_at_ns = monotonic_ns() + (long long)(share_s * 1e9);
     if (is_receiving) return PyErr_SetString(PyExc_RuntimeError, "this fast path is receiving already"), NULL;
     if (!is_open(path)) Py_RETURN_NONE;
     PyObject *now = PyObject_CallNoArgs(path->clock);
@@ -731,7 +758,7 @@ static PyObject *fast_path_ready(FastPath *path, PyObject *unused) {
     Py_INCREF(path); /* ... and drop the last reference to it */
     Faults faults = {0};
     is_receiving = 1;
-    if (!receive(path, now)) set_aside(&faults, (PyObject *)path);
+    if (!receive(path, now, share)) set_aside(&faults, (PyObject *)path);
     is_receiving = 0;
     if (path->table->records_size >= RECORDS_BYTES) {
         PyObject *done = PyObject_CallNoArgs(after);
@@ -745,12 +772,14 @@ static PyObject *fast_path_ready(FastPath *path, PyObject *unused) {
 static int fast_path_init(FastPath *path, PyObject *args, PyObject *unused) {
     (void)unused;
     PyObject *table, *clock, *slow, *after, *broken;
-    int fd;
+    int fd, largest;
     if (path->table) return PyErr_SetString(PyExc_TypeError, "a fast path is initialised once"), -1;
-    if (!PyArg_ParseTuple(args, "O!iOOOO", &TableType, &table, &fd, &clock, &slow, &after, &broken)) return -1;
+    if (!PyArg_ParseTuple(args, "O!iiOOOO", &TableType, &table, &fd, &largest, &clock, &slow, &after, &broken)) return -1;
     if (fd < 0) return PyErr_SetString(PyExc_ValueError, "the socket is closed"), -1;
+    if (largest < 1 || largest > LARGEST_BYTES) return PyErr_SetString(PyExc_ValueError, "largest out of range"), -1;
     if (!table_is_made((Table *)table)) return -1;
-    path->fd = fd, path->table = (Table *)Py_NewRef(table);
+    if (!(path->slots = PyMem_RawMalloc((size_t)BURST * (size_t)largest))) return PyErr_NoMemory(), -1;
+    path->fd = fd, path->largest = largest, path->table = (Table *)Py_NewRef(table);
     path->clock = Py_NewRef(clock), path->slow = Py_NewRef(slow), path->after = Py_NewRef(after), path->broken = Py_NewRef(broken);
     path->next = path->table->paths, path->table->paths = path;
     return 0;
@@ -763,7 +792,7 @@ static PyObject *fast_path_close(FastPath *path, PyObject *unused) {
     flush_waiting(path);
     int good = report_path_counts(path);
     PyObject *fault = good ? NULL : take_exception();
-    path->fd = -1;
+    path->fd = -1, path->kept = 0;
     for (FastPath **at = &path->table->paths; *at; at = &(*at)->next)
         if (*at == path) {
             *at = path->next;
@@ -784,7 +813,7 @@ static void fast_path_finalize(PyObject *path) {
 
 static void fast_path_dealloc(FastPath *path) {
     if (PyObject_CallFinalizerFromDealloc((PyObject *)path) < 0) return; /* the finalizer's callbacks made a new reference */
-    Py_XDECREF(path->table);
+    Py_XDECREF(path->table), PyMem_RawFree(path->slots);
     Py_TYPE(path)->tp_free(path);
 }
 
@@ -800,11 +829,16 @@ static PyMemberDef table_members[] = {
     {"records_waiting", T_LONGLONG, offsetof(Table, n_records), READONLY, "tlog records that `take` would return."},
     {0},
 };
+static PyMemberDef fast_path_members[] = {
+    {"kept", T_LONGLONG, offsetof(FastPath, kept), READONLY, "Datagrams that were received and wait for the next call of `ready`."},
+    {"too_large", T_LONGLONG, offsetof(FastPath, too_large), READONLY, "Datagrams that were dropped as they are larger than `largest`."},
+    {0},
+};
 static PyMethodDef fast_path_methods[] = {
     {"add_peer", (PyCFunction)fast_path_add_peer, METH_VARARGS, "add_peer(address, channel, parser_stats, channel_id)"},
     {"remove_peer", (PyCFunction)fast_path_remove_peer, METH_O, "remove_peer(address)"},
     {"add_flow", (PyCFunction)fast_path_add_flow, METH_VARARGS, "add_flow(address, source, msgid, stats, heard, outs, slot, watches, steady, again)"},
-    {"ready", (PyCFunction)fast_path_ready, METH_NOARGS, "To be called when the socket can be read."},
+    {"ready", (PyCFunction)fast_path_ready, METH_VARARGS, "ready(left_bytes, seconds): to be called when the socket can be read, or datagrams are kept."},
     {"close", (PyCFunction)fast_path_close, METH_NOARGS, "Report all counts and release everything."},
     {0},
 };
@@ -813,9 +847,9 @@ static PyMethodDef fast_path_methods[] = {
      .tp_new = PyType_GenericNew, .tp_methods = METHODS, .tp_members = MEMBERS, .tp_init = (initproc)INIT, .tp_dealloc = (destructor)DEALLOC}
 static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_members, table_init, table_dealloc);
 static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, NULL, out_init, out_dealloc);
-static PyTypeObject FastPathType = TYPE("FastPath", sizeof(FastPath), fast_path_methods, NULL, fast_path_init, fast_path_dealloc);
+static PyTypeObject FastPathType = TYPE("FastPath", sizeof(FastPath), fast_path_methods, fast_path_members, fast_path_init, fast_path_dealloc);
 /* Raised with every change of what Python and this file expect of each other; links/fast_path.py has the same number. */
-#define INTERFACE 3
+#define INTERFACE 4
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_fast_path", "The fast path of UDP; see links/fast_path.py.", -1, NULL, NULL, NULL, NULL, NULL};
 
@@ -834,7 +868,6 @@ PyMODINIT_FUNC PyInit__fast_path(void) {
     }
     if (getrandom(&hash_seed, sizeof hash_seed, GRND_NONBLOCK) != sizeof hash_seed)
         hash_seed = unix_time_us() ^ (uint64_t)getpid() << 40; /* early after boot there may be no randomness yet */
-    if (!slots && !(slots = PyMem_RawMalloc((size_t)BURST * DATAGRAM_BYTES))) return PyErr_NoMemory();
     FastPathType.tp_finalize = fast_path_finalize;
     PyObject *made = PyModule_Create(&module);
     if (made && PyModule_AddIntConstant(made, "INTERFACE", INTERFACE)) {

@@ -18,10 +18,13 @@ class Out:
     def __init__(self, fd: int, address: Address, channel: Any, whole: bool) -> None: ...
 
 class FastPath:
+    kept: int
+    too_large: int
     def __init__(
         self,
         table: Table,
         fd: int,
+        largest: int,
         clock: Callable[[], float],
         slow: Callable[[bytes, Address, float], None],
         after: Callable[[], None],
@@ -44,5 +47,5 @@ class FastPath:
         again: Callable[[float], None] | None,
         /,
     ) -> None: ...
-    def ready(self) -> None: ...
+    def ready(self, left_bytes: int, seconds: float, /) -> None: ...
     def close(self) -> None: ...

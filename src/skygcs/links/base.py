@@ -22,6 +22,7 @@ from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.events import Event
 from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget
+from skygcs.links.reading import ReadingTurns
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
@@ -87,6 +88,11 @@ class LinkHost(Protocol):
         """What the fast paths of all links share; None: every frame goes through `on_frames`."""
         ...
 
+    @property
+    def reading(self) -> ReadingTurns:
+        """How much each wake-up of a link may take."""
+        ...
+
     def after_fast_path(self) -> None:
         """Count and record the frames of the fast path; call it before reading channels or sources."""
         ...
@@ -109,6 +115,10 @@ class LinkHost(Protocol):
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
         """A message of our own was written (for the recorder)."""
+        ...
+
+    def leads_to_flying(self, channel: Channel) -> bool:
+        """True if this channel is the last way to a vehicle that may be in the air."""
         ...
 
     def carries_autopilot(self, channel: Channel) -> bool:

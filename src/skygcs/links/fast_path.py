@@ -14,6 +14,7 @@ import structlog
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 PURE = "SKYGCS_PURE"
 """Environment variable: do not use the compiled code."""
 
-INTERFACE = 3
+INTERFACE = 4
 """The interface of `_fast_path.c` that this module uses. Code compiled from an older checkout would lose frames: it is
 not used."""
 
@@ -68,7 +69,7 @@ def new_fast_path(
     """
     from skygcs.links._fast_path import FastPath
 
-    return FastPath(table, fd, clock, slow, after, broken)
+    return FastPath(table, fd, LARGEST_DATAGRAM_BYTES, clock, slow, after, broken)
 
 
 def new_out(fd: int, address: tuple[object, ...], channel: object, *, whole: bool) -> Out | None:

@@ -17,6 +17,7 @@ from typing import Any
 from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.core.routing.garbage import PARK_S, GarbageGauge
 from skygcs.links.base import Channel, Link
 from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget, flow_of
@@ -27,8 +28,8 @@ baud, so a pause of twice that is not within one; the rescue harms no slow frame
 """
 
 READ_BYTES = 8192
-"""Most bytes taken at one wake-up, so that a flooded link leaves the others their turn: some 200 commands, 3 ms. With
-64 kB, 32 clients that flooded a server kept the loop for 0.44 s at a time, with this for 0.08 s."""
+"""Most bytes taken at one wake-up: some 200 commands, 3 ms. Where many are flooded, each takes less (`links.reading`):
+with this for each of them, 32 clients kept the loop for 0.08 s at a time."""
 
 SHALLOW_BYTES = 256
 """Outstanding bytes in the kernel at which writing stops: an urgent frame then waits at most 44 ms at 57600 baud."""
@@ -49,11 +50,12 @@ class DescriptorWatcher:
     become readable.
     """
 
-    __slots__ = ("_epoll", "_fd", "_loop", "_writing")
+    __slots__ = ("_epoll", "_fd", "_loop", "_reading", "_writing")
 
     def __init__(self, loop: asyncio.AbstractEventLoop, fd: int, on_ready: Callable[[], None]) -> None:
         self._loop = loop
         self._fd = fd
+        self._reading = True
         self._writing = False
         self._epoll = select.epoll(1)
         try:
@@ -67,7 +69,17 @@ class DescriptorWatcher:
         """Whether writability counts as ready too."""
         if wanted != self._writing and not self._epoll.closed:
             self._writing = wanted
-            self._epoll.modify(self._fd, select.EPOLLIN | select.EPOLLOUT if wanted else select.EPOLLIN)
+            self._modify()
+
+    def want_read(self, wanted: bool) -> None:
+        """Whether readability counts as ready; an end or an error does in any case."""
+        if wanted != self._reading and not self._epoll.closed:
+            self._reading = wanted
+            self._modify()
+
+    def _modify(self) -> None:
+        events = (select.EPOLLIN if self._reading else 0) | (select.EPOLLOUT if self._writing else 0)
+        self._epoll.modify(self._fd, events)
 
     def close(self) -> None:
         """Stop watching; to be called before the descriptor is closed. Idempotent."""
@@ -79,19 +91,28 @@ class DescriptorWatcher:
 class StreamIntake:
     """Hands the frames of one stream to the channel's host, and searches for held-back frames after a silence."""
 
-    __slots__ = ("_channel", "_loop", "_timer", "_touched_at")
+    __slots__ = ("_channel", "_garbage", "_loop", "_timer", "_touched_at")
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
+        self._garbage = GarbageGauge(channel.opened_at)
         self._loop = channel.link.loop
         self._timer: asyncio.TimerHandle | None = None
         self._touched_at = 0.0
 
-    def feed(self, data: bytes) -> None:
-        """Bytes as they came, in any split."""
+    @property
+    def parkings(self) -> int:
+        """How often it was too much that was no MAVLink."""
+        return self._garbage.parkings
+
+    def feed(self, data: bytes) -> bool:
+        """Bytes as they came, in any split. True if so much of what came was no MAVLink that its sender, if it can
+        wait, is to be left waiting for `PARK_S`."""
         channel = self._channel
         now = self._loop.time()
+        skipped = channel.parser.stats.skipped_bytes
         frames = channel.parser.feed(data)
+        skipped = channel.parser.stats.skipped_bytes - skipped
         if channel.air is not None:
             channel.air.heard(frames, now)
         if channel.parser.pending:
@@ -100,6 +121,7 @@ class StreamIntake:
                 self._timer = self._loop.call_later(RESCUE_AFTER_S, self._on_silence)
         if frames:
             channel.link.host.on_frames(channel, frames, now)
+        return bool(skipped) and self._garbage.skipped(skipped, now)
 
     def close(self) -> None:
         """No calls to the host after this. Idempotent."""
@@ -180,11 +202,13 @@ class QueuedChannel(Channel):
 class WriteLimits:
     """How a descriptor is written. With ``outstanding`` (written bytes that the kernel still holds) and ``bytes_per_s``
     (how fast they go) the kernel's buffer is kept shallow, so that priorities have an effect; without them it is
-    filled. ``stuck_after_s``: the channel breaks if the other end takes nothing for this long."""
+    filled. ``stuck_after_s``: the channel breaks if the other end takes nothing for this long. ``parks``: the other
+    end waits while nothing is read (TCP; a serial port would lose bytes), so one that sends garbage is left waiting."""
 
     outstanding: Callable[[], int] | None = None
     bytes_per_s: float = 5760.0
     stuck_after_s: float | None = None
+    parks: bool = False
 
 
 class StreamChannel(QueuedChannel):
@@ -214,6 +238,8 @@ class StreamChannel(QueuedChannel):
         self._on_broken = on_broken
         self._outstanding = limits.outstanding
         self._stuck_after_s = limits.stuck_after_s
+        self._parks = limits.parks
+        self._parked: asyncio.TimerHandle | None = None
         self._rest = b""
         self._rest_of: Outgoing = b""
         """The frame that ``_rest`` is the rest of."""
@@ -243,16 +269,16 @@ class StreamChannel(QueuedChannel):
         self._closed = True
         self._watcher.close()
         self.intake.close()
-        for timer in (self._look, self._due, self._stuck):
+        for timer in (self._look, self._due, self._stuck, self._parked):
             if timer is not None:
                 timer.cancel()
-        self._look = self._due = self._stuck = None
+        self._look = self._due = self._stuck = self._parked = None
         self.tx_dropped += self._line.clear() + bool(self._rest)
         self._rest = b""
 
     def _on_ready(self) -> None:
         try:
-            data = os.read(self._fd, READ_BYTES)
+            data = os.read(self._fd, min(READ_BYTES, self.link.host.reading.share(self).bytes))
         except (BlockingIOError, InterruptedError):
             pass
         except OSError as error:
@@ -262,9 +288,21 @@ class StreamChannel(QueuedChannel):
             if not data:
                 self._break("the other end closed it")
                 return
-            self.intake.feed(data)
+            if self.intake.feed(data) and self._parks and not self._closed:
+                self._park()
         if self._blocked and not self._closed:
             self._pump()
+
+    def _park(self) -> None:
+        """Read nothing for a while. What is sent meanwhile waits with the sender; writing goes on."""
+        self._watcher.want_read(False)
+        if self._parked is not None:  # it has hung up, which is read in any case
+            self._parked.cancel()
+        self._parked = self._loop.call_later(PARK_S, self._read_again)
+
+    def _read_again(self) -> None:
+        self._parked = None
+        self._watcher.want_read(True)
 
     def _pump(self) -> None:
         """Write until nothing waits, the descriptor takes no more, or the kernel holds enough."""

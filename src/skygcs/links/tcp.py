@@ -11,6 +11,7 @@ from typing import Any
 
 from skygcs.config import models
 from skygcs.core.routing.peer_places import Peer
+from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
@@ -147,7 +148,10 @@ class TcpServerLink(Link):
                     reason = explain(error, self.config.host, self.config.port)
                     self.fail(f"tcp_server {self.config.host}:{self.config.port}: {reason}")
                 return
-            if self._admission.allows(address) and self._has_place(address):
+            if is_of_the_last(sock.fileno()):
+                self._short_of_descriptors += 1
+                sock.close()
+            elif self._admission.allows(address) and self._has_place(address):
                 self._welcome(sock, address)
             else:
                 sock.close()
@@ -163,13 +167,18 @@ class TcpServerLink(Link):
 
     def _places(self) -> Iterator[Peer]:
         for channel in self._clients:
-            yield Peer(channel, self._hosts[channel], self.host.carries_autopilot(channel), channel.last_rx_at)
+            autopilot, kept = self.host.carries_autopilot(channel), self.host.leads_to_flying(channel)
+            yield Peer(channel, self._hosts[channel], autopilot, channel.last_rx_at, kept)
 
     def _welcome(self, sock: socket.socket, address: Address) -> None:
         _set_options(sock)
         try:
             channel = StreamChannel(
-                self, format_address(address), sock.fileno(), self._drop, WriteLimits(stuck_after_s=STUCK_AFTER_S)
+                self,
+                format_address(address),
+                sock.fileno(),
+                self._drop,
+                WriteLimits(stuck_after_s=STUCK_AFTER_S, parks=True),
             )
         except OSError:  # no descriptor left for it
             self._short_of_descriptors += 1
@@ -236,7 +245,11 @@ class TcpClientLink(Link):
         try:
             _set_options(sock)
             self._channel = StreamChannel(
-                self, format_address(address), sock.fileno(), self._on_broken, WriteLimits(stuck_after_s=STUCK_AFTER_S)
+                self,
+                format_address(address),
+                sock.fileno(),
+                self._on_broken,
+                WriteLimits(stuck_after_s=STUCK_AFTER_S, parks=True),
             )
             self.host.attach(self._channel)
         except BaseException:

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import errno
 import socket
+import time
 from abc import abstractmethod
 from collections.abc import Hashable, Iterator
 from functools import partial
@@ -22,27 +23,32 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.garbage import GarbageGauge
 from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
 from skygcs.links.outgoing import Outgoing
+from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath
 
 DATAGRAMS_PER_WAKEUP = 64
-"""Enough that the wake-up costs little per datagram; few enough that other links have their turn within 1 ms."""
-
-MAX_DATAGRAM_BYTES = 65535
+"""Enough that the wake-up costs little per datagram; few enough that other links have their turn within 1 ms. See
+`links.reading` for large ones and those that take long."""
 
 RECEIVE_BUFFER_BYTES = 4 << 20
 """Requested from the kernel (which may grant less): holds the datagrams of some seconds."""
 
 BROADCAST_AGAIN_S = 5.0
 """Silence after which a broadcaster forgets its peer (mavlink-router's time)."""
+
+PARKED_AGAIN_S = 30.0
+"""Least time between two reports that senders of a link are parked."""
 
 MIN_EXPIRY_STEP_S = 0.01
 """Least time between two looks for silent peers; a loop may count time in whole milliseconds."""
@@ -70,6 +76,7 @@ class UdpChannel(Channel):
         super().__init__(link, format_address(address))
         self.address = address
         self.whole_datagrams = link.config.whole_datagrams
+        self.garbage = GarbageGauge(self.opened_at)
         self._sendto = sock.sendto
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
@@ -139,8 +146,14 @@ class UdpLink(Link):
         self._socket: socket.socket | None = None
         self._watched = -1
         self._fast_path: FastPath | None = None
+        self._resuming = False
         self._session = 0
         self._ignored = 0
+        self._too_large = 0
+        self._parked = 0
+        self._parked_reported_at = -PARKED_AGAIN_S
+        self._strangers = GarbageGauge(loop.time())
+        """Of all addresses that are no peers: a sender may claim a new one with each datagram."""
 
     @property
     def channels(self) -> list[Channel]:
@@ -175,7 +188,7 @@ class UdpLink(Link):
                     after=self.host.after_fast_path,
                     broken=partial(self._on_receive_error, sock),
                 )
-            on_readable = self._on_readable if self._fast_path is None else self._fast_path.ready
+            on_readable = self._on_readable if self._fast_path is None else self._on_readable_fast
             # Not by `Readiness`: a socket that is not connected shows no errors, and an epoll less saves 6 % of all at
             # 1,000 frames a second.
             self.loop.add_reader(sock.fileno(), on_readable)
@@ -199,15 +212,23 @@ class UdpLink(Link):
         for channel in channels:
             self.host.detach(channel, self.why_closed)
         if self._fast_path is not None:
+            self._too_large += self._fast_path.too_large
             self._fast_path.close()
             self._fast_path = None
+            self._resuming = False
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def counters(self) -> dict[str, Any]:
-        """``ignored_datagrams``: without a good frame, or from an address that is no peer."""
-        return {"ignored_datagrams": self._ignored}
+        """``ignored_datagrams``: without a good frame, or from an address that is no peer. ``parked_datagrams``: of
+        senders of garbage, read only as far as they begin with frames."""
+        too_large = self._too_large + (0 if self._fast_path is None else self._fast_path.too_large)
+        return {
+            "ignored_datagrams": self._ignored,
+            "too_large_datagrams": too_large,
+            "parked_datagrams": self._parked,
+        }
 
     @abstractmethod
     def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
@@ -230,33 +251,76 @@ class UdpLink(Link):
         if sock is None:
             return
         receive = sock.recvfrom
-        channel_of = self._peers.get
-        on_frames = self.host.on_frames
         now = self.loop.time()
+        left_bytes, seconds = self.host.reading.share(self)
+        ends_at = time.perf_counter() + seconds
         for _ in range(DATAGRAMS_PER_WAKEUP):
             try:
-                data, address = receive(MAX_DATAGRAM_BYTES)
+                data, address = receive(LARGEST_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 return
             except OSError as error:
                 self._on_receive_error(sock, error)
                 return
-            channel = channel_of(address)
-            if channel is None:
-                channel = self._stranger(data, address, now)
-                if channel is None:
-                    continue
-            frames = channel.parser.feed_datagram(data)
-            if frames:
-                on_frames(channel, frames, now)
+            left_bytes -= len(data)
+            if len(data) > LARGEST_DATAGRAM_BYTES:
+                self._too_large += 1
+            else:
+                self._on_datagram(data, address, now)
+            if left_bytes <= 0 or time.perf_counter() >= ends_at:
+                return
+
+    def _on_readable_fast(self) -> None:
+        """The fast path's turn. While it keeps datagrams that were beyond its share, the loop calls it once a turn."""
+        fast_path = self._fast_path
+        if fast_path is None or self._socket is None:
+            return
+        try:
+            fast_path.ready(*self.host.reading.share(self))
+        finally:
+            if fast_path.kept:
+                self.loop.remove_reader(self._watched)
+                self._resuming = True
+                self.loop.call_soon(self._on_readable_fast)
+            elif self._resuming and self._fast_path is fast_path:
+                self._resuming = False
+                self.loop.add_reader(self._watched, self._on_readable_fast)
 
     def _on_datagram(self, data: bytes, address: Address, now: float) -> None:
-        """A datagram that the fast path leaves to Python."""
-        channel = self._peers.get(address) or self._stranger(data, address, now)
-        if channel is not None:
-            frames = channel.parser.feed_datagram(data)
-            if frames:
-                self.host.on_frames(channel, frames, now)
+        """HOT: a datagram that the fast path leaves to Python."""
+        channel = self._peers.get(address)
+        if channel is None:
+            channel = self._stranger(data, address, now)
+            if channel is None:
+                return
+        frames = self._read(channel.parser, data, channel.garbage, now)
+        if frames:
+            self.host.on_frames(channel, frames, now)
+
+    def _read(self, parser: FrameParser, data: bytes, garbage: GarbageGauge, now: float) -> list[Frame]:
+        """The frames of a datagram; of a parked sender's only those that it begins with."""
+        before = parser.stats.skipped_bytes
+        parked = garbage.is_parked(now)
+        frames = parser.feed_datagram(data, search=not parked)
+        skipped = parser.stats.skipped_bytes - before
+        if skipped and parked:
+            self._parked += 1
+        elif skipped and garbage.skipped(skipped, now):
+            self._report_parked(now)
+        return frames
+
+    def _report_parked(self, now: float) -> None:
+        if now - self._parked_reported_at >= PARKED_AGAIN_S:
+            self._parked_reported_at = now
+            text = f"link {self.name}: it gets so many bytes that are no MAVLink that not all are searched for frames"
+            self.host.on_event(Event("warning", None, None, text, {"link": self.name}))
+
+    def _good_frames(self, probe: FrameParser, data: bytes, now: float) -> list[Frame]:
+        """The frames of a stranger's datagram if any has a good CRC, else none. The parser learns nothing from it."""
+        good = probe.stats.good
+        frames = self._read(probe, data, self._strangers, now)
+        probe.verified.clear()
+        return frames if probe.stats.good != good else []
 
     def _on_receive_error(self, sock: socket.socket, error: OSError) -> None:
         if self._socket is sock and error.errno not in _TRANSIENT:
@@ -311,7 +375,7 @@ class UdpServerLink(UdpLink):
     def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
         if not self._admission.allows(address):
             return None
-        frames = _good_frames(self._probe, data)
+        frames = self._good_frames(self._probe, data, now)
         if not frames or not self.host.vouches_for(self.config, frames):
             self._ignored += 1
             return None
@@ -338,7 +402,8 @@ class UdpServerLink(UdpLink):
     def _places(self) -> Iterator[Peer]:
         self.host.after_fast_path()  # which counts when each was last heard
         for address, channel in self._peers.items():
-            yield Peer(address, format_host(address), self.host.carries_autopilot(channel), channel.last_rx_at)
+            autopilot, kept = self.host.carries_autopilot(channel), self.host.leads_to_flying(channel)
+            yield Peer(address, format_host(address), autopilot, channel.last_rx_at, kept)
 
     def _let_go(self, channel: UdpChannel, reason: str) -> None:
         del self._peers[channel.address]
@@ -348,21 +413,26 @@ class UdpServerLink(UdpLink):
         self._admission.left(len(self._peers))
 
     def _expire(self, now: float) -> None:
-        """Let go of every peer that was silent for too long."""
+        """Let go of every peer that was silent for too long, but for the last way to a vehicle in the air: its
+        downlink may be lost alone."""
         self.host.after_fast_path()  # when each was last heard
         timeout_s = self.config.peer_timeout_s
         for channel in list(self._peers.values()):
-            if now - channel.last_rx_at >= timeout_s:
+            if now - channel.last_rx_at >= timeout_s and not self.host.leads_to_flying(channel):
                 self._expired += 1
                 self._let_go(channel, f"silent for {timeout_s:g} s")
-        heard = [channel.last_rx_at for channel in self._peers.values()]
-        self._none_expires_before = min(heard, default=now) + timeout_s
+        self._none_expires_before = self._first_expiry(now)
 
     def _plan_expiry(self, now: float) -> None:
-        self._none_expires_before = min((c.last_rx_at for c in self._peers.values()), default=now)
-        self._none_expires_before += self.config.peer_timeout_s
+        self._none_expires_before = self._first_expiry(now)
         delay_s = max(self._none_expires_before - now, MIN_EXPIRY_STEP_S)
         self._expiry = self.loop.call_later(delay_s, self._on_expiry)
+
+    def _first_expiry(self, now: float) -> float:
+        """When the next peer may be let go of; one that stays although it is silent is looked at again later."""
+        timeout_s = self.config.peer_timeout_s
+        due = (c.last_rx_at + timeout_s for c in self._peers.values())
+        return min((at if at > now else now + timeout_s for at in due), default=now + timeout_s)
 
     def _on_expiry(self) -> None:
         self._expiry = None
@@ -425,7 +495,7 @@ class UdpBroadcastLink(UdpLink):
 
     def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
         channel = self._channel
-        if channel is None or self._peers or not _good_frames(self._probe, data) or self._is_own(address):
+        if channel is None or self._peers or not self._good_frames(self._probe, data, now) or self._is_own(address):
             self._ignored += 1
             return None
         self._peers[address] = channel
@@ -463,11 +533,3 @@ class UdpBroadcastLink(UdpLink):
 
     def _explain(self, error: OSError) -> str:
         return explain(error, "0.0.0.0", self.config.local_port)
-
-
-def _good_frames(probe: FrameParser, data: bytes) -> list[Frame]:
-    """The frames of this datagram if any has a good CRC, else none. The parser learns nothing from it."""
-    good = probe.stats.good
-    frames = probe.feed_datagram(data)
-    probe.verified.clear()
-    return frames if probe.stats.good != good else []

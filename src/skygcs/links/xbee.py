@@ -267,7 +267,7 @@ class XBeeLink(Link):
         if port is None:
             return
         try:
-            data = os.read(port.fileno(), READ_BYTES)
+            data = os.read(port.fileno(), min(READ_BYTES, self.host.reading.share(self).bytes))
         except (BlockingIOError, InterruptedError):
             data = None
         except OSError as error:

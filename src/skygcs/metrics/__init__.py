@@ -1,1 +1,1 @@
-"""Numbers for Prometheus: what they are called, how they are collected, and the HTTP address they are scraped at."""
+"""Numbers for Prometheus: one metric, the text of many, and the HTTP address they are scraped at."""

@@ -8,13 +8,16 @@ from __future__ import annotations
 import asyncio
 import hmac
 import importlib.util
+import ipaddress
 import socket
 from collections.abc import Callable
 from typing import Protocol
 
 import structlog
 
+from skygcs.config.allow_list import allow_list
 from skygcs.config.metrics import MetricsConfig
+from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError
 
 MAX_CONNECTIONS = 8
@@ -109,7 +112,8 @@ class MetricsEndpoint:
     # -- one connection
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if self._server is None or len(self._clients) >= MAX_CONNECTIONS:
+        descriptor = writer.get_extra_info("socket").fileno()
+        if self._server is None or len(self._clients) >= MAX_CONNECTIONS or is_of_the_last(descriptor):
             writer.transport.abort()
             return
         task = asyncio.get_running_loop().create_task(self._serve(reader, writer), name="metrics client")
@@ -141,6 +145,9 @@ class MetricsEndpoint:
         words = line.split(b" ")
         if len(words) != 3 or not words[2].startswith(b"HTTP/1."):
             return _response("400 Bad Request", b"not a request of HTTP/1\n")
+        refusal = self._host_refusal(headers)
+        if refusal is not None:
+            return _response("421 Misdirected Request", f"{refusal}\n".encode())
         method, path = words[0], words[1].partition(b"?")[0]
         if self._token is not None and not hmac.compare_digest(_bearer(headers), self._token):
             return _response("401 Unauthorized", b"a token is needed\n", ("WWW-Authenticate: Bearer",))
@@ -150,6 +157,17 @@ class MetricsEndpoint:
             return _response("404 Not Found", b"the metrics are at /metrics\n")
         response = _response("200 OK", await self._rendered(), content_type=CONTENT_TYPE)
         return response.partition(b"\r\n\r\n")[0] + b"\r\n\r\n" if method == b"HEAD" else response
+
+    def _host_refusal(self, headers: bytes) -> str | None:
+        """Why a request with this Host or Origin gets nothing: a page of another site, or a name that it had lead here
+        (DNS rebinding), could read the numbers otherwise. Where every name leads here, only the token decides."""
+        assert self.address is not None
+        config = self._config
+        if ipaddress.ip_address(config.host).is_unspecified and not config.names:
+            return None
+        allowed = allow_list(config.host, self.address[1], config.names, tls=False)
+        host, origin = _header(headers, b"host"), _header(headers, b"origin")
+        return allowed.refusal(host or None, origin or None, websocket=False)
 
     async def _rendered(self) -> bytes:
         """The numbers, at most FRESH_S old; one collection at a time."""
@@ -163,12 +181,17 @@ class MetricsEndpoint:
 
 def _bearer(headers: bytes) -> bytes:
     """The token of the Authorization header, or b""."""
+    scheme, _, token = _header(headers, b"authorization").encode("latin-1").partition(b" ")
+    return token.strip() if scheme.lower() == b"bearer" else b""
+
+
+def _header(headers: bytes, wanted: bytes) -> str:
+    """The value of the first header of this name, or ""."""
     for line in headers.split(b"\r\n"):
         name, _, value = line.partition(b":")
-        if name.strip().lower() == b"authorization":
-            scheme, _, token = value.strip().partition(b" ")
-            return token.strip() if scheme.lower() == b"bearer" else b""
-    return b""
+        if name.strip().lower() == wanted:
+            return value.strip().decode("latin-1")
+    return ""
 
 
 def _response(

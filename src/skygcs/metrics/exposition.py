@@ -8,7 +8,7 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from skygcs.metrics.table import MetricInfo
+from skygcs.metrics.metric_info import MetricInfo
 
 SLICE_LINES = 50
 """Lines that are written in one turn of the loop: 0.5 ms."""

@@ -130,7 +130,10 @@ class PlanningProcesses:
             async with asyncio.timeout(limits.time_s):
                 answer = await process.answer(kind, request, on_progress, limits)
         except TimeoutError:
-            raise RefusedError(f"planning took longer than {limits.time_s:g} s and was ended") from None
+            raise RefusedError(
+                f"planning took longer than {limits.time_s:g} s and was ended: check the plan in parts, in time or by "
+                "groups of vehicles, or on a computer that does less else"
+            ) from None
         finally:
             # one that refused may have met the end of its memory
             if self._keep and self._idle is None and answer and not answer.startswith(REFUSED):

@@ -7,6 +7,8 @@
         await gcs.takeoff("alpha", 5)
         async for state in gcs.telemetry("alpha", rate_hz=5):
             print(state["position"]["alt_rel_m"])
+        async for vehicle, outcome in gcs.outcomes("vehicles.stop", targets="all"):  # each as it comes
+            print(vehicle, outcome["message"])
 
 Every method of docs/reference/rpc.md can be called by name: ``await gcs.call("vehicles.arm", targets="all")``.
 An error answer is raised as RpcError (``code``, ``message``, ``data``), a daemon that is not there or goes away as
@@ -17,19 +19,18 @@ which are carried out to their end. One client belongs to one loop.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Self
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from typing import Any, Literal, Self
 
 from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.address import client_address
-from skygcs.rpc.client_connection import ClientConnection, Subscription, open_connection
+from skygcs.rpc.client_connection import ClientConnection, ClientTls, OnReport, Subscription, open_connection
 from skygcs.rpc.client_inbox import Encoded, Latest, Newest, Queue
-
-if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
-    from skygcs.rpc.tls import Identity, PinnedTls
+from skygcs.rpc.order_reports import BEGUN
 
 Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]
@@ -80,6 +81,9 @@ EVENT_KINDS = (
     "companion",
     "ground_lost",
     "federation",
+    "unattended",
+    "takeoff",
+    "alarm",
     "uplink_lost",
     "uplink_back",
     "warning",
@@ -96,20 +100,10 @@ def connect(address: str | os.PathLike[str] | None = None, *, token: str | None 
     return Client(client_address(address), token)
 
 
-async def connect_pinned(host: str, port: int, identity: Identity) -> Client:
-    """A client of a companion, connected over TLS with pinned certificates. Raises LinkError for files that cannot be
-    used, DaemonUnreachable."""
-    from skygcs.rpc.tls import PinnedTls
-
-    client = Client(f"tls://{host}:{port}", tls=PinnedTls(identity, server=False))
-    await client.open()
-    return client
-
-
 class Client:
     """A connection; made by `connect`. Usable from many tasks of one loop."""
 
-    def __init__(self, address: str, token: str | None = None, tls: PinnedTls | None = None) -> None:
+    def __init__(self, address: str, token: str | None = None, tls: ClientTls | None = None) -> None:
         self.address = address
         self._token = token
         self._tls = tls
@@ -139,17 +133,74 @@ class Client:
         if connection is not None:
             await connection.close()
 
+    def unanswered(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """Method and parameters of the requests that were sent and have no answer yet, also if nothing waits for it any
+        more: for a program that was interrupted, and says what it leaves."""
+        return [] if self._connection is None else self._connection.unanswered()
+
     async def call(self, method: str, /, **params: Any) -> Any:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
         return await self._connected().request(method, params)
 
-    async def relay(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+    async def order(
+        self,
+        method: str,
+        /,
+        *,
+        on_outcome: Callable[[str, dict[str, Any]], None],
+        on_vehicles: Callable[[list[str]], None] = lambda vehicles: None,
+        **params: Any,
+    ) -> Outcomes:
+        """An order by its method ("vehicles.stop"): ``on_outcome(vehicle, outcome)`` is called for each vehicle as its
+        outcome comes, and before that ``on_vehicles`` with the names of all; at a station once for ours and once for
+        those of other sites. Returns all outcomes. Raises as
+        `call`."""
+        ended: set[str] = set()
+
+        def on_report(kind: str, report: dict[str, Any]) -> None:
+            if kind == BEGUN:
+                on_vehicles(report["vehicles"])
+            else:
+                ended.add(report["vehicle"])
+                on_outcome(report["vehicle"], report["outcome"])
+
+        outcomes: Outcomes = (await self._connected().request(method, params, on_report=on_report))["outcomes"]
+        for vehicle, outcome in outcomes.items():
+            if vehicle not in ended:  # a daemon of an earlier version, or a report that was left out
+                on_outcome(vehicle, outcome)
+        return outcomes
+
+    async def outcomes(self, method: str, /, **params: Any) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        """An order by its method, for ``async for vehicle, outcome in gcs.outcomes("vehicles.stop", targets="all")``:
+        each vehicle's outcome as it comes. Raises as `call`. Ended early, the order is as a cancelled call."""
+        queue: asyncio.Queue[tuple[str, dict[str, Any]] | None] = asyncio.Queue()  # one entry for each vehicle
+
+        def on_outcome(vehicle: str, outcome: dict[str, Any]) -> None:
+            queue.put_nowait((vehicle, outcome))
+
+        order = asyncio.create_task(self.order(method, on_outcome=on_outcome, **params), name=method)
+        order.add_done_callback(lambda _: queue.put_nowait(None))
+        try:
+            while (item := await queue.get()) is not None:
+                yield item
+            order.result()
+        finally:
+            order.cancel()
+
+    async def relay(
+        self,
+        method: str,
+        params: dict[str, Any],
+        deadline_s: float | None = None,
+        on_report: OnReport | None = None,
+    ) -> bytes:
         """The result as the daemon encoded it, for a program that passes it on: a list of parameters has megabytes.
 
         A daemon that reads the request after ``deadline_s`` of its own clock (now_s of daemon.info) refuses it.
+        ``on_report`` gets the method and parameters of each report of an order, too.
         """
         members = {} if deadline_s is None else {"deadline_s": deadline_s}
-        result = await self._connected().request(method, params, members, encoded=True)
+        result = await self._connected().request(method, params, members, encoded=True, on_report=on_report)
         return result if isinstance(result, bytes) else json.dumps(result).encode()
 
     # -- vehicles
@@ -199,9 +250,9 @@ class Client:
         """Stop, and stay there."""
         return await self._order("hold", targets)
 
-    async def mode(self, targets: Targets, mode: str) -> Outcomes:
+    async def mode(self, targets: Targets, mode: str, *, force: bool = False) -> Outcomes:
         """By the autopilot's own name: "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter)."""
-        return await self._order("mode", targets, mode=mode)
+        return await self._order("mode", targets, mode=mode, force=force)
 
     async def goto(  # noqa: PLR0913 - the parameters of vehicles.goto
         self,

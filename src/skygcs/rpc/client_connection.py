@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import functools
 import json
 import os
 import pwd
@@ -17,17 +18,21 @@ import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_inbox import Encoded, Inbox
 from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
 
 if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
-    from skygcs.rpc.tls import PinnedTls
+    import ssl
 
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
+
+OnReport = Callable[[str, dict[str, Any]], None]
+"""Gets the method and the parameters of each report (`skygcs.rpc.order_reports`) of a request that asked for them."""
 
 CONNECT_WITHIN_S = 10.0
 CONNECT_AGAIN_S = 0.01
@@ -47,7 +52,7 @@ MAX_NUMBER_CHARS = 20
 """Of a subscription's number."""
 
 PROGRESS = "plan.progress"
-"""The notification that belongs to no subscription."""
+"""The notification that belongs to no subscription and no request."""
 
 _TLS = "tls://"
 _NO_MEMBERS: Mapping[str, Any] = MappingProxyType({})
@@ -55,7 +60,30 @@ _RESULT = re.compile(rb'\{"jsonrpc":"2\.0","id":(\d{1,20}),"result":')
 _TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
 
 
-async def open_connection(address: str, tls: PinnedTls | None = None) -> ClientConnection:
+class ClientTls(Protocol):
+    """TLS with a daemon: how long its steps take, whom it admits, and words for what goes wrong."""
+
+    @property
+    def context(self) -> ssl.SSLContext: ...
+    @property
+    def handshake_s(self) -> float: ...
+    @property
+    def shutdown_s(self) -> float: ...
+    @property
+    def closed_early_hint(self) -> str:
+        """What may be wrong if the other side closes before its first answer."""
+        ...
+
+    def is_pinned(self, transport: Any) -> bool:
+        """True if the other side of a connection has shown the one certificate that is trusted."""
+        ...
+
+    def explain(self, error: OSError) -> str | None:
+        """Why a handshake failed and what to do; None if ``error`` is not about TLS."""
+        ...
+
+
+async def open_connection(address: str, tls: ClientTls | None = None) -> ClientConnection:
     """Connect to a path, ``tcp://HOST:PORT`` or, with ``tls``, ``tls://HOST:PORT``. Raises DaemonUnreachable, and
     DaemonForbidden for another user's socket."""
     loop = asyncio.get_running_loop()
@@ -78,19 +106,30 @@ async def open_connection(address: str, tls: PinnedTls | None = None) -> ClientC
         raise DaemonUnreachable(address, os.strerror(error.errno) if error.errno else str(error)) from None
 
 
+class _Call(NamedTuple):
+    """A request whose answer is due."""
+
+    on_answer: _OnAnswer
+    method: str
+    params: Mapping[str, Any]
+
+
 class ClientConnection(asyncio.Protocol):
     """An open connection to the daemon at ``address``; made by `open_connection`."""
 
     transport: asyncio.Transport
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, *, closed_early_hint: str = "") -> None:
         self.inboxes: dict[int, Inbox] = {}
         self.on_progress: Callable[[dict[str, Any]], None] | None = None
         """For notifications plan.progress."""
         self._address = address
+        self._closed_early_hint = closed_early_hint
         self._last_number = 0
-        self._calls: dict[int, _OnAnswer] = {}
+        self._calls: dict[int, _Call] = {}
         """By number, requests whose answer is due."""
+        self._reports: dict[int, OnReport] = {}
+        """By number, those of them that asked for reports."""
         self._encoded: set[int] = set()
         """Requests whose result is not to be read."""
         self._partial: list[bytes] = []
@@ -105,6 +144,11 @@ class ClientConnection(asyncio.Protocol):
         """Whether the connection is open, as far as is known here."""
         return self._lost is None
 
+    def unanswered(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """Method and parameters of each request that was sent and has no answer yet, also if it is no longer waited
+        for here."""
+        return [(call.method, call.params) for call in self._calls.values()]
+
     async def request(
         self,
         method: str,
@@ -112,9 +156,11 @@ class ClientConnection(asyncio.Protocol):
         members: Mapping[str, Any] = _NO_MEMBERS,
         *,
         encoded: bool = False,
+        on_report: OnReport | None = None,
     ) -> Any:
         """The result of one request, sent with further ``members``. ``encoded``: as the bytes that came, if they came
-        as expected, else read. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
+        as expected, else read. ``on_report``: ask for reports, which come before the result. Raises RpcError,
+        DaemonUnreachable, and ValueError for what JSON cannot carry."""
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
         def on_answer(result: Any, error: RpcError | None) -> None:
@@ -125,14 +171,17 @@ class ClientConnection(asyncio.Protocol):
             else:
                 future.set_result(result)
 
-        number = self.start(method, params, on_answer, members)
-        if not encoded:
-            return await future
-        self._encoded.add(number)  # before anything can have come
+        number = self.start(method, params, on_answer, members if on_report is None else {**members, REPORT: True})
+        # before anything can have come
+        if encoded:
+            self._encoded.add(number)
+        if on_report is not None:
+            self._reports[number] = functools.partial(_report_to, future, on_report)
         try:
             return await future
         finally:
             self._encoded.discard(number)
+            self._reports.pop(number, None)
 
     def start(
         self, method: str, params: dict[str, Any], on_answer: _OnAnswer, members: Mapping[str, Any] = _NO_MEMBERS
@@ -148,7 +197,7 @@ class ClientConnection(asyncio.Protocol):
         if len(line) > MAX_REQUEST_BYTES:
             text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_REQUEST_BYTES} in one request"
             raise RpcError(INVALID_PARAMS, text)
-        self._calls[number] = on_answer
+        self._calls[number] = _Call(on_answer, method, params)
         self.transport.write(line + b"\n")
         return number
 
@@ -215,15 +264,15 @@ class ClientConnection(asyncio.Protocol):
         begin = _RESULT.match(line) if self._encoded else None
         if begin is None or (number := int(begin[1])) not in self._encoded or not line.endswith(b"}"):
             return False
-        on_answer = self._calls.pop(number, None)
-        if on_answer is not None:
-            on_answer(line[begin.end() : -1], None)
+        call = self._calls.pop(number, None)
+        if call is not None:
+            call.on_answer(line[begin.end() : -1], None)
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
         reason = "it closed the connection"
         if self._address.startswith(_TLS) and not self._heard:  # asyncio's server closes without an alert
-            reason += " before its first answer: has it pinned our ground.crt? (there: skygcs companion pin ground.crt)"
+            reason += f" before its first answer: {self._closed_early_hint}"
         self._lose(reason)
         self._closed.set()
 
@@ -233,8 +282,8 @@ class ClientConnection(asyncio.Protocol):
             self._lost = DaemonUnreachable(self._address, reason)
         error = self._refused or self._lost
         calls, self._calls = self._calls, {}
-        for on_answer in calls.values():
-            on_answer(None, error)
+        for call in calls.values():
+            call.on_answer(None, error)
         for inbox in self.inboxes.values():
             inbox.fail(error)
         self.inboxes.clear()
@@ -242,6 +291,11 @@ class ClientConnection(asyncio.Protocol):
     def _on_answer(self, answer: dict[str, Any]) -> None:
         if "method" in answer:
             params = answer["params"]
+            if answer["method"] in (BEGUN, OUTCOME):
+                on_report = self._reports.get(params["request"])
+                if on_report is not None:
+                    on_report(answer["method"], params)
+                return
             if answer["method"] == PROGRESS:
                 if self.on_progress is not None:
                     self.on_progress(params)
@@ -256,9 +310,18 @@ class ClientConnection(asyncio.Protocol):
         if number is None:
             self._refused = failure  # not about one call: "too many clients", a wrong token; the end follows
             return
-        on_answer = self._calls.pop(number, None)
-        if on_answer is not None:
-            on_answer(answer.get("result"), failure)
+        call = self._calls.pop(number, None)
+        if call is not None:
+            call.on_answer(answer.get("result"), failure)
+
+
+def _report_to(future: asyncio.Future[Any], on_report: OnReport, method: str, params: dict[str, Any]) -> None:
+    """Pass a report on; what the caller's function raises ends its request, and not the connection."""
+    try:
+        on_report(method, params)
+    except Exception as error:
+        if not future.done():
+            future.set_exception(error)
 
 
 class Subscription:
@@ -316,22 +379,20 @@ class _SubscriptionState:
             self._connection.notify("unsubscribe", {"subscription": number})
 
 
-async def _connected_over_tls(address: str, tls: PinnedTls) -> ClientConnection:
+async def _connected_over_tls(address: str, tls: ClientTls) -> ClientConnection:
     """A connection to the holder of the pinned certificate. Raises DaemonUnreachable, OSError."""
-    from skygcs.rpc.tls import HANDSHAKE_S, SHUTDOWN_S, explain_tls
-
     host, _, port = address.removeprefix(_TLS).rpartition(":")
     try:
         transport, connection = await asyncio.get_running_loop().create_connection(
-            lambda: ClientConnection(address),
+            lambda: ClientConnection(address, closed_early_hint=tls.closed_early_hint),
             host,
             int(port),
             ssl=tls.context,
-            ssl_handshake_timeout=HANDSHAKE_S,
-            ssl_shutdown_timeout=SHUTDOWN_S,
+            ssl_handshake_timeout=tls.handshake_s,
+            ssl_shutdown_timeout=tls.shutdown_s,
         )
     except OSError as error:
-        if (reason := explain_tls(error)) is not None:
+        if (reason := tls.explain(error)) is not None:
             raise DaemonUnreachable(address, reason) from None
         raise
     if not tls.is_pinned(transport):

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+import asyncio
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
+from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
+from skygcs.rpc.order_reports import OrderReports
 from skygcs.rpc.slices import Slices
 from skygcs.runtime.air_planner import AirPlanner
+from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
-from skygcs.runtime.fleet import KEPT, Fleet, Order
+from skygcs.runtime.fleet import CARRIED_ON, Fleet, Order
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
@@ -26,15 +31,29 @@ from skygcs.runtime.signing_keys import Signing
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
-if TYPE_CHECKING:  # only companions have it
-    from skygcs.runtime.ground_orders import GroundOrders
-
 JsonObject = dict[str, Any]
+
+NewSession = Callable[[Callable[[asyncio.Transport], bool]], asyncio.BaseProtocol]
+"""Makes the session of a connection; its argument has the last word on the connection's transport."""
+
+
+class ExtensionParts(Protocol):
+    """What the extensions of a daemon add to the socket; `skygcs.extension.Extensions`."""
+
+    def __getitem__(self, table: str) -> Any: ...
+    @property
+    def methods(self) -> tuple[Method[Context], ...]: ...
+    @property
+    def state_groups(self) -> Mapping[str, object]: ...
+    def groups_of(self, vehicle: VehicleActor, now: float, names: frozenset[str] | None) -> JsonObject: ...
+    async def serve(self, new_session: NewSession) -> None: ...
 
 
 class Services(Protocol):
     """The parts of a running daemon that methods act on; `skygcs.daemon.Daemon` has all of them."""
 
+    config: FleetConfig
+    socket_path: Path
     dialect: Dialect
     fleet: Fleet
     hub: Hub
@@ -49,15 +68,15 @@ class Services(Protocol):
     recorder: Recorder | None
     signing: Signing
     event_log: EventLog
-    ground_orders: GroundOrders | None
+    alarms: AlarmBook
 
+    @property
+    def extensions(self) -> ExtensionParts: ...
     @property
     def stopping(self) -> bool: ...
     def now(self) -> float: ...
     def info(self) -> JsonObject: ...
     def check_authority(self) -> None: ...
-    def mocap_status(self) -> JsonObject: ...
-    def companions_status(self) -> JsonObject: ...
 
 
 class Context(Protocol):
@@ -67,11 +86,43 @@ class Context(Protocol):
     def services(self) -> Services: ...
     @property
     def slices(self) -> Slices: ...
+    @property
+    def reports(self) -> OrderReports | None:
+        """Where to report each vehicle's outcome as it comes; None: the client did not ask for it."""
+        ...
 
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
     def relay_operator(self) -> None: ...
     def notify(self, method: str, params: JsonObject) -> None: ...
+
+
+class ReportingContext:
+    """The context of a request whose client asked for its outcomes as they come: a session with `OrderReports`."""
+
+    def __init__(self, session: Context, request_id: str | float) -> None:
+        self._session = session
+        self.reports: OrderReports | None = OrderReports(session, request_id)
+
+    @property
+    def services(self) -> Services:
+        return self._session.services
+
+    @property
+    def slices(self) -> Slices:
+        return self._session.slices
+
+    def subscribe(self, params: SubscribeParams) -> int:
+        return self._session.subscribe(params)
+
+    def unsubscribe(self, number: int) -> None:
+        self._session.unsubscribe(number)
+
+    def relay_operator(self) -> None:
+        self._session.relay_operator()
+
+    def notify(self, method: str, params: JsonObject) -> None:
+        self._session.notify(method, params)
 
 
 class HasDict(Protocol):
@@ -86,8 +137,9 @@ def as_json(outcomes: Mapping[str, HasDict]) -> JsonObject:
 
 
 async def command(context: Context, targets: str | list[str], order: Order, **arguments: Any) -> JsonObject:
-    """Give one order to all targets at the same time; see `Fleet.command_all`."""
-    return as_json(await context.services.fleet.command_all(targets, order, **arguments))
+    """Give one order to all targets at the same time, and report each outcome; see `Fleet.command_all`."""
+    fleet = context.services.fleet
+    return as_json(await fleet.command_all(targets, order, reports=context.reports, **arguments))
 
 
 async def command_with(context: Context, order: Order, params: TargetsParams) -> JsonObject:
@@ -114,7 +166,7 @@ def order_method(
         return await command_with(context, order, given)
 
     handler.__doc__ = description
-    ends_flight = order in KEPT
+    ends_flight = order in CARRIED_ON
     return Method(name, params, handler, result, errors, outlives_client=ends_flight, always=ends_flight)
 
 
@@ -146,4 +198,4 @@ def state_of(services: Services, vehicle: VehicleActor, names: frozenset[str] | 
         state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
     if "companion" in state:
         state["companion"] = services.fleet.companion_of(vehicle)
-    return state
+    return state | services.extensions.groups_of(vehicle, services.now(), names)

@@ -5,13 +5,14 @@ Why not a library: docs/decisions/0002-json-rpc-dispatch.md.
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import inspect
 import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -19,6 +20,7 @@ import structlog
 from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError, from_json, to_json
 
+from skygcs.cancellation import end_if_cancelled
 from skygcs.errors import (
     BusError,
     ConfigError,
@@ -104,6 +106,7 @@ class MethodTable(Mapping[str, Method[C]]):
     """Methods by name, in the order in which they are documented. To read one of a `Later` part imports its module."""
 
     def __init__(self, *parts: Iterable[Method[C]] | Later) -> None:
+        self._parts = parts
         self.later = tuple(part for part in parts if isinstance(part, Later))
         self._methods: dict[str, Method[C] | Later] = {}
         self.always: set[str] = set()
@@ -118,6 +121,13 @@ class MethodTable(Mapping[str, Method[C]]):
                 self.while_stopping.update(part.always, part.while_stopping)
             else:
                 self._take(part)
+
+    def extended(self, methods: Collection[Method[C]]) -> MethodTable[C]:
+        """This table and further methods. Raises ValueError if one of them has the name of another."""
+        twice = sorted(method.name for method in methods if method.name in self._methods)
+        if twice:
+            raise ValueError(f"two methods are called {', '.join(twice)}")
+        return MethodTable(*self._parts, tuple(methods)) if methods else self
 
     def __getitem__(self, name: str) -> Method[C]:
         found = self._methods[name]
@@ -239,6 +249,11 @@ class Dispatcher(Generic[C]):
     ) -> bytes:
         try:
             result = await method.handler(context, params)
+        except asyncio.CancelledError:
+            end_if_cancelled()  # its client is gone, or the daemon ends
+            # what it waited for was cancelled by something else: the client is there and waits for an answer
+            cancelled = RefusedError(f"{method.name} was cancelled: a vehicle of it is gone or renumbered; ask again")
+            return b"" if notification else failure_reply(request_id, method.name, cancelled)
         except Exception as error:
             return b"" if notification else failure_reply(request_id, method.name, error)
         return b"" if notification else result_reply(request_id, method.name, result)
@@ -248,6 +263,9 @@ class _MethodNotFound(SkygcsError):
     def __init__(self, name: str, known: Mapping[str, object]) -> None:
         close = near_names(name[:MAX_ECHO_CHARS], known, n=3)
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
+        table, dot, _ = name[:MAX_ECHO_CHARS].partition(".")
+        if dot and not any(one.startswith(f"{table}.") for one in known):
+            hint = f"; rpc.discover lists the methods, and an extension's need its table in the fleet file, [{table}]"
         super().__init__(f"no method {_clip(name)}{hint}")
 
 

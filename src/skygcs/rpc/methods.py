@@ -5,7 +5,9 @@ A handler's docstring is the method's description in `rpc.discover` and docs/ref
 
 from __future__ import annotations
 
+import asyncio
 import functools
+import time
 from itertools import islice
 from typing import Any
 
@@ -24,6 +26,7 @@ from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Later, Method, MethodTable
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
 from skygcs.rpc.openrpc import document
+from skygcs.runtime.loop_clock import exact_clock
 
 
 class EventRecord(Result):
@@ -33,6 +36,11 @@ class EventRecord(Result):
     sysid: int | None
     text: str
     data: dict[str, Any]
+
+
+class ClockReading(Result):
+    monotonic_s: float = Field(description="The clock of plans and setpoints here; it restarts with the computer.")
+    unix_s: float = Field(description="The wall clock.")
 
 
 class RecentParams(MethodParams):
@@ -50,6 +58,11 @@ class SubscriptionNumber(Result):
 def daemon_info(context: Context, _: NoParams) -> JsonObject:
     """Version, process id, uptime, own MAVLink ids, dialect, fleet file; now_s, the clock of a request's deadline_s."""
     return {**context.services.info(), "now_s": round(context.services.now(), 4)}
+
+
+def clock_read(context: Context, _: NoParams) -> JsonObject:
+    """What the clocks of this computer show now; the caller compares them with its own."""
+    return {"monotonic_s": exact_clock(asyncio.get_running_loop())(), "unix_s": time.time()}
 
 
 def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
@@ -80,14 +93,14 @@ def unsubscribe(context: Context, params: UnsubscribeParams) -> JsonObject:
 
 
 def rpc_discover(context: Context, _: NoParams) -> JsonObject:
-    """This interface as an OpenRPC document."""
-    return _document()
+    """This interface as an OpenRPC document, with the methods of the extensions that run."""
+    return _document(context.services.extensions.methods)
 
 
-@functools.cache
-def _document() -> JsonObject:
+@functools.lru_cache(maxsize=1)
+def _document(of_extensions: tuple[Method[Context], ...]) -> JsonObject:
     """Made once, on the first question: it takes 15 ms."""
-    return document(METHODS.values())
+    return document((*METHODS.values(), *of_extensions))
 
 
 METHODS: MethodTable[Context] = MethodTable(
@@ -115,7 +128,7 @@ METHODS: MethodTable[Context] = MethodTable(
     Later(
         "skygcs.rpc.params",
         "METHODS",
-        ("params.get", "params.set", "params.list", "params.status", "params.cancel"),
+        ("params.get", "params.set", "params.metadata", "params.list", "params.status", "params.cancel"),
     ),
     control.METHODS,
     Later(
@@ -125,12 +138,6 @@ METHODS: MethodTable[Context] = MethodTable(
             *("trajectory.load", "trajectory.start", "trajectory.pause", "trajectory.resume", "trajectory.speed"),
             *("trajectory.abort", "trajectory.unload", "trajectory.paths", "trajectory.status"),
         ),
-    ),
-    Later(
-        "skygcs.rpc.relayed_control",  # a companion imports it when it starts
-        "METHODS",
-        ("companion.contact", "companion.order", "companion.setpoint"),
-        always=("companion.contact", "companion.order"),
     ),
     Later(
         "skygcs.rpc.plans",
@@ -143,13 +150,8 @@ METHODS: MethodTable[Context] = MethodTable(
         while_stopping=("plan.status",),
     ),
     Later("skygcs.rpc.planning", "METHODS", ("plan.make", "plan.certify", "plan.cancel", "plan.jobs")),
-    Later("skygcs.rpc.mocap", "METHODS", ("mocap.status",), while_stopping=("mocap.status",)),
-    Later(
-        "skygcs.rpc.companions",
-        "METHODS",
-        ("companions.status", "clock.read"),
-        while_stopping=("companions.status", "clock.read"),
-    ),
+    (Method("clock.read", NoParams, clock_read, ClockReading, while_stopping=True),),
+    Later("skygcs.rpc.alarms", "METHODS", ("alarms.list", "alarms.acknowledge"), while_stopping=("alarms.list",)),
     Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),
     Later(
         "skygcs.rpc.authority",  # imported at the start where the fleet file has [federation]

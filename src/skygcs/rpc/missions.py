@@ -54,11 +54,21 @@ class PlanClearParams(TargetsParams):
 class MissionStartParams(TargetsParams):
     first: ItemNumber = 1
     arm: bool = Field(True, description="Arm first if it is not armed.")
-    force: bool = Field(False, description="Although preflight is required and not passed.")
+    force: bool = Field(
+        False, description="Although preflight is required and not passed, or another vehicle is in the way."
+    )
+
+
+InTheWay = Annotated[bool, Field(description="Although another vehicle is in the way.")]
+
+
+class MissionResumeParams(TargetsParams):
+    force: InTheWay = False
 
 
 class MissionItemParams(TargetsParams):
     item: ItemNumber
+    force: InTheWay = False
 
 
 class PlanDownload(Result):
@@ -129,14 +139,14 @@ async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
     return await command(context, params.targets, VehicleActor.hold)
 
 
-async def missions_resume(context: Context, params: TargetsParams) -> JsonObject:
+async def missions_resume(context: Context, params: MissionResumeParams) -> JsonObject:
     """Go on with the current item."""
-    return await command(context, params.targets, VehicleActor.resume_mission)
+    return await command(context, params.targets, VehicleActor.resume_mission, force=params.force)
 
 
 async def missions_set_current(context: Context, params: MissionItemParams) -> JsonObject:
     """Make an item the current one: a vehicle that flies its mission goes there."""
-    return await command(context, params.targets, VehicleActor.set_mission_item, item=params.item)
+    return await command(context, params.targets, VehicleActor.set_mission_item, item=params.item, force=params.force)
 
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
@@ -177,6 +187,7 @@ class FenceSetParams(TargetsParams):
     action: FenceAction | None = Field(
         None, description="What it does outside the fence; none: no fence; null: leaves it."
     )
+    force: bool = Field(False, description="Although it flies and would be outside of that fence at once.")
 
 
 class FenceTestParams(TargetsParams):
@@ -227,7 +238,7 @@ METHODS: tuple[Method[Context], ...] = (
     Method("missions.clear", PlanClearParams, missions_clear, Outcomes, _TARGET),
     Method("missions.start", MissionStartParams, missions_start, Outcomes, _TARGET),
     Method("missions.pause", TargetsParams, missions_pause, Outcomes, _TARGET),
-    Method("missions.resume", TargetsParams, missions_resume, Outcomes, _TARGET),
+    Method("missions.resume", MissionResumeParams, missions_resume, Outcomes, _TARGET),
     Method("missions.set_current", MissionItemParams, missions_set_current, Outcomes, _TARGET),
     Method("missions.status", ListParams, missions_status, list[MissionStatus], _TARGET),
 )

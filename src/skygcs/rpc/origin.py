@@ -83,7 +83,8 @@ async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     skygcs does not need it: it moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only
     while it has no origin yet.
     """
-    return as_json(await context.services.fleet.push_origin(params.targets, home=params.home, force=params.force))
+    push = context.services.fleet.push_origin
+    return as_json(await push(params.targets, home=params.home, force=params.force, reports=context.reports))
 
 
 _REFUSED = (error_codes.REFUSED,)

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 from pydantic_core import to_json
 
-from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, is_name
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, Value, is_name, value_text
+from skygcs.core.params.metadata import ParamMetadata
+from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject
@@ -58,6 +61,21 @@ class ParamSetParams(TargetsParams):
         description="Read what was changed once more half a second after the last: a PX4 changes some parameters "
         "itself after it took them. Their outcome is changed then.",
     )
+    force: bool = Field(
+        False,
+        description="Set values outside the range of their metadata; and, while a flight runs by them, gains, limits "
+        "and parameters of unknown effect. What the flight was certified or entered with (ids, frame, fence, "
+        "estimator, failsafes) is refused until it has ended.",
+    )
+
+
+class ParamMetadataParams(TargetsParams):
+    names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
+    read: bool = Field(
+        False,
+        description="Read the vehicle's own file, if it has one, over a slow link, too (some 70 kB). Over a fast link "
+        "it is read in any case.",
+    )
 
 
 class ParamListParams(TargetsParams):
@@ -94,6 +112,30 @@ class ParamResult(Result):
 
 class ParamResults(Result):
     outcomes: dict[str, dict[str, ParamResult]] = Field(description="By vehicle's name, then by name asked for.")
+
+
+class ParamDescription(Result):
+    """Metadata of one parameter."""
+
+    unit: str
+    least: float | None = Field(description="Of its range; null: no bound is named.")
+    greatest: float | None
+    range: str = Field(description="The range as text, with the unit; empty without one.")
+    reboot: bool = Field(description="A change takes effect after a reboot.")
+    values: dict[str, str] = Field(description="Meanings by value.")
+    bits: dict[str, str] = Field(description="Meanings of the bits of a mask, by index.")
+    description: str
+
+
+class ParamMetadataOfVehicle(Result):
+    own: bool = Field(description="It is the vehicle's own; else it is what skygcs ships for its firmware.")
+    source: str = Field(description="Where the metadata come from; empty: there are none for this firmware.")
+    why_not_own: str = Field(description="Why the vehicle's own file is not used; empty if it is.")
+    parameters: dict[str, ParamDescription] = Field(description="By name; a parameter without metadata is missing.")
+
+
+class ParamMetadataResults(Result):
+    vehicles: dict[str, ParamMetadataOfVehicle] = Field(description="By vehicle's name.")
 
 
 class ParamEntry(Result):
@@ -153,14 +195,53 @@ async def params_get(context: Context, params: ParamGetParams) -> JsonObject:
 
 
 async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
-    """Set parameters one after another, each read back; every one has an outcome, also when it was cancelled."""
-    values = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
+    """Set parameters one after another, each read back; every one has an outcome, also when it was cancelled.
+
+    A value outside the range of its metadata is refused unless forced.
+    """
+    values: dict[str, Value] = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
     async def write(vehicle: VehicleActor) -> JsonObject:
-        outcomes = await vehicle.params.set(values, settle=params.settle)
-        return {name: outcome.as_dict() for name, outcome in outcomes.items()}
+        refused = {} if params.force else vehicle.metadata.refusals(values)
+        sent = {name: value for name, value in values.items() if name not in refused}
+        outcomes = {name: ParamOutcome(False, "refused", why, name) for name, why in refused.items()}
+        if sent:
+            outcomes |= await vehicle.params.set(sent, settle=params.settle, force=params.force)
+        notes = vehicle.metadata.notes(sent)
+        for name, outcome in outcomes.items():
+            if outcome.ok and name in notes and outcome.param != outcome.before:
+                outcomes[name] = replace(outcome, message=f"{outcome.message}; {notes[name]}")
+        return {name: outcomes[name].as_dict() for name in values}
 
     return {"outcomes": await _each(context, params, write)}
+
+
+async def params_metadata(context: Context, params: ParamMetadataParams) -> JsonObject:
+    """Unit, range, meanings and description of parameters.
+
+    They come from the vehicle's own file where it has one (PX4), else from the tables that skygcs ships.
+    """
+
+    async def look_up(vehicle: VehicleActor) -> JsonObject:
+        source = await vehicle.metadata.read(insist=params.read)
+        known = vehicle.metadata.of(params.names)
+        return source | {"parameters": {name: _description(entry) for name, entry in known.items()}}
+
+    return {"vehicles": await _each(context, params, look_up)}
+
+
+def _description(known: ParamMetadata) -> JsonObject:
+    """As `ParamDescription`."""
+    return {
+        "unit": known.unit,
+        "least": known.least,
+        "greatest": known.greatest,
+        "range": known.range_text(),
+        "reboot": known.reboot,
+        "values": {value_text(value): text for value, text in known.values.items()},
+        "bits": {str(bit): text for bit, text in known.bits.items()},
+        "description": known.description,
+    }
 
 
 async def params_list(context: Context, params: ParamListParams) -> Encoded:
@@ -221,10 +302,20 @@ def params_cancel(context: Context, params: TargetsParams) -> JsonObject:
 async def _each(
     context: Context, params: TargetsParams, work: Callable[[VehicleActor], Coroutine[Any, Any, JsonObject]]
 ) -> JsonObject:
-    """The same for all vehicles at once."""
+    """The same for all vehicles at once; each one's outcomes are reported when all of them are there."""
     vehicles = context.services.fleet.resolve(params.targets)
+    reports = context.reports
+
+    async def reported(vehicle: VehicleActor) -> JsonObject:
+        outcomes = await work(vehicle)
+        if reports is not None:
+            reports.ended_with(vehicle.name, outcomes)
+        return outcomes
+
+    if reports is not None:
+        reports.begun(v.name for v in vehicles)
     async with asyncio.TaskGroup() as group:
-        tasks = {v.name: group.create_task(work(v), name=f"parameters of {v.name}") for v in vehicles}
+        tasks = {v.name: group.create_task(reported(v), name=f"parameters of {v.name}") for v in vehicles}
     return {name: task.result() for name, task in tasks.items()}
 
 
@@ -332,9 +423,9 @@ class UndoLeft(Result):
     problems: list[str] = Field(description="Files in the journal that cannot be read.")
 
 
-def undo_list(context: Context, _: NoParams) -> JsonObject:
+async def undo_list(context: Context, _: NoParams) -> JsonObject:
     """Temporary changes of parameters that could not be undone: the daemon was killed, or the vehicle was lost."""
-    return context.services.fleet.undo.left()
+    return await context.services.fleet.undo.left()
 
 
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
@@ -347,9 +438,9 @@ async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
     return {"outcomes": {params.id: outcome.as_dict()}}
 
 
-def undo_drop(context: Context, params: UndoParams) -> JsonObject:
+async def undo_drop(context: Context, params: UndoParams) -> JsonObject:
     """Forget one of them; the parameters stay as they are."""
-    context.services.fleet.undo.drop(params.id)
+    await context.services.fleet.undo.drop(params.id)
     return {"dropped": params.id}
 
 
@@ -359,6 +450,7 @@ _TARGET = (error_codes.TARGET_ERROR,)
 METHODS: tuple[Method[Context], ...] = (
     Method("params.get", ParamGetParams, params_get, ParamResults, _TARGET),
     Method("params.set", ParamSetParams, params_set, ParamResults, _TARGET),
+    Method("params.metadata", ParamMetadataParams, params_metadata, ParamMetadataResults, _TARGET),
     Method("params.list", ParamListParams, params_list, ParamListResults, _TARGET),
     Method("params.status", TargetsParams, params_status, dict[str, ParamStatus], _TARGET),
     Method("params.cancel", TargetsParams, params_cancel, dict[str, int], _TARGET),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from skygcs.core.plan.file_reading import MAX_VEHICLES
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
+from skygcs.core.plan.guidance import Choice, Guidance, by_goto
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import MAX_BOXES, MAX_CORNERS
 from skygcs.core.trajectory import MotionLimits
@@ -23,6 +24,7 @@ from skygcs.rpc.context import Context, JsonObject, Services, one_vehicle
 from skygcs.rpc.dispatch import Encoded, InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result
 from skygcs.runtime import fleet_margins
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_YAW_DEG = 36_000.0
 
@@ -140,6 +142,11 @@ class PlanMakeParams(CertifyParams):
     )
     starts: PlacesByVehicle | None = Field(None, description="Initial positions. null: where the vehicles are now.")
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
+    by: Literal["auto", "goto", "setpoints", "onboard"] = Field(
+        "auto",
+        description="The way in which it shall be flown (plan.run): by goto it is phased, with legs level or vertical, "
+        "and margins contain what autopilots fly by themselves. auto: as plan.run would choose.",
+    )
     kind: Literal["auto", "timed", "phased", "direct"] = Field(
         "auto", description="Only plans of this kind. direct: all fly straight at once, at any speed, as goto does."
     )
@@ -190,6 +197,8 @@ class PlanAnswer(Result):
     reasons: list[str] = Field([], description="Why nothing was certified: pair, time and place.")
     standing: dict[str, list[float]] = Field({}, description="Vehicles of the fleet that counted as obstacles.")
     unknown: list[str] = Field([], description="Vehicles of the fleet that did not: nobody knows where they are.")
+    by: str | None = Field(None, description="The way in which it is to be flown: goto, setpoints or onboard.")
+    why: str | None = Field(None, description="Why it is that way.")
 
 
 class PlanningJobState(Result):
@@ -216,16 +225,20 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
 
     Starts are the vehicles' measured positions, margins what the fleet file says and what was measured in flight. If
-    some stand on the ground, that is the floor unless space has one: none crosses on it.
+    some stand on the ground, that is the floor unless space has one: none crosses on it. Where space has no fence or no
+    ceiling, the control fences of the vehicles are: what is made passes the check of a flight.
     """
     facts = _Facts(context.services, params)
     limits = _limits(params.limits)
     if params.paths is not None:
         paths = {facts.name(key): path.written() for key, path in params.paths.items()}
         facts.require_each_once(params.paths)
+        facts.choose_way(paths, params.by, timed=True)
         request = paths_request(paths, facts.rule(), limits, facts.space(paths), within_limits=params.within_limits)
     else:
         starts, goals, exchangeable = facts.task(params)
+        by_goto = facts.choose_way(starts, params.by, timed=params.kind == "timed")
+        kind = "phased" if by_goto and params.kind == "auto" else params.kind
         request = make_request(
             starts,
             goals,
@@ -233,7 +246,7 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
             limits,
             facts.space(goals),
             exchangeable=exchangeable,
-            kind=params.kind,
+            kind=kind,
         )
     return await _run(context, "make", request, facts, params.progress)
 
@@ -294,6 +307,8 @@ class _Facts:
         self._unknown: list[str] = []
         self._ground_m: float | None = None
         """The lowest place of vehicles that begin on the ground: none crosses there, nor below."""
+        self._way: Choice | None = None
+        self._taking_part: list[VehicleActor] = []
 
     def name(self, key: str) -> str:
         """Raises TargetError."""
@@ -346,7 +361,17 @@ class _Facts:
         """Margins of the plan's vehicles and of those that stand. Raises RefusedError."""
         ratio, margin = self._params.downwash_ratio, self._params.margin_m
         actors = self._services.fleet.vehicles.values()
-        return fleet_margins.margin_rule(actors, margin_m=margin, downwash_ratio=ratio)
+        rule = fleet_margins.margin_rule(actors, margin_m=margin, downwash_ratio=ratio)
+        if self._way is None or self._way.by is not Guidance.GOTO:
+            return rule
+        return by_goto(rule, {actor.name: actor.vehicle.family for actor in self._taking_part})
+
+    def choose_way(self, names: Iterable[str], by: str, *, timed: bool) -> bool:
+        """Choose the way in which these are to fly a plan; whether by goto. Raises RefusedError."""
+        self._taking_part = [one_vehicle(self._services, name) for name in names]
+        runner = self._services.fleet.plans.runner
+        self._way = runner.chosen_way(self._taking_part, "position", by, timed=timed).choice
+        return self._way.by is Guidance.GOTO
 
     def limits_of(self) -> dict[str, JsonObject]:
         """The limits of each vehicle of the fleet; those that the request gives count before."""
@@ -377,11 +402,18 @@ class _Facts:
             boxes.append((_vector(least), _vector(greatest)))
         fence = tuple((x, y) for x, y in given.fence)
         floor_m = self._ground_m if given.floor_m is None else given.floor_m
-        return FlightSpace(fence, floor_m, given.ceiling_m, tuple(boxes), standing)
+        asked = FlightSpace(fence, floor_m, given.ceiling_m, tuple(boxes), standing)
+        origin = self._services.fleet.origin
+        if origin is None or not self._taking_part:
+            return asked
+        allowed = fleet_margins.control_space(self._taking_part, origin, self.rule())
+        lower = [m for m in (allowed.ceiling_m, given.ceiling_m) if m is not None]
+        return replace(allowed.joined(asked), ceiling_m=min(lower, default=None))
 
     def notes(self) -> JsonObject:
         """What the answer says of the vehicles that take no part."""
-        return {"standing": self._standing, "unknown": self._unknown}
+        way = {} if self._way is None else {"by": self._way.by.value, "why": self._way.reason}
+        return {"standing": self._standing, "unknown": self._unknown, **way}
 
 
 def _limits(given: LimitsParams | None) -> MotionLimits:

@@ -61,6 +61,11 @@ class PlanFlightParams(MethodParams):
         None, description="The margin of each pair, in place of its terms."
     )
     force: bool = Field(False, description="Although checks refuse it that can be insisted on.")
+    by: Literal["auto", "goto", "setpoints", "onboard"] = Field(
+        "auto",
+        description="goto: an order for each leg, flown by the autopilot itself (phased plans); setpoints: a stream; "
+        "onboard: by companions. auto: setpoints where every link carries them, else goto; the report says why.",
+    )
 
 
 class PlanRunParams(PlanFlightParams):
@@ -90,9 +95,11 @@ class PlanReport(Result):
     """What was found before a flight."""
 
     ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
+    by: Literal["goto", "setpoints", "onboard"] = Field(description="The way in which it is flown.")
+    why: str = Field(description="Why it is that way.")
     findings: list[dict[str, Any]] = Field(
-        description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, insist (whether "
-        "force passes it)."
+        description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, command (what "
+        "clears a refusal; FILE: the plan's), insist (whether force passes it)."
     )
     certificate: dict[str, Any] | None = Field(description="Of the plan, with what is measured now.")
     way_there: dict[str, Any] | None = Field(description="The certificate of the way to the starts.")
@@ -129,7 +136,8 @@ class PlanStatus(Result):
     step: int
     steps: int
     reason: str = Field(description="What the last change of the state was.")
-    mode: str | None
+    by: str | None = Field(description="goto, setpoints or onboard.")
+    mode: str | None = Field(description="The control mode; null by goto.")
     speed: float | None
     clock: dict[str, Any] | None = Field(
         description="Of the step: state, trajectory_s, duration_s, rate, speed_factor, finishes_in_s."
@@ -228,7 +236,9 @@ def plan_status(context: Context, _: NoParams) -> JsonObject:
 
 
 def _request(params: PlanFlightParams) -> FlightRequest:
-    return FlightRequest(params.plan, params.vehicles, params.mode, params.speed, params.margin_m, params.force)
+    return FlightRequest(
+        params.plan, params.vehicles, params.mode, params.speed, params.margin_m, params.force, params.by
+    )
 
 
 def _done(message: str) -> JsonObject:

@@ -1,5 +1,5 @@
-"""The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, on TCP loopback if a token is configured, and on a
-companion over mutual TLS (`tls_listener`).
+"""The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, on TCP loopback if a token is configured, and where an
+extension accepts clients.
 
 Every client is a session of its own with bounds on all it can make the daemon keep or do. Its errors are answered to
 it and counted, and do not affect other clients.
@@ -28,7 +28,6 @@ from skygcs.rpc.unix_socket import UnixSocket
 if TYPE_CHECKING:  # pydantic and its models are heavy: see above
     from skygcs.rpc.context import JsonObject, Services
     from skygcs.rpc.sessions import Sessions
-    from skygcs.rpc.tls_listener import TlsListener
 
 BACKLOG = 100
 """Connections that the system keeps until they are taken; not more than `sessions.MAX_RESERVE`."""
@@ -55,7 +54,6 @@ class RpcServer:
         socket_path: str | os.PathLike[str],
         tcp_port: int | None = None,
         token: str | None = None,
-        tls: TlsListener | None = None,
     ) -> None:
         """``token`` is required with ``tcp_port``; port 0 lets the system choose (see `tcp_address`)."""
         if tcp_port is not None and not token:
@@ -65,8 +63,8 @@ class RpcServer:
         self._services = services
         self._tcp_port = tcp_port
         self._token = token
-        self._tls = tls
-        self._tls_task: asyncio.Task[None] | None = None
+        self._of_extensions: asyncio.Task[None] | None = None
+        """Accepts clients in the ways of extensions."""
         self._hub: Sessions | None = None
         self._servers: list[asyncio.Server] = []
         self._unix = UnixSocket(self.socket_path, IN_USE)
@@ -99,15 +97,15 @@ class RpcServer:
             from skygcs.rpc.methods import METHODS
             from skygcs.rpc.sessions import Session, Sessions
 
-            self._hub = hub = Sessions(self._services, Dispatcher(METHODS, imports.beside), loop)
+            methods = METHODS.extended(self._services.extensions.methods)
+            self._hub = hub = Sessions(self._services, Dispatcher(methods, imports.beside), loop)
             listener = self._unix.bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)
             self._servers.append(server)
             if self._tcp_listener is not None:
                 await self._listen_tcp(self._tcp_listener, lambda: Session(hub, self._token))
-            if self._tls is not None:
-                accepting = self._tls.run(lambda admits: Session(hub, None, admits))
-                self._tls_task = loop.create_task(accepting, name="orders over tls")
+            serving = self._services.extensions.serve(lambda admits: Session(hub, None, admits))
+            self._of_extensions = loop.create_task(serving, name="clients of extensions")
         except BaseException:
             await self.close()
             raise
@@ -115,10 +113,10 @@ class RpcServer:
 
     async def close(self) -> None:
         """Stop listening, cancel every order, close all clients, remove the socket. Idempotent."""
-        if self._tls_task is not None:
-            self._tls_task.cancel()
-            await asyncio.wait({self._tls_task})
-            self._tls_task = None
+        if self._of_extensions is not None:
+            self._of_extensions.cancel()
+            await asyncio.wait({self._of_extensions})
+            self._of_extensions = None
         await self._stop_accepting()
         if self._hub is not None:
             await self._hub.close()
@@ -138,6 +136,12 @@ class RpcServer:
         for server in servers:
             server.close()
         await asyncio.sleep(0)
+
+    def close_sessions(self, reason: str) -> None:
+        """Close all connections of clients with this reason; what they have sent and is not begun is not done."""
+        if self._hub is not None:
+            for session in self._hub.sessions:
+                session.dismiss(reason)
 
     def stats(self) -> JsonObject:
         """Counters: sessions now and ever, requests, errors, drops."""

@@ -24,12 +24,14 @@ from typing import Any, cast
 
 import structlog
 
+from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
 from skygcs.rpc import dispatch, error_codes
-from skygcs.rpc.context import Context, JsonObject, Services
+from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
+from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 from skygcs.rpc.unix_socket import still_reads
@@ -121,6 +123,8 @@ class Session(asyncio.Protocol):
     ) -> None:
         self.services = hub.services
         self.slices = hub.slices
+        self.reports: OrderReports | None = None
+        """None: only a request that asks for them has a context with reports (`ReportingContext`)."""
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
         self.restricted = False
@@ -269,6 +273,18 @@ class Session(asyncio.Protocol):
             self._reply(error_reply(None, error_codes.LIMIT_EXCEEDED, reason))
         self.close()
 
+    @property
+    def is_local(self) -> bool:
+        """Whether it came by the Unix socket."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        return sock is not None and sock.family == socket.AF_UNIX
+
+    @property
+    def is_of_the_last(self) -> bool:
+        """Whether it has one of the last descriptors."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        return sock is not None and is_of_the_last(sock.fileno())
+
     def peer_pid(self) -> int | None:
         """The process at the other end of a Unix socket."""
         sock = self._transport.get_extra_info("socket") if self._transport is not None else None
@@ -399,7 +415,10 @@ class Session(asyncio.Protocol):
             if refusal is not None:
                 self._hub.counters["requests_late"] += 1
                 return refusal if "id" in request else None
-        reply = self._hub.dispatcher.start(self, request, key_twice)
+        context: Context = self
+        if isinstance(request, dict) and REPORT in request and (asked := wants_reports(request)) is not None:
+            context = ReportingContext(self, asked)
+        reply = self._hub.dispatcher.start(context, request, key_twice)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
             self.slices.order_came()
@@ -605,7 +624,10 @@ class Sessions:
                     next(iter(self._unauthenticated)), "connections_refused", "too many clients without a token"
                 )
             self._unauthenticated[session] = None
-        elif len(self._placed) < MAX_SESSIONS or self._close_idle():
+        elif session.is_of_the_last and not session.is_local:
+            self._reserve[session] = None
+            self._dismiss(session, "connections_refused", "no descriptors are left for clients of other computers")
+        elif (len(self._placed) < MAX_SESSIONS and not session.is_of_the_last) or self._close_idle():
             self._placed[session] = None
         else:
             self._let_in_beyond(session)
@@ -670,13 +692,16 @@ class Sessions:
                 Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS})
             )
         self.counters["connections_restricted"] += 1
-        if len(self._reserve) >= MAX_RESERVE:
+        if len(self._reserve) >= MAX_RESERVE or session.is_of_the_last:
             silent = next((other for other in self._reserve if not other.busy), None)
-            if silent is None:
+            if silent is None and len(self._reserve) < MAX_RESERVE:
+                pass
+            elif silent is None:
                 self._reserve[session] = None
                 self._dismiss(session, "connections_refused", f"too many clients ({self._number()})")
                 return
-            self._dismiss(silent, "connections_refused", f"too many clients ({self._number()})")
+            else:
+                self._dismiss(silent, "connections_refused", f"too many clients ({self._number()})")
         self._reserve[session] = None
         session.restricted = True
         session.close_after(RESERVE_S)

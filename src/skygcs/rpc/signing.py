@@ -81,12 +81,13 @@ async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObj
         raise InvalidParams(("key_file", "holds a NUL character"))
     if not path.is_absolute():
         raise InvalidParams(("key_file", "must be an absolute path: the daemon runs in another folder"))
-    return as_json(await context.services.signing_setup.setup(params.targets, path, force=params.force))
+    setup = context.services.signing_setup.setup
+    return as_json(await setup(params.targets, path, force=params.force, reports=context.reports))
 
 
 async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
     """Have vehicles forget their signing key, and wait until they no longer sign; not while armed."""
-    return as_json(await context.services.signing_setup.off(params.targets))
+    return as_json(await context.services.signing_setup.off(params.targets, reports=context.reports))
 
 
 def signing_status(context: Context, _: NoParams) -> JsonObject:

@@ -481,7 +481,7 @@ class Feeds:
         texts = frozenset(str(name) for name in params.names or ())
         match params.topic:
             case "telemetry":
-                _check_groups(texts)
+                _check_groups(texts, self._services.extensions.state_groups)
                 rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
                 telemetry = TelemetrySubscription(sink, number, params.targets, rate_hz, texts)
                 self._telemetry.add(telemetry)
@@ -522,8 +522,9 @@ class Feeds:
         self._messages.close()
 
 
-def _check_groups(names: frozenset[str]) -> None:
-    unknown = sorted(names - VehicleState.__annotations__.keys())
+def _check_groups(names: frozenset[str], of_extensions: Iterable[str]) -> None:
+    known = [*VehicleState.__annotations__, *of_extensions]
+    unknown = sorted(names.difference(known))
     if unknown:
-        names_known = ", ".join(VehicleState.__annotations__)
+        names_known = ", ".join(known)
         raise InvalidParams(("names", f"a vehicle's state has no {', '.join(unknown)[:80]}; it has: {names_known}"))

@@ -103,8 +103,8 @@ async def trajectory_start(context: Context, params: TrajectoryStartParams) -> J
     """Let vehicles follow their trajectories on one clock: all of them, or none.
 
     Refused unless each is flown by setpoints, near the first point, and its whole trajectory within the control fence
-    and the limits (docs/howto/trajectories.md), and unless all of them stay away from each other and from every other
-    vehicle as it moves now. It is the daemon's from then on: the client may leave.
+    and the limits (docs/howto/fly-several.md#trajectories), and unless all of them stay away from each other and from
+    every other vehicle as it moves now. It is the daemon's from then on: the client may leave.
     """
     fleet = context.services.fleet
     now = context.services.now()

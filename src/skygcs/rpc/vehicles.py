@@ -55,6 +55,11 @@ class DisarmParams(TargetsParams):
 
 class ModeParams(TargetsParams):
     mode: str = Field(min_length=1, description='Flight mode by name, e.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
+    force: bool = Field(
+        False,
+        description="Into a mode flown by sticks, in the air, although no sticks are seen in its telemetry. One in "
+        "which it would fall is refused all the same.",
+    )
 
 
 class TakeoffParams(TargetsParams):
@@ -158,7 +163,7 @@ def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
 
 async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it."""
-    return await command(context, params.targets, VehicleActor.set_mode, name=params.mode)
+    return await command(context, params.targets, VehicleActor.set_mode, name=params.mode, force=params.force)
 
 
 def vehicles_forget(context: Context, params: ForgetParams) -> JsonObject:

@@ -8,8 +8,7 @@ from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.radio_link.admission import Note
 from skygcs.core.radio_link.admission_frames import MAX_HZ
-from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
-from skygcs.core.radio_link.pacing import HALF_DUPLEX_SHARE
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE, HALF_DUPLEX_SHARE, SLOT_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
 from skygcs.links.base import Channel

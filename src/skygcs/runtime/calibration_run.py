@@ -20,6 +20,7 @@ from skygcs.core.vehicle.calibration import (
     check_calibration,
     reader_of,
 )
+from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
@@ -27,6 +28,8 @@ from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.order_runner import duplicate_refusal
 from skygcs.runtime.task_set import TaskSet
+
+CALIBRATE = standing("calibrate")
 
 MESSAGES = frozenset({COMMAND_LONG, MAG_CAL_PROGRESS, MAG_CAL_REPORT})
 """Ids of the messages that `on_frame` needs."""
@@ -93,7 +96,7 @@ class CalibrationRun:
             self._calibration, self._readers = None, {}
             if calibration.outcome is None:
                 if (spec := calibration.cancel(self._loop.time())) is not None:
-                    self._tasks.start(self._commands.run(spec), "cancel calibration")
+                    self._tasks.start(self._commands.run(spec, clearance=CALIBRATE), "cancel calibration")
                 calibration.give_up(self._loop.time())
             if not done.done():
                 done.set_result(None)
@@ -109,7 +112,7 @@ class CalibrationRun:
         if isinstance(step, str):
             return Outcome.refused(step)
         self._changed()
-        outcome = await self._commands.run(step)
+        outcome = await self._commands.run(step, clearance=CALIBRATE)
         calibration.on_pose_answer(outcome)
         self._changed()
         return outcome
@@ -122,7 +125,7 @@ class CalibrationRun:
         spec = calibration.cancel(self._loop.time())
         self._changed()
         if spec is not None:
-            await self._commands.run(spec)
+            await self._commands.run(spec, clearance=CALIBRATE)
         await asyncio.shield(done)
         ended = calibration.outcome
         assert ended is not None
@@ -172,12 +175,12 @@ class CalibrationRun:
 
     async def _start(self, calibration: Calibration) -> Outcome:
         timers_s = BLOCKING_TIMERS_S if calibration.answer_is_result else RETRY_TIMERS_S
-        answer = await self._commands.run(calibration.start(), timers_s=timers_s)
+        answer = await self._commands.run(calibration.start(), timers_s=timers_s, clearance=CALIBRATE)
         for _ in range(BUSY_TRIES):
             if answer.result != "temporarily_rejected" or calibration.outcome is not None:
                 break
             await asyncio.sleep(BUSY_S)
-            answer = await self._commands.run(calibration.start(), timers_s=timers_s)
+            answer = await self._commands.run(calibration.start(), timers_s=timers_s, clearance=CALIBRATE)
         return answer
 
     async def _request_progress(self) -> None:

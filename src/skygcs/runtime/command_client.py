@@ -15,7 +15,7 @@ import contextlib
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -30,6 +30,7 @@ from skygcs.core.protocols.command import (
 )
 from skygcs.core.protocols.command_repeats import Repeat, repeat_rule
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import Clearance, is_exempt
 from skygcs.runtime.deadline_timer import DeadlineTimer
 
 
@@ -47,10 +48,11 @@ class SendFn(Protocol):
         *,
         everywhere: bool = False,
         key: Hashable | None = None,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         """True if a link took it. Sysid 0 is every vehicle. With a ``key`` it replaces a message waiting under that
-        key. ``exempt``: it is of vehicles.stop and sent without authority, too."""
+        key. ``clearance``: of the outgoing gate; without one only what is harmless to its target is sent. That of
+        vehicles.stop is sent without authority, too."""
         ...
 
 
@@ -60,6 +62,9 @@ LATE_ACK_S = 1.5
 ECHO_ACK_S = 0.05
 """PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second must not be taken for the next
 command's. If a radio delays it more, the mode in the heartbeat decides, as for every change of mode."""
+
+EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
+"""Orders that end a flight: already the first transmission goes over every link to the vehicle."""
 
 SUPERSEDED = "a newer order took its place"
 
@@ -105,7 +110,7 @@ class _Request:
     everywhere: bool
     moving: bool
     with_repeats: Follower | None
-    exempt: bool = False
+    clearance: Clearance | None = None
 
 
 class _Running:
@@ -196,23 +201,23 @@ class CommandClient:
         self,
         spec: CommandSpec,
         *,
-        emergency: bool | Literal["stop"] = False,
+        emergency: bool = False,
         satisfied: Check | None = None,
         on_report: Callable[[int | None], None] | None = None,
-        everywhere: bool = False,
         wanted: Check | None = None,
         with_repeats: Follower | None = None,
         timers_s: tuple[float, ...] = RETRY_TIMERS_S,
+        clearance: Clearance | None = None,
     ) -> Outcome:
         """Send it and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost ack
         does not matter. Cancelling drops the command; transmissions cannot be undone.
 
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
-        vehicle: the best may be the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a
-        command that moves the vehicle, which a newer order may replace (`supersede`); called when its turn has come.
-        An emergency is sent at once, "stop" also without authority (`SendFn`). ``with_repeats``: a message sent right
-        after each repeat, over the same links (`Step.with_repeats`).
-        ``timers_s``: the waits after each transmission.
+        vehicle: the best may be the one that loses them. Of the orders `EVERYWHERE` the first one does, too.
+        ``wanted``: given for a command that moves the vehicle, which a newer order may replace (`supersede`); called
+        when its turn has come. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat,
+        over the same links (`Step.with_repeats`).
+        ``timers_s``: the waits after each transmission. ``clearance``: see `SendFn`.
         """
         # refuse what cannot be packed
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
@@ -221,8 +226,8 @@ class CommandClient:
             self._dialect.by_name[spec.message].pack(spec.values(*self.target, 0))
         except ValueError as error:
             return Outcome(False, "refused", f"refused: {error}")
-        everywhere, exempt, moving = everywhere or bool(emergency), emergency == "stop", wanted is not None
-        request = _Request(spec, satisfied, on_report, everywhere, moving, with_repeats, exempt)
+        everywhere = emergency or (clearance is not None and clearance.order in EVERYWHERE)
+        request = _Request(spec, satisfied, on_report, everywhere, wanted is not None, with_repeats, clearance)
         line = self._lines.setdefault(spec.command, _Line())
         # an emergency replaces a command of its kind
         if emergency:
@@ -284,14 +289,16 @@ class CommandClient:
         values: Mapping[str, Any],
         priority: Priority = Priority.COMMAND,
         key: Hashable | None = None,
+        clearance: Clearance | None = None,
     ) -> bool:
         """Send a message without acknowledgement to the vehicle. Raises KeyError if the dialect lacks it."""
         sysid, compid = self.target
         info = self._dialect.by_name[message]
         addressed = {**values, **self._address(info)}
-        if key is None:
-            return self._send(info, addressed, sysid, compid, priority)
-        return self._send(info, addressed, sysid, compid, priority, key=key)
+        more: dict[str, Any] = {} if key is None else {"key": key}
+        if clearance is not None:
+            more["clearance"] = clearance
+        return self._send(info, addressed, sysid, compid, priority, **more)
 
     def _address(self, info: MessageInfo) -> dict[str, int]:
         """The target fields that a message has; cached, because every setpoint needs them (0.4 us instead of 0.9 for
@@ -341,7 +348,7 @@ class CommandClient:
 
     def stop_unauthorised(self, message: str) -> None:
         """Another site may command the vehicle now: end everything but vehicles.stop."""
-        for command in [c for c, r in self._running.items() if not r.request.exempt]:
+        for command in [c for c, r in self._running.items() if not is_exempt(r.request.clearance)]:
             self.stop(command, "refused", message)
 
     def supersede(self, specs: Collection[CommandSpec]) -> None:
@@ -446,15 +453,16 @@ class CommandClient:
                 values = spec.values(*self.target, effect.attempt)
                 info = self._dialect.by_name[spec.message]
                 again = bool(effect.attempt) and running.rule.repeat is not Repeat.SAME_LINK
-                everywhere = {"everywhere": True} if running.request.everywhere or again else {}
-                exempt = {"exempt": True} if running.request.exempt else {}
-                if not self._send(info, values, *self.target, running.priority, **everywhere, **exempt):
+                everywhere: dict[str, Any] = {"everywhere": True} if running.request.everywhere or again else {}
+                clearance = running.request.clearance
+                cleared: dict[str, Any] = {} if clearance is None else {"clearance": clearance}
+                if not self._send(info, values, *self.target, running.priority, **everywhere, **cleared):
                     running.not_taken += 1
                 if effect.attempt and running.request.with_repeats is not None:
                     name, fields = running.request.with_repeats
                     if (follower := self._dialect.by_name.get(name)) is not None:
                         addressed = {**fields, **self._address(follower)}
-                        self._send(follower, addressed, *self.target, running.priority, everywhere=True, **exempt)
+                        self._send(follower, addressed, *self.target, running.priority, everywhere=True, **cleared)
             elif isinstance(effect, Report):
                 if running.request.on_report is not None:
                     running.request.on_report(effect.percent)

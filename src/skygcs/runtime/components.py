@@ -7,6 +7,7 @@ components of its system are here, and also those of systems without an autopilo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
@@ -15,12 +16,13 @@ from skygcs.core.protocols.command import Ack, CommandSpec, Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.component import Component
 from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.gate import clear_command
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.snapshot import reading_of
 from skygcs.core.vehicle.state import SEVERITY, name_of
 from skygcs.core.vehicle.statustext import StatusText
-from skygcs.core.vehicle.unguarded import require_guarded
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
@@ -36,7 +38,7 @@ MAX_COMPONENTS = 1024
 GIVES_WAY_S = 60.0
 """In a full table a component that was silent for this time is replaced by a new one."""
 
-SILENT_S = 5.0
+COMPONENT_SILENT_S = 5.0
 """After this silence no orders are sent to it, as to a vehicle without heartbeats."""
 
 ONBOARD_COMPUTER = 18
@@ -273,13 +275,10 @@ class ComponentActor:
     async def command(
         self, command: str | int, params: Sequence[float | None] = (), *, force: bool = False, **more: Any
     ) -> Outcome:
-        """Any command; see `unguarded.require_guarded` and `orders.command_plan`."""
+        """Any command; see `gate.clear_command` and `orders.command_plan`."""
 
         def plan() -> Plan:
-            if not force:
-                vehicles = self._table.vehicles_of(self.sysid)
-                require_guarded(vehicles, self._loop.time(), self._dialect, command, params)
-            return orders.command_plan(self._dialect, command, params, **more)
+            return replace(orders.command_plan(self._dialect, command, params, **more), force=force)
 
         return await self._run("command", plan)
 
@@ -299,7 +298,7 @@ class ComponentActor:
             return self._table.report(self, "request", Outcome.refused(str(error)))
         before = self.component.count(name)
         step = Step("request", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(msgid),)))
-        outcome = await self._given(Plan("request", (step,), f"{name} came"))
+        outcome = await self._given(Plan("request", (step,), f"{name} came"))  # harmless: the gate lets it pass
         if outcome.ok and not await self.commands.until(lambda: self.component.count(name) != before, ANSWER_S):
             outcome = Outcome(False, "timeout", f"timeout: accepted, but no {name} came", outcome.attempts)
         return self._table.report(self, "request", outcome)
@@ -312,15 +311,18 @@ class ComponentActor:
         return self._table.report(self, order, outcome)
 
     async def _given(self, plan: Plan) -> Outcome:
-        """Carry out a plan of one step."""
+        """Carry out a plan of one step. Raises RefusedError for one that the outgoing gate does not let pass."""
         silent_s = self._loop.time() - self.component.heard_at()
-        if silent_s > SILENT_S:
+        if silent_s > COMPONENT_SILENT_S:
             return Outcome.refused(f"nothing was heard from it for {silent_s:.0f} s")
         (step,) = plan.steps
+        now = self._loop.time()
+        models = [model_of(vehicle, now) for vehicle in self._table.vehicles_of(self.sysid)]
+        clearance = clear_command(models, plan)
         if step.message is not None:
-            if not self.commands.transmit(*step.message):
+            if not self.commands.transmit(*step.message, clearance=clearance):
                 return Outcome(False, "lost", "could not be sent: no link leads to it")
             return Outcome(True, "accepted", plan.done, 1)
         assert step.command is not None
-        outcome = await self.commands.run(step.command)
+        outcome = await self.commands.run(step.command, clearance=clearance)
         return Outcome(True, "accepted", plan.done, outcome.attempts, outcome.elapsed_s) if outcome.ok else outcome

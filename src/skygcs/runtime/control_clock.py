@@ -10,7 +10,7 @@ from typing import Any
 LATE_S = 0.005
 """A tick this long after its deadline is counted as late: a quarter of a period at 50 Hz."""
 
-KEPT = 500
+TICKS_KEPT = 500
 """Number of ticks whose lateness is kept for percentiles: ten seconds at 50 Hz."""
 
 SPREAD_S = 0.05
@@ -46,7 +46,7 @@ class ControlClock:
         self._pace_s = 0.0
         """The period when the next deadline was set."""
         self._handle: asyncio.TimerHandle | None = None
-        self._lateness_s: deque[float] = deque(maxlen=KEPT)
+        self._lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)
 
     @property
     def running(self) -> bool:

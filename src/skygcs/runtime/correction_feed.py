@@ -13,9 +13,12 @@ from typing import Any
 from skygcs.core.radio_link.corrections import MAX_TYPES, SOURCE_SILENT_S
 from skygcs.core.radio_link.rtcm import MAX_MESSAGE_BYTES, RtcmDeframer, content_of, fragments_of
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import standing
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+
+CORRECTIONS = standing("corrections")
 
 RATE_S = 10.0
 """Time over which the rate is measured: about the period of a base's slowest messages."""
@@ -131,7 +134,7 @@ class CorrectionFeed:
         self._sequence += 1
         taken = True
         for values in fragments_of(message, self._sequence):
-            taken &= self._hub.send(self._info, values, 0, 0, Priority.CORRECTION)
+            taken &= self._hub.send(self._info, values, 0, 0, Priority.CORRECTION, clearance=CORRECTIONS)
         return taken
 
     def _note(self, type_: int, size: int, now: float) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import structlog
 
+from skygcs.core.alarms.kinds import VehicleFacts, signals
 from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.events import Event
 
@@ -16,10 +17,11 @@ MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes. The oldest of the most frequent
 kind makes room: a peer that makes up vehicles (some 1,000 discovered and lost in minutes) displaces no warning."""
 
-QUIET_KINDS = frozenset({"statustext", "command", "route"})
+QUIET_KINDS = frozenset({"statustext", "command", "route", "alarm"})
 """Kinds logged at level debug, because they are not changes of the daemon's own state."""
 
-WARNING_KINDS = frozenset({"warning", "fault", "undo", "uplink_lost", "ground_lost"})
+WARNING_KINDS = frozenset({"warning", "undo"})
+"""Kinds logged at level warning, beside whatever raises an alarm (`core.alarms.kinds`)."""
 
 Handler = Callable[[Event], None]
 Watcher = Callable[[dict[str, Any]], None]
@@ -85,7 +87,7 @@ class EventLog:
             "data": event.data,
         }
         self._keep(record)
-        level = log.debug if event.kind in QUIET_KINDS else log.warning if _is_warning(event) else log.info
+        level = log.warning if _is_warning(event) else log.debug if event.kind in QUIET_KINDS else log.info
         level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
         for watcher in tuple(self._watchers):
             try:
@@ -105,8 +107,10 @@ class EventLog:
 
 
 def _is_warning(event: Event) -> bool:
-    """True for events that the user should check although the daemon goes on: a link that is down (not one that has
-    reached its end), an internal fault, a warning."""
-    if event.kind == "separation":
-        return event.data.get("level") in ("warning", "action")
+    """True for events that the user should check although the daemon goes on: what raises an alarm, a link that is down
+    (not one that has reached its end), a warning."""
+    if event.kind == "alarm":  # the event that it comes from is logged, but for one that comes from a state
+        return event.data.get("change") == "raised" and not event.data.get("logged")
+    if any(signal.raised for signal in signals(event, VehicleFacts())):
+        return True
     return event.kind in WARNING_KINDS or (event.kind == "link_down" and not event.data.get("finished"))

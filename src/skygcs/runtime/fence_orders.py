@@ -12,11 +12,14 @@ import json
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from skygcs.config.files import LOG_MODE, make_log_folder, write_whole
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import fence_params
+from skygcs.core.vehicle.flight_lock import FenceWrite, widens
 from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -95,6 +98,8 @@ class VehicleFence:
         self._request = request
         self._log_dir = services.log_dir
         self._journal = services.journal
+        self._disk = services.disk
+        self._locks = services.locks
         self._testing = False
         self._tester: asyncio.Task[FenceOutcome] | None = None
         self._ended_with: Outcome | None = None
@@ -103,6 +108,12 @@ class VehicleFence:
         self._endings: set[asyncio.Task[Outcome]] = set()
         """Tests that restore parameters; a task without a reference may be discarded."""
         self._last_text: str | None = None
+        self._watch = fence_params.FenceWatch()
+
+    def tick(self, now: float) -> None:
+        """Report a breach that begins or ends, but not that of a test. Called one to ten times a second."""
+        if not self._testing and (event := self._watch.look(self._vehicle, now)) is not None:
+            self._on_event(event)
 
     @property
     def testing(self) -> bool:
@@ -123,13 +134,18 @@ class VehicleFence:
 
     def on_text(self, text: str) -> None:
         """A status text of this vehicle."""
+        if not self._testing:
+            self._watch.on_text(text)
         if fence_params.reports_breach(text):
             self._last_text = text
             if self._walk is not None:
                 self._walk.sign(f'it reports "{text}"', self._loop.time())
 
-    async def set(self, *, radius_m: float | None, height_m: float | None, action: str | None) -> FenceOutcome:
-        """Set the arguments that are not None, and read all of the fence back."""
+    async def set(
+        self, *, radius_m: float | None, height_m: float | None, action: str | None, force: bool = False
+    ) -> FenceOutcome:
+        """Set the arguments that are not None, and read all of the fence back. Refused while a flight was checked
+        within a wider one, and unless ``force`` where the vehicle would be outside of it at once."""
         if self._testing:
             return FenceOutcome(_UNDER_TEST)
         held = await self._held()
@@ -139,14 +155,23 @@ class VehicleFence:
             wanted = fence_params.changes(
                 self._vehicle.family, held, radius_m=radius_m, height_m=height_m, action=action
             )
+            self._locks.require(FenceWrite(self._vehicle.key, widens(held, wanted)))
+            if not force:
+                after = fence_params.settings_of(self._vehicle.family, {**held, **wanted})
+                fence_params.require_inside(self._vehicle, self._loop.time(), after)
         except RefusedError as error:
             return FenceOutcome(_refused(error))
-        failed = await self._put(wanted)
+        failed = await self._put(wanted, checked=True)
         now = await self._held()
         if isinstance(now, Outcome):
             return FenceOutcome(now if failed is None else failed)
         settings = fence_params.settings_of(self._vehicle.family, now)
         return FenceOutcome(failed or Outcome(True, "accepted", f"the fence is {settings}"), settings.as_dict())
+
+    async def settings(self) -> fence_params.FenceSettings | str:
+        """Its settings as read now; or why they are not known."""
+        held = await self._held()
+        return held.message if isinstance(held, Outcome) else fence_params.settings_of(self._vehicle.family, held)
 
     async def status(self) -> FenceOutcome:
         """Its settings as read now, and its reports of breaches."""
@@ -216,22 +241,19 @@ class VehicleFence:
             "state": "running: the parameters under 'before' are to be restored",
         }
         try:
-            path = self._write(None, record)
+            path = await self._disk.run("the record of a fence test", partial(self._write, None, dict(record)))
         except OSError as error:
             text = f"refused: the record cannot be written to {self._log_dir}: {error.strerror or error}"
             return FenceOutcome(Outcome(False, "refused", text))
         back = fence_params.back_to(vehicle.family, held, wanted)
         try:
-            change = self._journal.begin(
-                vehicle.name,
-                vehicle.sysid,
-                vehicle.family,
-                "fence test",
-                back,
-                {n: wanted.get(n, back[n]) for n in back},
-            )
+            begin = partial(self._journal.begin, vehicle.name, vehicle.sysid, vehicle.family, "fence test", back)
+            change = await self._disk.run("the undo journal", partial(begin, {n: wanted.get(n, back[n]) for n in back}))
         except RefusedError as error:
             return FenceOutcome(_refused(error))
+        except OSError as error:
+            text = f"refused: the undo journal cannot be written in {self._journal.folder}: {error.strerror or error}"
+            return FenceOutcome(Outcome(False, "refused", text))
         # the test, which is undone however it ends
         outcome = Outcome(False, "cancelled", "cancelled")
         self._walk = walk = _Walk(self._loop.time(), vehicle.mode, vehicle.armed, vehicle.armed)
@@ -305,11 +327,11 @@ class VehicleFence:
         if failed is None:
             message += "; the fence is as before"
             try:
-                self._journal.undone(change)
+                await self._disk.run("the undo journal", partial(self._journal.undone, change))
             except OSError as error:
                 message += f" (its note {change.id} in {self._journal.folder} cannot be removed: {error.strerror})"
         else:
-            self._journal.left_over(change)
+            self._disk.offer("the undo journal", partial(self._journal.left_over, change))
             message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} restores it"
         ok = outcome.ok and failed is None
         ended = Outcome(
@@ -331,7 +353,7 @@ class VehicleFence:
             "file": str(path),
         }
         try:
-            self._write(path, record)
+            await self._disk.run("the record of a fence test", partial(self._write, path, dict(record)))
         except OSError as error:
             record["file"] = None
             self._report(f"fence test: {path} cannot be written: {error.strerror or error}", {})
@@ -361,9 +383,11 @@ class VehicleFence:
             held[name] = float(read.param.value)
         return held
 
-    async def _put(self, values: Mapping[str, float]) -> Outcome | None:
-        """Set these in order; returns the outcome if not all of them were accepted."""
-        outcomes = await self._params.set(values)
+    async def _put(self, values: Mapping[str, float], *, checked: bool = False) -> Outcome | None:
+        """Set these in order; returns the outcome if not all of them were accepted. ``checked``: as one fence, by the
+        locks of all flights, which would refuse its parameters one by one. In the air, too: the checks of the fence and
+        of its test stand for the outgoing gate's, and what a test has set must be put back wherever the vehicle is."""
+        outcomes = await self._params.set(values, force=True, checked=checked)
         wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if not wrong:
             return None
@@ -405,10 +429,10 @@ class VehicleFence:
     def _write(self, path: Path | None, record: Mapping[str, Any]) -> Path:
         """Raises OSError."""
         if path is None:
-            self._log_dir.mkdir(parents=True, exist_ok=True)
+            make_log_folder(self._log_dir)
             name = "".join(c if c.isalnum() else "_" for c in self._vehicle.name)
             path = self._log_dir / f"fence-test-{name}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}.json"
-        path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        write_whole(path, (json.dumps(record, indent=2) + "\n").encode(), LOG_MODE, durable=False)
         return path
 
     def _report(self, text: str, data: dict[str, Any]) -> None:

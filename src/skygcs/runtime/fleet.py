@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from typing import Any, NamedTuple
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 from skygcs.config.models import FleetConfig, VehicleConfig
 from skygcs.core.geo import Origin, world_from_enu
@@ -13,32 +14,53 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.monitor.mission_ways import MissionRun
+from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.state_source import KNOWN_BY, Known
-from skygcs.core.vehicle import orders, stop, targets
+from skygcs.core.vehicle import mission_orders, orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
+from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, lost_place
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
+from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.statustext import StatusText
+from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.disk_writer import DiskWriter
 from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
-from skygcs.links.base import StateUpdate
+from skygcs.links.base import Channel, StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.fence_orders import FenceOutcome
+from skygcs.runtime.flight_journal import FlightJournal
+from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plans import Plans
 from skygcs.runtime.preflight_run import Unheard, examine_all
+from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
+from skygcs.runtime.sleep_watch import SleepWatch
 from skygcs.runtime.task_set import TaskSet, fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.vehicle_services import CompanionCalls, OnEvent, VehicleLinks, VehicleServices, WideLinks
+from skygcs.runtime.vehicle_services import (
+    NewFlight,
+    OnEvent,
+    OrderRefusal,
+    VehicleLinks,
+    VehicleServices,
+    WideLinks,
+    no_order_refusal,
+)
 from skygcs.runtime.world_frame import World
 
 MAX_VEHICLES_OF_LINK = 250
@@ -67,7 +89,7 @@ BROADCAST: Mapping[Order, Callable[[Vehicle, float], Plan]] = {
 vehicles that were never heard here and must be safe for them. A disarming would drop a flying vehicle, and a mode has
 different numbers on different vehicle types."""
 
-KEPT = frozenset[Order](
+CARRIED_ON = frozenset[Order](
     {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
 )
 """Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
@@ -76,8 +98,34 @@ MAX_KEPT = 64
 """Kept orders in progress at one time; further ones end when their client disconnects. Each lasts seconds."""
 
 
-MAYBE_FLYING_S = 1800.0
-"""A vehicle that was lost while armed may still fly for this time; few batteries last longer."""
+UNKNOWN_S = 60.0
+"""After a start with a journal that cannot be read, a vehicle that is heard within this time may have been flown by the
+daemon before; later ones have flown without us for as long."""
+
+OWN_IDS_AGAIN_S = 60.0
+"""Between two reports of an autopilot that has our own ids."""
+
+
+class Reports(Protocol):
+    """What gets the outcomes of an order as they come. Must not raise."""
+
+    def begun(self, vehicles: Iterable[str], /) -> None:
+        """The order goes to these vehicles, by name."""
+        ...
+
+    def ended(self, vehicle: str, outcome: Any, /) -> None:
+        """The order has ended for one of them, with what the order returns for it."""
+        ...
+
+
+class Unreported:
+    """`Reports` to nothing."""
+
+    def begun(self, vehicles: Iterable[str], /) -> None:
+        return
+
+    def ended(self, vehicle: str, outcome: Any, /) -> None:
+        return
 
 
 class Expected(NamedTuple):
@@ -95,8 +143,7 @@ Actor = VehicleActor | ComponentActor
 
 
 class Fleet:
-    """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid.
-    ``companions``: the connections to those on vehicles, by vehicle."""
+    """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid."""
 
     def __init__(
         self,
@@ -115,42 +162,40 @@ class Fleet:
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
-        self.companions: dict[str, CompanionCalls] = {}
-        self._companion_names = _companion_names(config)
-        self.world = World(_origin(config), self.vehicles, on_event)
-        self._dialect, self._send = dialect, send
-        self._loop = loop
-        self._on_event = on_event
-        self._links = links or WideLinks()
-        self._kept = TaskSet(loop, on_event)
-        self._of_system: dict[int, set[int]] = {}
-        """The keys of ``vehicles`` by system id."""
+        self.flights_elsewhere: dict[str, NewFlight] = {}  # the daemon adds those of its extensions
+        self.on_woke: list[Callable[[float], None]] = []
+        """Called with the seconds after a sleep of the computer."""
+        self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
+        self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
+        self._links, self._kept = links or WideLinks(), TaskSet(loop, on_event)
+        self.locks = FlightLocks(self._links.links_to)  # of the flights under way
+        self.world = World(_origin(config), self.vehicles, self.locks, on_event)
+        self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
         self._ending = False
         own = config.daemon
+        self._own_key = own.sysid << 8 | own.compid
+        self._own_ids_at = -math.inf
+        self.disk = DiskWriter(loop, on_event)
         self.journal = UndoJournal(own.log_dir / "undo")
-        self.undo = UndoOrders(self.journal, self.vehicles, loop.time, on_event)
+        self.undo = UndoOrders(self.journal, self.vehicles, loop.time, self.disk, on_event)
         self.monitor = SeparationMonitor(config.monitor, self.vehicles, loop, on_event)
-        self._services = VehicleServices(
-            (own.sysid, own.compid),
-            dialect,
-            send,
-            loop,
-            on_event,
-            self._links,
-            self.flown_vehicles,
-            param_cache or ParamCache(None),
-            self.journal,
-            self.monitor,
-            log_dir=own.log_dir,
-            companions=self.companions,
-            preflight_valid_s=60 * own.preflight_valid_minutes,
-            probes=probes,
-        )
+        self.returns = Returns(self.monitor.footprint, loop, on_event)
+        param_cache = param_cache or ParamCache(None)
+        param_cache.disk = self.disk
+        self._services = self._new_services(param_cache, probes=probes)
+        self.sleep = SleepWatch(self._woke)
+        self.flights = FlightJournal(own.log_dir, self.disk, on_event)
+        self._owed: dict[int, str] = {}
+        """By key, who flew a vehicle that was dropped in the air, for when it is heard again."""
+        self._unknown_until = -math.inf
+        """Until when a vehicle that is heard first may have been flown by the daemon before."""
+        self._recalled: dict[int, float] = {}
+        """By key, until when a vehicle of the journal may be heard before it is reported as lost."""
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
-        self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor)
+        self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
         self.plans = Plans(self, self.trajectories, self._links, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
@@ -158,6 +203,29 @@ class Fleet:
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
         self._expected: dict[int, Expected] = {}
         """By the system id under which a vehicle will come back (`Renumbering`)."""
+
+    def _new_services(self, param_cache: ParamCache, *, probes: bool) -> VehicleServices:
+        own = self.config.daemon
+        return VehicleServices(
+            (own.sysid, own.compid),
+            self._dialect,
+            self._send,
+            self._loop,
+            self._on_event,
+            self._links,
+            self.flown_vehicles,
+            param_cache,
+            self.journal,
+            self.disk,
+            self.monitor,
+            log_dir=own.log_dir,
+            flights_elsewhere=self.flights_elsewhere,
+            locks=self.locks,
+            preflight_valid_s=60 * own.preflight_valid_minutes,
+            probes=probes,
+            order_refusal=lambda vehicle, plan, now: self.order_refusal(vehicle, plan, now),
+            asleep=lambda: self.sleep.check(),
+        )
 
     def on_frame(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
         """Hot: one dict lookup for the frames of vehicles, one comparison for all others. Never raises."""
@@ -180,7 +248,8 @@ class Fleet:
     def tick(self, now: float) -> None:
         """Call `tick` of every vehicle, even if one fails; the first exception is raised at the end."""
         fault: Exception | None = None
-        for actor in self.vehicles.values():
+        self.sleep.check()
+        for actor in list(self.vehicles.values()):
             try:
                 actor.tick(now)
             except Exception as error:
@@ -188,8 +257,18 @@ class Fleet:
         self.components.tick(now)
         self.trajectories.tick(now)
         self.plans.tick(now)
+        if self._recalled:
+            self._report_recalled(now)
+        self._note_flights(now)
         if fault is not None:
             raise fault
+
+    def on_station_frame(self, frame: Frame, channel: Channel, now: float) -> None:
+        """A message of another station, one of `STATION_MESSAGES`, to one of the vehicles."""
+        system, component = frame.target()
+        for key in self._of_system.get(system, ()) if system and channel.config.type != "replay" else ():
+            if component in (0, key & 0xFF):
+                self.vehicles[key].unattended.on_station(frame, now)
 
     async def wind_down(self, timeout_s: float) -> None:
         """The daemon ends: accept only orders that end a flight, cancel orders that undo themselves, and wait this long
@@ -220,8 +299,11 @@ class Fleet:
         """End all orders in flight as cancelled."""
         for actor in self.vehicles.values():
             actor.close()
+        if self.config.daemon.keep_vehicles:
+            self._note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
         self.components.close()
         self.monitor.close()
+        self.returns.close()
         self.plans.close()
         self._kept.close()
 
@@ -240,6 +322,11 @@ class Fleet:
         """The last frames of a live vehicle, to compare with those of another channel; None without such a vehicle."""
         actor = self.vehicles.get(key)
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
+
+    def may_fly(self, key: int) -> bool:
+        """Whether this is a vehicle that may be in the air now (`core.vehicle.supply`)."""
+        actor = self.vehicles.get(key)
+        return actor is not None and may_fly(actor.vehicle, self._loop.time())
 
     def replaced(self, key: int) -> None:
         """Another vehicle has replaced this one, or it has restarted and is heard on another channel."""
@@ -313,17 +400,13 @@ class Fleet:
         ]
 
     def companion_of(self, actor: VehicleActor) -> dict[str, Any] | None:
-        """The computer on a vehicle, as `VehicleState.companion`: from the fleet file, or heard by MAVLink."""
-        name = self._companion_names.get(actor.name)
+        """The computer on a vehicle as it is heard by MAVLink (`VehicleState.companion`); None: it is not heard. An
+        extension that knows more of it fills in the rest."""
         heard_at = self.components.onboard_computer_heard_at(actor.sysid)
-        if name is None and heard_at is None:
+        if heard_at is None:
             return None
-        link = self.companions.get(actor.name)
-        return {
-            "name": name,
-            **(dict.fromkeys(("link", "since_s", "error", "version")) if link is None else link.summary()),
-            "age_s": None if heard_at is None else round(self._loop.time() - heard_at, 2),
-        }
+        unknown = dict.fromkeys(("name", "link", "since_s", "error", "version"))
+        return {**unknown, "age_s": round(self._loop.time() - heard_at, 2)}
 
     def forget(self, expression: str | int | Sequence[str | int], *, force: bool = False) -> dict[str, Outcome]:
         """Forget vehicles that are gone: "all" does not include them any more, and a new heartbeat adds them again.
@@ -342,6 +425,8 @@ class Fleet:
             refusal = f"it was heard {ago} ago; {orders.FORCE_HINT}: its next heartbeat adds it again"
         elif actor.vehicle.armed and silence_s < MAYBE_FLYING_S:
             refusal = f"it was lost armed {ago} ago and may still fly; {orders.FORCE_HINT}"
+        if (locked := self.locks.refusal(Forgetting(actor.vehicle.key))) is not None:
+            return actor.refuse("forget", locked)
         if refusal is not None and not force:
             return actor.refuse("forget", refusal)
         self._drop(actor.vehicle.key)
@@ -398,25 +483,38 @@ class Fleet:
         self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
 
     async def push_origin(
-        self, expression: str | int | Sequence[str | int], *, home: bool = False, force: bool = False
+        self,
+        expression: str | int | Sequence[str | int],
+        *,
+        home: bool = False,
+        force: bool = False,
+        reports: Reports | None = None,
     ) -> dict[str, Outcome]:
         """Send the origin to each vehicle; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
         if self.origin is None:
             raise RefusedError("there is no origin to send; set one first")
-        return await self.command_all(expression, VehicleActor.push_origin, self.origin, home=home, force=force)
+        order = VehicleActor.push_origin
+        return await self.command_all(expression, order, self.origin, reports=reports, home=home, force=force)
 
     async def command_all(
-        self, expression: str | int | Sequence[str | int], order: Order, /, *args: Any, **arguments: Any
+        self,
+        expression: str | int | Sequence[str | int],
+        order: Order,
+        /,
+        *args: Any,
+        reports: Reports | None = None,
+        **arguments: Any,
     ) -> dict[str, Outcome]:
         """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
 
         Raises TargetError before anything is sent. An order to all vehicles that fits in one frame is broadcast; each
         vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
-        cancelled, the orders of `KEPT` go on, all others end. Raises RefusedError for a stop, or a disarming of a
-        duplicate system id, without the confirmation it needs (``confirm``, see `core.vehicle.stop`).
+        cancelled, the orders of `CARRIED_ON` go on, all others end. Raises RefusedError for a stop, or a disarming of a
+        duplicate system id, without the confirmation it needs (``confirm``, see `core.vehicle.stop`). ``reports`` gets
+        each vehicle's outcome when it comes.
         """
         name = order.__name__
-        if self._ending and order not in KEPT:
+        if self._ending and order not in CARRIED_ON:
             raise RefusedError("skygcs is shutting down: it takes no further orders but land, rtl, hold, stop, disarm")
         vehicles = [] if order in COMPONENT_ORDERS else self.resolve(expression)
         actors: list[Actor] = [*vehicles] or self.resolve_any(expression)
@@ -424,8 +522,8 @@ class Fleet:
             action = arguments["action"] if order is VehicleActor.stop else "disarm"
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
-        work = self._command(actors, order, args, arguments)
-        if order not in KEPT or len(self._kept) >= MAX_KEPT:
+        work = self._command(actors, order, args, arguments, reports or Unreported())
+        if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await work
         return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
 
@@ -480,6 +578,11 @@ class Fleet:
         """The vehicles that are controlled by setpoints, or about to be."""
         return [actor for actor in self.vehicles.values() if actor.offboard.controller.active]
 
+    def link_loss_refusal(self, link: str) -> str | None:
+        """Why this link must not be closed now: a flight needs it; None if it may."""
+        alone = (key for key, actor in self.vehicles.items() if self._links.links_to(actor.vehicle) == {link})
+        return self.locks.refusal(LinkLoss(link, frozenset(alone)))
+
     def next_control_tick(self) -> float:
         """When the next control tick of any vehicle is due, in loop time; in the past: one is late; inf: none."""
         return min((clock.due for clock in self._services.running_clocks), default=math.inf)
@@ -489,17 +592,34 @@ class Fleet:
         return [actor.vehicle for actor in self.vehicles.values() if actor.offboard.sends_setpoints]
 
     async def _command(
-        self, actors: list[Actor], order: Order, args: tuple[Any, ...], arguments: dict[str, Any]
+        self,
+        actors: list[Actor],
+        order: Order,
+        args: tuple[Any, ...],
+        arguments: dict[str, Any],
+        reports: Reports,
     ) -> dict[str, Outcome]:
+        reports.begun([actor.name for actor in actors])
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
+        climbing = await self._takeoffs_ended(vehicles, arguments) if order is VehicleActor.goto else {}
         own_arguments, staying, places = (
-            self._going(vehicles, arguments) if order is VehicleActor.goto else ({}, {}, {})
+            self._going([actor for actor in vehicles if actor not in climbing], arguments)
+            if order is VehicleActor.goto
+            else ({}, {}, {})
         )
-        refusals: dict[Actor, str] = dict(staying.items())
+        refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
         for actor in actors if order is not VehicleActor.stop else ():
             if (why := self._links.authority_refusal(actor.sysid)) is not None:
                 refusals[actor] = why
-        broadcast = self._broadcast_command(vehicles, order)
+        waiting = await self._returns(vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
+        free = [actor for actor in vehicles if actor not in refusals]
+        refusals.update((await self._mission_refusals(free, order, arguments)).items())
+        refused = {
+            actor.name: _shaped(order, actor.refuse(order.__name__, reason)) for actor, reason in refusals.items()
+        }
+        for name, outcome in refused.items():
+            reports.ended(name, outcome)
+        broadcast = None if waiting else self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
@@ -508,7 +628,12 @@ class Fleet:
                     if actor in refusals:
                         continue
                     own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
-                    call = self._guarded(actor, order, args, {**arguments, **own})
+                    if isinstance(actor, VehicleActor) and actor in waiting:
+                        work = self._guarded(actor, order, self.returns.wait, (waiting[actor],), {})
+                    else:
+                        method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
+                        work = self._guarded(actor, order, method, args, {**arguments, **own})
+                    call = _reported(reports, actor.name, work)
                     tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
@@ -516,17 +641,16 @@ class Fleet:
         finally:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
+            self.returns.run()
             for actor in places:
                 self.monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
-        refused = {
-            actor.name: _shaped(order, actor.refuse(order.__name__, reason)) for actor, reason in refusals.items()
-        }
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
-    async def _guarded(self, actor: Actor, order: Order, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
-        """Contain an internal fault in the order to one vehicle."""
+    async def _guarded(
+        self, actor: Actor, order: Order, method: Order, args: tuple[Any, ...], arguments: dict[str, Any]
+    ) -> Outcome:
+        """Contain an internal fault in the order to one vehicle. ``method``: what carries it out."""
         try:
-            method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
             outcome: Outcome = await method(actor, *args, **arguments)
         except Exception as error:
             self._on_event(
@@ -535,6 +659,49 @@ class Fleet:
             failed: Outcome = _shaped(order, Outcome(False, "failed", f"failed inside skygcs: {error!r}"))
             return failed
         return outcome
+
+    async def _mission_refusals(
+        self, actors: list[VehicleActor], order: Order, arguments: Mapping[str, Any]
+    ) -> dict[VehicleActor, str]:
+        """Why missions are not begun or gone on with, by whatever order, unless ``force``: they lead too near each
+        other, or to others that fly."""
+        now, starting = self._loop.time(), dict[VehicleActor, int]()
+        for actor in actors:
+            first = mission_orders.flown_from(actor.vehicle, now, order.__name__, arguments)
+            if first is not None and actor.vehicle.connected and not actor.vehicle.replayed:
+                starting[actor] = first
+        others = [a for a in self.vehicles.values() if a not in starting and is_flying(a.vehicle, now)]
+        if arguments.get("force") or self.monitor.mode == "off" or not starting or len(starting) + len(others) < 2:
+            return {}
+        read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
+        known = {
+            a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None
+        }
+        text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
+        unread = {actor: text for actor in starting if actor not in known}
+        return {**unread, **await self.monitor.mission_refusals(known)}
+
+    async def _returns(
+        self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
+    ) -> dict[VehicleActor, str]:
+        """Before the order to return: who has to wait, and for whom. A single vehicle never has to."""
+        at_end = arguments.pop("at_end", "hold")
+        returning = [actor for actor in actors if actor not in refusals]
+        return await self.returns.begin(returning, at_end=at_end) if len(returning) > 1 else {}
+
+    async def _takeoffs_ended(
+        self, actors: list[VehicleActor], arguments: Mapping[str, Any]
+    ) -> dict[VehicleActor, str]:
+        """Before a goto: wait until no take-off of these vehicles is under way, unless ``force``, so that they leave
+        together from where they will be; returns why some do not go."""
+        waiting = {actor: why for actor in actors if (why := actor.takeoffs.under_way()) is not None}
+        if arguments.get("force") or not waiting:
+            return {}
+        for actor, why in waiting.items():
+            text, data = f"goto: waits until its take-off has ended: {why}", {"order": "goto", "result": "in_progress"}
+            self._on_event(Event("command", actor.name, actor.sysid, text, data))
+        ends = await asyncio.gather(*(actor.takeoffs.ended() for actor in waiting))
+        return {actor: why for actor, why in zip(waiting, ends, strict=True) if why is not None}
 
     def _going(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
@@ -627,8 +794,8 @@ class Fleet:
             if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
                 return None
             specs.add(plan.steps[0].command)
-        if len(specs) != 1:
-            return None
+        if len(specs) != 1 or not HARMLESS_COMMANDS.issuperset(spec.command for spec in specs):
+            return None  # a mode has another meaning to the next vehicle
         broadcast = BroadcastCommand(specs.pop())
         for actor in hearers:
             actor.commands.expect_broadcast(broadcast)
@@ -639,8 +806,22 @@ class Fleet:
         info = self._dialect.by_name[broadcast.spec.message]
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
+    def _refuse_own_ids(self, frame: Frame, channel_label: str, now: float) -> None:
+        """An autopilot has our own ids: it would take our orders for its own words, and we its for ours."""
+        self.refused_vehicles += 1
+        if now - self._own_ids_at >= OWN_IDS_AGAIN_S:
+            self._own_ids_at = now
+            text = (
+                f"an autopilot on {channel_label} has our own ids {frame.sysid}/{frame.compid}: it is no vehicle here; "
+                "give it another system id, or set daemon.sysid"
+            )
+            self._on_event(Event("conflict", None, frame.sysid, text, {"link": channel_label}))
+
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
-        # check the limits
+        # check the ids and the limits
+        if key == self._own_key:
+            self._refuse_own_ids(frame, channel_label, now)
+            return
         if not self._has_place(frame.sysid, channel_label):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
@@ -653,30 +834,10 @@ class Fleet:
                 self._on_event(Event("conflict", None, frame.sysid, text, data))
             return
         self._replace_expected(frame, channel_label, now)
-        # the vehicle and its actor
-        config = self._config_of(frame.sysid, frame.compid)
-        vehicle = Vehicle(
-            frame.sysid,
-            frame.compid,
-            self._dialect,
-            name=config.name,
-            groups=config.groups,
-            timeout_s=self.config.daemon.vehicle_timeout_s,
-            decoder=self._decoder,
-            replayed=self._links.is_replayed(key),
-        )
-        vehicle.system = lambda now: self._system(frame.sysid, now)
-        vehicle.other_texts = lambda: self._other_texts(key)
-        vehicle.duplicates = self._duplicates
-        configured = config.named if self.config.vehicles else None
-        actor = VehicleActor(vehicle, config, self._services, configured=configured)
-        # into the tables, then its first frame
-        self.components.forget(key)
-        self.vehicles[key] = actor
-        self._of_system.setdefault(frame.sysid, set()).add(key)
-        self._met_on[key] = channel_label
-        self._links.forget_flows()
-        self.world.join(actor)
+        unknown = "nobody knows who, as the journal cannot be read," if now < self._unknown_until else None
+        flown_before = self._owed.pop(frame.sysid << 8 | frame.compid, unknown)
+        actor = self._add(frame.sysid, frame.compid, channel_label, flown_before)
+        config, vehicle = actor.config, actor.vehicle
         actor.on_frame(frame, channel_label, now)
         # report it
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type)
@@ -687,6 +848,105 @@ class Fleet:
             text = f"the fleet file says {config.autopilot}, its heartbeat says {vehicle.family}"
             data = {"expected": config.autopilot, "autopilot": vehicle.family}
             self._on_event(Event("conflict", config.name, frame.sysid, text, data))
+
+    def _add(self, sysid: int, compid: int, link: str, flown_before: str | None = None) -> VehicleActor:
+        """Make a vehicle and its actor, and put them into the tables."""
+        key = sysid << 8 | compid
+        config = self._config_of(sysid, compid)
+        vehicle = Vehicle(
+            sysid,
+            compid,
+            self._dialect,
+            name=config.name,
+            groups=config.groups,
+            timeout_s=self.config.daemon.vehicle_timeout_s,
+            decoder=self._decoder,
+            replayed=self._links.is_replayed(key),
+        )
+        vehicle.transmitter = config.preflight.transmitter
+        vehicle.system = lambda now: self._system(sysid, now)
+        vehicle.other_texts = lambda: self._other_texts(key)
+        vehicle.duplicates = self._duplicates
+        configured = config.named if self.config.vehicles else None
+        actor = VehicleActor(vehicle, config, self._services, configured=configured, flown_before=flown_before)
+        # into the tables
+        self.components.forget(key)
+        self.vehicles[key] = actor
+        self._of_system.setdefault(sysid, set()).add(key)
+        self._met_on[key] = link
+        self._links.forget_flows()
+        self.world.join(actor)
+        return actor
+
+    def recall(self) -> None:
+        """Take what flew from the journal of the daemon before: one that was in the air counts as lost there until it
+        is heard, and one that our setpoints flew is held then."""
+        self._recall(self.flights.recall())
+        if self.flights.unreadable:
+            self._unknown_until = self._loop.time() + UNKNOWN_S
+
+    def _recall(self, notes: Iterable[FlightNote]) -> None:
+        now, unix_now = self._loop.time(), time.time()
+        for note in notes:
+            self.plans.recalled[note.key] = FlightRecord(note.flown_s, note.dropped_percent)
+            parser = FrameParser(self._dialect)
+            frames = [(f, at) for at, raw in note.frames for f in parser.feed_datagram(raw) if f.info is not None]
+            heard_at = max((at for frame, at in frames if frame.msgid == HEARTBEAT), default=-math.inf)
+            # a clock that was set back meanwhile, as on a computer without a battery for it, makes no note too old
+            if not note.in_air or note.key in self.vehicles or not unix_now - heard_at < MAYBE_FLYING_S:
+                continue
+            actor = self._add(note.sysid, note.compid, "", note.flown_by and f"{note.flown_by} before a restart")
+            actor.vehicle.recall((frame, now - max(0.0, unix_now - at)) for frame, at in frames)
+            self._recalled[note.key] = now + self.config.daemon.vehicle_timeout_s
+
+    def _report_recalled(self, now: float) -> None:
+        """Report vehicles of the journal that were not heard meanwhile."""
+        for key, due in list(self._recalled.items()):
+            actor = self.vehicles.get(key)
+            if actor is None or actor.vehicle.connected or now >= due:
+                del self._recalled[key]
+                if actor is not None and not actor.vehicle.connected:
+                    text = f"{lost_place(actor.vehicle, now)}; it was flying before skygcs was restarted"
+                    self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"in_air": True}))
+
+    def _note_flights(self, now: float) -> None:
+        """Note in the journal what flies."""
+        actors = [a for a in self.vehicles.values() if not a.vehicle.replayed]
+        states = tuple((a.vehicle.key, is_flying(a.vehicle, now), a.unattended.watch.owed_to) for a in actors)
+        if not self.flights.due(states, now, flying=any(flying for _, flying, _ in states)):
+            return
+        self.flights.note(self._notes(now, time.time() - now), states, now)
+
+    def _notes(self, now: float, to_unix_s: float) -> list[FlightNote]:
+        """What flies, or has flown. ``to_unix_s``: from the loop's clock to Unix time."""
+        notes = []
+        for actor in (a for a in self.vehicles.values() if not a.vehicle.replayed):
+            flying, flown_by = is_flying(actor.vehicle, now), actor.unattended.watch.owed_to
+            vehicle, (flown_s, dropped) = actor.vehicle, self.plans.record(actor).consumption
+            frames = tuple((at + to_unix_s, f.raw) for f, at in vehicle.last_frames(KEPT_MESSAGES))
+            if flying or flown_s > 0.0:
+                notes.append(
+                    FlightNote(vehicle.sysid, vehicle.compid, vehicle.name, flying, flown_by, frames, flown_s, dropped)
+                )
+        return notes
+
+    def _woke(self, slept_s: float) -> None:
+        """The computer slept, and the loop's clock with it: what was known of vehicles is forgotten, as by a restart.
+        Flights under our control end; what flew is looked for, and held when it is heard."""
+        now = self._loop.time()
+        text = (
+            f"this computer slept for {slept_s:.0f} s: control has ended, nothing that was known of vehicles counts; "
+            "a ground station must not sleep (systemd-inhibit, or the settings of its power)"
+        )
+        self._on_event(Event("warning", None, None, text, {"slept_s": round(slept_s, 1)}))
+        notes = self._notes(now, time.time() - now - slept_s)
+        for key in list(self.vehicles):
+            self._drop(key)
+        for component in list(self.components.all()):
+            self.components.forget(component.sysid << 8 | component.compid)
+        self._recall(notes)
+        for listener in self.on_woke:
+            listener(slept_s)
 
     def _first(self, sysid: int) -> VehicleActor | None:
         """The vehicle of a system: its autopilot with the lowest component id."""
@@ -727,8 +987,8 @@ class Fleet:
         return len(self.vehicles) < MAX_VEHICLES or self._drop_lost(unnamed)
 
     def _drop_lost(self, keys: list[int]) -> bool:
-        """Forget one lost vehicle of these, a disarmed one before an armed one. False if all are heard."""
-        lost = [key for key in keys if not self.vehicles[key].vehicle.connected]
+        """Forget one lost vehicle of these, a disarmed one before an armed one. False if all are heard, or may fly."""
+        lost = [key for key in keys if not self.vehicles[key].vehicle.connected and not self.may_fly(key)]
         if not lost:
             return False
         actor = self._drop(min(lost, key=lambda key: bool(self.vehicles[key].vehicle.armed)))
@@ -758,6 +1018,9 @@ class Fleet:
 
     def _drop(self, key: int) -> VehicleActor:
         actor = self.vehicles.pop(key)
+        owed_to = actor.unattended.watch.owed_to
+        if owed_to is not None and may_fly(actor.vehicle, self._loop.time()) and len(self._owed) < MAX_VEHICLES:
+            self._owed[key] = owed_to
         self._of_system[key >> 8].discard(key)
         del self._met_on[key]
         actor.close()
@@ -773,6 +1036,13 @@ class Fleet:
         return config
 
 
+async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Outcome:
+    """Await the outcome of an order to one vehicle, and report it."""
+    outcome = await work
+    reports.ended(name, outcome)
+    return outcome
+
+
 def _shaped(order: Order, outcome: Outcome) -> Any:
     """An outcome that the order itself did not make, with the keys of those that it makes."""
     if order in (VehicleActor.set_fence, VehicleActor.read_fence, VehicleActor.test_fence):
@@ -782,12 +1052,6 @@ def _shaped(order: Order, outcome: Outcome) -> Any:
 
         return LogsOutcome.without_logs(outcome)
     return outcome
-
-
-def _companion_names(config: FleetConfig) -> dict[str, str]:
-    """By vehicle."""
-    computers = config.companions
-    return {} if computers is None else {computers.vehicle_of(name): name for name in computers.entries}
 
 
 def _origin(config: FleetConfig) -> Origin | None:

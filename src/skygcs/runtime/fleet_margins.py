@@ -3,9 +3,12 @@ and from measurements."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.separation import DOWNWASH_RATIO
 from skygcs.core.trajectory.piecewise import MAX_POSITION_M, Vector
@@ -68,3 +71,28 @@ def place(actor: VehicleActor, now: float, *, fresh: bool) -> Vector | None:
         return None
     east, north, up = found
     return (east, north, up) if all(abs(value) <= MAX_POSITION_M for value in found) else None
+
+
+def control_space(actors: Iterable[VehicleActor], origin: Origin, rule: MarginRule) -> FlightSpace:
+    """Where the control fences of all these vehicles allow a plan: a certificate in it passes the fence's check of a
+    flight. That asks each path to be `margin_m` inside, and a certificate its part of the margin inside of these walls,
+    so the walls are moved by the difference."""
+    frame = EnuFrame(origin)
+    low, high, top_m = [-math.inf, -math.inf], [math.inf, math.inf], math.inf
+    for actor in actors:
+        fence = actor.config.control.fence_at(origin)
+        less_m = fence.margin_m - rule.half_m(actor.name)
+        local = EnuFrame(fence.origin)
+        corners = [
+            frame.from_geodetic(*local.to_geodetic(x, y, up)) for x in fence.x_m for y in fence.y_m for up in fence.up_m
+        ]
+        # of each wall the corner farther in: a fence about another origin stands a little turned and tilted
+        for axis in (0, 1):
+            values = sorted(corner[axis] for corner in corners)
+            low[axis] = max(low[axis], values[3] + less_m)
+            high[axis] = min(high[axis], values[4] - less_m)
+        top_m = min(top_m, sorted(corner[2] for corner in corners)[4] - less_m)
+    if math.isinf(top_m) or low[0] >= high[0] or low[1] >= high[1]:
+        return FlightSpace()
+    walls = ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
+    return FlightSpace(walls, None, top_m)

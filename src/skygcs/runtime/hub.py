@@ -23,15 +23,19 @@ from skygcs.core.routing.authority import NO_TARGET, AuthorityGate, target_of
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.sysid_translation import SysidTranslator
+from skygcs.core.vehicle.gate import Clearance, is_exempt, standing
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.links.fast_path import new_table
 from skygcs.links.outgoing import Outgoing, OwnMessage
+from skygcs.links.reading import ReadingTurns
 from skygcs.runtime.channel_statistics import ChannelStatistics
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.flows import Flows
 from skygcs.runtime.frame_observers import FrameObservers
 from skygcs.runtime.loop_clock import boot_clock
+from skygcs.runtime.outgoing_gate import OutgoingGate
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing
@@ -76,6 +80,7 @@ class Hub:
         """``recorder`` gets every accepted frame and every message of ours. ``authority``: the gate of vehicles that
         other sites may command; None: there are none."""
         own = config.daemon
+        self.reading = ReadingTurns()
         self.fast_path: Table | None = new_table(dialect, recording=recorder is not None)
         self.router = Router(
             own.sysid,
@@ -111,13 +116,12 @@ class Hub:
         self._own = (own.sysid, own.compid)
         self._fleet: Fleet | None = None
         self._reports: RouteReports | None = None
-        self._recorder = recorder
         self._record = None if recorder is None else recorder.offer
         self._signing = signing
+        self.gate = OutgoingGate(loop.time, on_event)
         self.authority = authority
         self.authority_clock = boot_clock(loop)
-        """The clock of grants. The loop's own will not do: uvloop reads it once a turn, and a process that is stopped
-        within one goes on with the old time."""
+        """The clock of grants. uvloop reads the loop's own once a turn: too old in a process that was stopped."""
         self._on_event = on_event
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
@@ -130,6 +134,7 @@ class Hub:
         self._fleet = self.flows.fleet = fleet
         if fleet is not None:
             self.router.known = fleet.known
+            self.router.may_fly = fleet.may_fly
             self.router.on_replaced = fleet.replaced
             self.router.on_switched = self._on_switched
 
@@ -393,6 +398,10 @@ class Hub:
         """True if an autopilot is heard on this channel."""
         return bool(self.router.autopilots_on(channel.id))
 
+    def leads_to_flying(self, channel: Channel) -> bool:
+        """True if this channel is the last way to a vehicle that may be in the air: it is not given up."""
+        return self.router.leads_to_flying(channel.id)
+
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
         """True if an unknown peer that sends these frames may be admitted; see `Signing.vouches_for`."""
         return self._signing is None or config.signing is None or self._signing.vouches_for(config.name, frames)
@@ -414,13 +423,13 @@ class Hub:
         *,
         everywhere: bool = False,
         key: Hashable | None = None,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
-        ``everywhere``: on every channel on which it was heard, as for emergencies. ``exempt``: it is of vehicles.stop,
-        which needs no authority. False if that id was not heard lately, another site commands it, or every link
-        refused. Raises ValueError as `pack` does.
+        ``everywhere``: on every channel on which it was heard, as for emergencies. ``clearance``: of the outgoing gate
+        (`OutgoingGate.passes`); that of vehicles.stop needs no authority. False if that id was not heard lately, the
+        gate keeps it back, another site commands it, or every link refused. Raises ValueError as `pack` does.
         """
         ids = self.channels_to(
             sysid,
@@ -428,9 +437,37 @@ class Hub:
             everywhere=everywhere or priority is Priority.EMERGENCY,
             setpoint=priority is Priority.SETPOINT,
         )
-        message = OwnMessage(info, info.pack(values), *self._own)
-        message.to_system, message.exempt = sysid, exempt
+        message = self._own_message(info, values, sysid, ids, clearance)
+        if message is None:
+            return False
         return self._send_on(ids, message, priority, key)
+
+    def _own_message(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        ids: tuple[int, ...],
+        clearance: Clearance | None,
+    ) -> OwnMessage | None:
+        """A message of ours to a system (0: to those on these channels); None if the outgoing gate keeps it back. The
+        only place that makes one."""
+        if not self.gate.passes(info.name, values, clearance, lambda: self._reached(sysid, ids)):
+            return None
+        message = OwnMessage(info, info.pack(values), *self._own)
+        message.to_system, message.exempt = sysid, is_exempt(clearance)
+        return message
+
+    def _reached(self, sysid: int, ids: tuple[int, ...]) -> list[Vehicle]:
+        """The live vehicles that will accept a message to this system, or, with 0, to these channels."""
+        if self._fleet is None:
+            return []
+        if sysid:
+            return [vehicle for vehicle in self._fleet.vehicles_of(sysid) if not vehicle.replayed]
+        on = set(ids)
+        actors = self._fleet.vehicles.values()
+        vehicles = (actor.vehicle for actor in actors if on.intersection(self.router.channels_of(actor.vehicle.key)))
+        return [vehicle for vehicle in vehicles if not vehicle.replayed]
 
     def channels_to(
         self, sysid: int, compid: int, *, everywhere: bool = False, setpoint: bool = False
@@ -444,8 +481,10 @@ class Hub:
     def send_heartbeat(self, info: MessageInfo, values: Mapping[str, Any]) -> None:
         """Send our heartbeat on every channel that is not bound to vehicles, whatever its role; a channel that opens
         later gets the newest one at once."""
-        message = self._heartbeat = OwnMessage(info, info.pack(values), *self._own)
-        self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
+        ids = tuple(self.channels)
+        message = self._heartbeat = self._own_message(info, values, 0, ids, standing("heartbeat"))
+        if message is not None:
+            self._send_on(ids, message, Priority.HEARTBEAT, "heartbeat")
 
     def send_on(
         self,
@@ -454,9 +493,14 @@ class Hub:
         values: Mapping[str, Any],
         priority: Priority,
         key: Hashable | None = None,
+        *,
+        clearance: Clearance | None = None,
     ) -> bool:
-        """Send a message of ours to exactly these channels, except bound ones; False if none took it."""
-        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
+        """Send a message of ours to exactly these channels, except bound ones; False if none took it. ``clearance``
+        as for `send`."""
+        channels = tuple(ids)
+        message = self._own_message(info, values, _target_in(info, values), channels, clearance)
+        return message is not None and self._send_on(channels, message, priority, key)
 
     def channels_of_link(self, link: str) -> tuple[int, ...]:
         """Ids of a link's open channels."""
@@ -490,9 +534,9 @@ class Hub:
         address = {"target_system": key >> 8, "target_component": key & 0xFF}
         named = {f.name for f in info.fields}
         values = {"ts1": LINK_PROBE} | {name: value for name, value in address.items() if name in named}
-        message = OwnMessage(info, info.pack(values), *self._own)
-        message.to_system = key >> 8
-        self._send_on((channel_id,), message, Priority.COMMAND, None)
+        message = self._own_message(info, values, key >> 8, (channel_id,), None)
+        if message is not None:
+            self._send_on((channel_id,), message, Priority.COMMAND, None)
 
     def _on_switched(self, key: int, channel_id: int) -> None:
         """Another channel leads to this vehicle: what waits on the others must not come after what is sent there."""
@@ -536,3 +580,10 @@ class Hub:
         if kind not in self._fault_kinds and len(self._fault_kinds) < 64:
             self._fault_kinds.add(kind)
             self._on_event(Event("fault", None, None, f"internal fault, please report it: {kind}", {}))
+
+
+def _target_in(info: MessageInfo, values: Mapping[str, Any]) -> int:
+    """The target system that a message names; 0 for all, and for a message without such a field."""
+    at = info.target_system_offset
+    name = next((field.name for field in info.fields if field.offset == at), None)
+    return int(values.get(name, 0) or 0) if name is not None else 0

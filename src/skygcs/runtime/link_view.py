@@ -11,7 +11,14 @@ from skygcs.core.mavlink.header import SIGNATURE_BYTES
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.preflight.losses import LossWindow
-from skygcs.core.radio_link.capacity import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
+from skygcs.core.radio_link.capacity import (
+    FRAME_BYTES,
+    HALF_DUPLEX_SHARE,
+    OFFBOARD_LOSS_S,
+    OFFBOARD_MIN_HZ,
+    SETPOINT_SHARE,
+    setpoint_bytes_per_s,
+)
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel
 from skygcs.runtime.hub import Hub
@@ -24,18 +31,17 @@ DB_PER_COUNT = 1 / 1.9
 RADIO_FRESH_S = 10.0
 """A radio reports once a second while it hears the other end."""
 
+HEARD_S = 3.0
+"""Three heartbeats: a link over which a vehicle was not heard for so long does not carry it."""
+
 UNKNOWN = 255
 """UINT8_MAX: invalid or unknown (common.xml)."""
 
-SETPOINT_SHARE = 0.25
+SERIAL_SHARE = HALF_DUPLEX_SHARE * SETPOINT_SHARE
 """Share of a serial link's bytes per second for the setpoints of all vehicles behind it. A half-duplex radio shares the
 air between both directions: half of it is used by the fleet's telemetry (field-notes 10.2), the rest by commands and
 ground stations. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, or 25 beside five pings, for one
 vehicle or several together."""
-
-BUDGET_SHARE = 0.5
-"""Share of a radio's uplink if that is known from its timeslots or its own reports. Without them `SETPOINT_SHARE` gives
-the same rate, because the uplink is half of the serial rate."""
 
 SIGNED_SHARE = FRAME_BYTES["SET_ATTITUDE_TARGET"] / (FRAME_BYTES["SET_ATTITUDE_TARGET"] + SIGNATURE_BYTES)
 """Share left for the frame itself if each frame carries a signature."""
@@ -109,8 +115,8 @@ class LinkView:
         self._hub = hub
         self._links = links
         self._watch = watch
-        self.pose_bytes_per_s: Callable[[int], float] = lambda channel_id: 0.0
-        """What poses of motion capture take of a channel; setpoints share the rest."""
+        self.taken_bytes_per_s: Callable[[int], float] = lambda channel_id: 0.0
+        """What extensions send on a channel; setpoints share the rest."""
 
     def facts(self, key: int, now: float) -> dict[str, LinkFacts]:
         """See `LinkWatch.of`."""
@@ -123,6 +129,13 @@ class LinkView:
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         """See `Hub.channels_to`."""
         return self._hub.channels_to(vehicle.sysid, vehicle.compid)
+
+    def links_to(self, vehicle: Vehicle) -> frozenset[str]:
+        """Names of the links over which this vehicle was heard less than HEARD_S ago."""
+        self._hub.flows.take()
+        since, ids = self._links.now() - HEARD_S, (vehicle.sysid, vehicle.compid)
+        heard = (n for sysid, compid, n, at in self._hub.router.routes() if (sysid, compid) == ids and at >= since)
+        return frozenset(self._hub.channels[n].link.name for n in heard if n in self._hub.channels)
 
     def uplink_lost(self, key: int) -> None:
         """See `Router.uplink_lost`."""
@@ -202,13 +215,13 @@ class LinkView:
             channel = self._hub.channels[channel_id]
             link = channel.link
             if channel.air is not None and channel.air.queue.budget is not None:
-                setpoints = BUDGET_SHARE * max(0.0, channel.air.queue.budget.rate - self.pose_bytes_per_s(channel_id))
+                uplink, share = channel.air.queue.budget.rate, SETPOINT_SHARE
             elif link.bytes_per_s is not None:
-                setpoints = SETPOINT_SHARE * max(0.0, link.bytes_per_s - self.pose_bytes_per_s(channel_id))
+                uplink, share = link.bytes_per_s, SERIAL_SHARE
             else:
                 continue
             if channel.signing is not None:
-                setpoints *= SIGNED_SHARE
+                share *= SIGNED_SHARE
             # a link's rate is shared by all its channels, a radio's budget is the channel's own
             sharing = {channel_id} if channel.air is not None else {channel_id, *(c.id for c in link.channels)}
             others = sum(
@@ -216,5 +229,6 @@ class LinkView:
                 for other in flown()
                 if (other.sysid, other.compid) != ids
             )
-            least = min(least, setpoints / (others + 1))
+            taken = self.taken_bytes_per_s(channel_id)
+            least = min(least, setpoint_bytes_per_s(uplink, taken, others + 1, share))
         return least

@@ -10,7 +10,7 @@ from skygcs.config.checks import added_conflicts, link_warnings
 from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.errors import LinkError, SkygcsError
+from skygcs.errors import LinkError, RefusedError, SkygcsError
 from skygcs.events import Event
 from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
@@ -61,6 +61,12 @@ class LinkTable:
         self._group: asyncio.TaskGroup | None = None
         self._lock = asyncio.Lock()
         self._changes: set[asyncio.Task[None]] = set()
+        self.loss_refusal: Callable[[str], str | None] = lambda name: None
+        """Why a link must not be closed now: a flight needs it. Set by the daemon; None: it may."""
+
+    def now(self) -> float:
+        """The loop's time, by which routes are dated."""
+        return self._loop.time()
 
     def __contains__(self, name: object) -> bool:
         return name in self._entries
@@ -98,11 +104,12 @@ class LinkTable:
         await self._carried_through(lambda: self._add(name, link))
 
     async def change(self, name: str, link: Mapping[str, Any]) -> None:
-        """Replace a link: ``link`` holds the keys that change. On a bad description the old link stays."""
+        """Replace a link: ``link`` holds the keys that change. On a bad description the old link stays. Raises
+        RefusedError where a flight needs it: it is closed meanwhile."""
         await self._carried_through(lambda: self._change(name, link))
 
     async def remove(self, name: str) -> None:
-        """Close a link for good. Raises LinkError if no link has that name."""
+        """Close a link for good. Raises LinkError if no link has that name, RefusedError where a flight needs it."""
         await self._carried_through(lambda: self._remove(name))
 
     async def replace(self, before: Mapping[str, LinkConfig], after: Mapping[str, LinkConfig]) -> list[str]:
@@ -116,13 +123,17 @@ class LinkTable:
         self, before: Mapping[str, LinkConfig], after: Mapping[str, LinkConfig], done: list[str]
     ) -> None:
         gone = [name for name in before if name in self._entries and after.get(name) != before[name]]
-        for name in gone:  # all first: a new link may need the port of an old one
-            await self._remove(name)
+        for name in list(gone):  # all first: a new link may need the port of an old one
+            try:
+                await self._remove(name)
+            except RefusedError as error:
+                gone.remove(name)
+                done.append(f"link {name} stays as it is: {error}")
         for name in gone:
             if name not in after:
                 done.append(f"link {name} removed")
         for name, config in after.items():
-            if before.get(name) == config:
+            if before.get(name) == config or (name in before and name in self._entries):
                 continue
             try:
                 table = config.model_dump(mode="json", exclude_unset=True, exclude={"name"})
@@ -179,15 +190,21 @@ class LinkTable:
         same_type = link.get("type", old.type) == old.type
         kept = {**old.model_dump(mode="json", exclude_unset=True), "type": old.type} if same_type else {}
         config = self._checked(name, {**kept, **link})
+        self._require_unneeded(name)
         await self._leave(name)
         self._enter(name, config)
         self._warn({name: config})
 
     async def _remove(self, name: str) -> None:
         self.require(name)
+        self._require_unneeded(name)
         await self._leave(name)
         self._signing.forget(name)
         del self._entries[name]
+
+    def _require_unneeded(self, name: str) -> None:
+        if (why := self.loss_refusal(name)) is not None:
+            raise RefusedError(why)
 
     def _checked(self, name: str, table: Mapping[str, Any]) -> LinkConfig:
         config = parse_link(name, dict(table), self._dialect)

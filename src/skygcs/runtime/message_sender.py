@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
-from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.unguarded import unguarded_message
+from skygcs.core.vehicle.gate import Clearance, clear_message
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -49,14 +49,12 @@ class MessageSender:
         """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or to its own target
         field (0: everyone). Without target, link and target field it goes to every link with vehicles.
 
-        A message that would bypass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
+        What the outgoing gate does not let pass (`core.vehicle.gate`) is refused, most of it unless ``force``.
 
         The answer's "sent" counts transmissions; "note" names other vehicles that hear it, too. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
         """
         info = self._hub.dialect.find(name)
-        if info.msgid == SETUP_SIGNING:
-            raise RefusedError("a signing key is not sent as a message: use signing.setup (skygcs-cli signing setup)")
         system, _ = target_fields(info)
         if target is not None and link is not None:
             raise RefusedError("give either a target or a link, not both")
@@ -71,13 +69,12 @@ class MessageSender:
                 f"{info.name} is addressed: give a target (a vehicle, a group, all), a link, or its field {system} "
                 "(0: everyone)"
             )
-        if not force:
-            self._require_guarded(info, fields, target, link)
+        clearance = self._clear(info, fields, target, link, force=force)
         if link is not None:
-            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
+            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields, clearance)))
         if target is not None:
-            return self._to_vehicles(info, fields, target)
-        return self._to_field(info, fields)
+            return self._to_vehicles(info, fields, target, clearance)
+        return self._to_field(info, fields, clearance)
 
     def _refuse_flown(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None) -> None:
         """Refuse setpoints to a vehicle that skygcs controls: it would follow two streams in turn."""
@@ -90,17 +87,20 @@ class MessageSender:
                     f"{actor.name} is flown by setpoints of skygcs: end that first (control set {actor.name} off)"
                 )
 
-    def _require_guarded(
-        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
-    ) -> None:
-        """Raises RefusedError for a message that would move a vehicle, or stop its motors, without an order's
-        checks."""
-        route = unguarded_message(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
-        if route is None:
-            return
-        refusal = route.refusal(self._reached(info, fields, target, link), self._now())
-        if refusal is not None:
-            raise RefusedError(refusal)
+    def _clear(
+        self,
+        info: MessageInfo,
+        fields: Mapping[str, Any],
+        target: str | list[str] | None,
+        link: str | None,
+        *,
+        force: bool,
+    ) -> Clearance:
+        """The outgoing gate's leave for it. Raises RefusedError."""
+        now = self._now()
+        models = [model_of(vehicle, now) for vehicle in self._reached(info, fields, target, link)]
+        names = self._hub.dialect.enums.get("MAV_CMD", {})
+        return clear_message(models, info.name, fields, names, force=force)
 
     def _reached(
         self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
@@ -123,23 +123,25 @@ class MessageSender:
             actor.vehicle for key, actor in live.items() if channels is None or channels.intersection(heard_on(key))
         ]
 
-    def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
+    def _to_field(self, info: MessageInfo, fields: Mapping[str, Any], clearance: Clearance) -> dict[str, Any]:
         """Send by the message's own target fields; without such fields to all."""
         system, component = target_fields(info)
         sysid = int(fields.get(system, 0) or 0) if system is not None else 0
         compid = int(fields.get(component, 0) or 0) if component is not None else 0
-        sent = self._on(self._hub.channels_to(sysid, compid), info, fields)
+        sent = self._on(self._hub.channels_to(sysid, compid), info, fields, clearance)
         if not sent:
             raise RefusedError(f"{info.name} was not sent: {self._why_not(sysid)}")
         return self._answer(info, int(sent))
 
-    def _to_vehicles(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str]) -> dict[str, Any]:
+    def _to_vehicles(
+        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str], clearance: Clearance
+    ) -> dict[str, Any]:
         meant = [(actor.sysid, actor.compid) for actor in self._fleet.resolve_any(target)]
         system, component = target_fields(info)
         sent = 0
         if system is None:
             channels = dict.fromkeys(route for sysid, compid in meant for route in self._hub.channels_to(sysid, compid))
-            sent = sum(self._on((route,), info, fields) for route in channels)
+            sent = sum(self._on((route,), info, fields, clearance) for route in channels)
             note = self._overheard(info, meant, set(channels))
         else:
             note = None
@@ -150,13 +152,15 @@ class MessageSender:
                 addressed = {**fields, system: sysid}
                 if component is not None:
                     addressed.setdefault(component, compid)
-                sent += self._on(self._hub.channels_to(sysid, compid), info, addressed)
+                sent += self._on(self._hub.channels_to(sysid, compid), info, addressed, clearance)
         if not sent:
             raise RefusedError(f"{info.name} was not sent: {self._why_not(*(sysid for sysid, _ in meant))}")
         return self._answer(info, sent, note)
 
-    def _on(self, channels: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
-        return self._hub.send_on(channels, info, fields, Priority.PROTOCOL)
+    def _on(
+        self, channels: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any], clearance: Clearance
+    ) -> bool:
+        return self._hub.send_on(channels, info, fields, Priority.PROTOCOL, clearance=clearance)
 
     def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], channels: set[int]) -> str | None:
         """Names the other vehicles behind the same channels."""

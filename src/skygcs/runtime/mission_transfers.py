@@ -15,6 +15,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import EVENT as EVENT_ID
 from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
+from skygcs.core.mission.fence_items import FencePlan
 from skygcs.core.mission.firmware_items import Change, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
@@ -25,6 +26,7 @@ from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionOutcome,
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.mission_orders import (
     converted,
     keeps_home,
@@ -42,6 +44,8 @@ from skygcs.events import Event
 from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.order_runner import duplicate_refusal
+
+UPLOAD = standing("mission upload")
 
 NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL",
           "MISSION_ACK")  # fmt: skip
@@ -61,6 +65,8 @@ MAX_CHANGES = 5
 STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
 """MISSION_STATE."""
 
+STATE_TEXTS = {1: "it has no mission", **{state: f"its mission is {STATES[state]}" for state in (2, 3, 4, 5)}}
+
 
 class Missions:
     """One per vehicle. ``on_progress(what, percent)`` gets the progress of transfers; the mission's is
@@ -79,6 +85,8 @@ class Missions:
         """The vehicle's own list ids, as last heard."""
         self.counts: dict[MissionType, int] = {}
         """Number of items in each list as last sent or read, without home."""
+        self.items: tuple[MissionItem, ...] | None = None
+        """The mission on board as last sent or read here; None: not known."""
         self.last: dict[MissionType, MissionOutcome] = {}
         """Outcome of the last transfer of each list."""
         self._vehicle = vehicle
@@ -100,6 +108,8 @@ class Missions:
         self._seq: int | None = None
         self._state = 0
         self._reached: int | None = None
+        self._total: int | None = None
+        """Number of items that it reports, without home; None: it reports none."""
 
     async def upload(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionOutcome:
         """Upload ``items`` as on the wire (`mission_orders.on_wire`); an empty list clears the vehicle's list."""
@@ -158,6 +168,8 @@ class Missions:
         outcome = await self._each(
             kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
         )
+        if MissionType.MISSION in kinds:
+            self.items = plan.mission if outcome.ok else None
         changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
         return replace(outcome, message="; ".join((outcome.message, *_change_texts(changes)))) if changes else outcome
 
@@ -168,6 +180,8 @@ class Missions:
             require_clearable(self._vehicle, self._loop.time(), kinds, force=force)
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
+        if MissionType.MISSION in kinds:
+            self.items = None
         return await self._each(kinds, self.clear)
 
     async def fetch(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
@@ -190,7 +204,24 @@ class Missions:
             require_connected(vehicle, self._loop.time())
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}"), plan
-        return await self._each(_ordered(kinds), one), plan
+        outcome = await self._each(_ordered(kinds), one)
+        if MissionType.MISSION in kinds:
+            self.items = plan.mission if outcome.ok else None
+        return outcome, plan
+
+    async def known_items(self) -> tuple[MissionItem, ...] | None:
+        """The mission on board, read if it is not known, or is not the one that was sent from here; None: it could not
+        be read."""
+        if self.items is None or self._total not in (None, self.counts.get(MissionType.MISSION)):
+            await self.fetch([MissionType.MISSION])
+        return self.items
+
+    async def fence_shapes(self) -> FencePlan | None:
+        """The polygons and circles that it has, downloaded unless it is known to have none; None: not known."""
+        if self.counts.get(MissionType.FENCE) == 0:
+            return FencePlan()
+        outcome, plan = await self.fetch([MissionType.FENCE])
+        return (plan.fence or FencePlan()) if outcome.ok else None
 
     async def _each(
         self, kinds: tuple[MissionType, ...], transfer: Callable[[MissionType], Awaitable[MissionOutcome]]
@@ -301,7 +332,7 @@ class Missions:
     def _apply(self, effects: tuple[Effect, ...]) -> None:
         for effect in effects:
             if isinstance(effect, Send):
-                self._commands.transmit(effect.message, effect.values, Priority.PROTOCOL)
+                self._commands.transmit(effect.message, effect.values, Priority.PROTOCOL, clearance=UPLOAD)
             elif isinstance(effect, Report):
                 self._report(effect.percent)
         if self._running is None:
@@ -343,11 +374,13 @@ class Missions:
         self._current = frame.payload
         fields = frame.fields()
         seq, state = fields["seq"], fields.get("mission_state", 0)
+        total = fields.get("total", 0)  # 0: not sent, 65535: none
+        self._total = None if total in (0, 0xFFFF) else total
         if self._seq is not None and seq != self._seq:
             number = number_of(self._vehicle, seq)
             self._publish("mission", f"goes on with item {number}", {"item": number})
         if state != self._state and self._state and state in STATES:
-            self._publish("mission", f"the mission is {STATES[state]}", {"state": STATES[state]})
+            self._publish("mission", STATE_TEXTS[state], {"state": STATES[state]})
         self._seq, self._state = seq, state
 
     def _on_reached(self, seq: int) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,6 @@ from typing import Any
 from skygcs.config.control import ControlSettings
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.analysis import LEAST_DELAY_S, bearable_delay_s, why_not_delay
-from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, ControlMode
@@ -32,6 +31,8 @@ from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle import offboard_entry, orders
+from skygcs.core.vehicle.flight_lock import FlightLock, Holder
+from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
@@ -39,8 +40,8 @@ from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.core.vehicle.trajectory_flight import (
     LoadedTrajectory,
+    StartTube,
     TrajectoryFlight,
-    TrajectoryLimits,
     distance_refusal,
 )
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -49,7 +50,7 @@ from skygcs.events import Event
 from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.control_streams import ControlStreams
-from skygcs.runtime.order_runner import OrderRunner
+from skygcs.runtime.order_runner import UNHEARD, OrderRunner
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trace_file import Recording
@@ -62,11 +63,10 @@ LEFT_S = 4.0
 """A vehicle that shows the mode of setpoints again within four heartbeats never left it: another program sent the other
 mode with its ids."""
 
-NEW_STREAM_S = 1.0
-"""A client that has sent nothing for so long has noticed that something changed."""
-
 STREAM_BEFORE_S = 1.3
 """Setpoints flow this long before the mode is changed: PX4 requires more than 1 s of them (field-notes 10.5)."""
+
+SETPOINTS = standing("setpoints")
 
 SETTLE_S = 5.0
 """The longest wait for the round trip to be measured and the position to come faster: the delay is judged over 3 s, and
@@ -77,6 +77,10 @@ PAUSE_S = 1.0
 
 MEASURED_PINGS = 4
 """Pings of the burst in the first second, after which the measured round trip is used."""
+
+HAND_OVER_S = 5.0
+"""The longest wait of an engagement for an order in progress: its acknowledgement and its mode in a heartbeat, of which
+two may be lost."""
 
 LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while the command was on its way, the vehicle may still take it: the
@@ -100,7 +104,7 @@ that one order engages do not wait for each other."""
 
 
 class OffboardEngagement:
-    """Flight by setpoints of one vehicle. Every order that moves the vehicle calls `release` before it is executed."""
+    """Flight by setpoints of one vehicle. Every order that moves the vehicle takes over from it (`hand_over`)."""
 
     def __init__(
         self,
@@ -127,16 +131,23 @@ class OffboardEngagement:
         self._settings = settings
         self._commands = commands
         self._orders = order_runner
-        order_runner.before_moving = self.release
+        order_runner.flown_by = self
         self._services = services
         self._loop = services.loop
         self._on_event = services.on_event
-        self._fence: Fence | None = None
+        self.lock: FlightLock | None = None
+        """What the present control was entered with, or the last one; None before the first."""
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Key in the link's queue: a newer setpoint replaces one that still waits."""
-        self._trace = Recording(self.controller, services.log_dir, services.on_event)
+        self._trace = Recording(self.controller, services.log_dir, services.disk, services.on_event)
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
         self._streams = ControlStreams(vehicle, config.streams, order_runner, streams, services, self._tasks)
+        self.on_hold: Callable[[Outcome], None] = lambda outcome: None
+        """Called with the outcome of the order to hold at the end of control."""
+        self.on_begin: Callable[[], None] = lambda: None
+        """Called when the stream of setpoints begins, however short it will be."""
+        self.successor: str | None = None
+        """Why control ends as soon as the order that takes over has taken effect; None: no order takes over."""
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
         self._attitude_delay_s = settings.guard().attitude_delay_s
@@ -145,14 +156,13 @@ class OffboardEngagement:
         """Whether somebody insisted on gains that bear less."""
         self._law_changed = False
         self._hover_thrust_set = False
-        self._followed_at = -math.inf
+        self._closed = False
         self._ended_at = -math.inf
-        self._frozen = False
 
     @property
     def flying(self) -> bool:
-        """True while it flies by our setpoints."""
-        return self.controller.state is OffboardState.FLYING
+        """True while it flies by our setpoints, and no order takes over from them."""
+        return self.controller.state is OffboardState.FLYING and self.successor is None
 
     @property
     def sends_setpoints(self) -> bool:
@@ -174,11 +184,17 @@ class OffboardEngagement:
         try:
             # checks
             await self._mode_of_its_own()
+            await self._handed_over()
             self._check_entry(started)
             if not force and not self.controller.active:
                 self._check_links()
             if control_mode in (ControlMode.ATTITUDE, ControlMode.RAW):
                 await self._check_attitude(force=force)
+            elif not self.controller.active:
+                await self._orders.attempt_in_control(
+                    lambda now: offboard_entry.ask_loss_parameters(self._vehicle, now)
+                )
+            self._warn_of_loss()
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
             # this order is the newest from here on
@@ -216,7 +232,39 @@ class OffboardEngagement:
     def release(self, reason: str) -> None:
         """Send nothing from now on. Idempotent."""
         self._next_turn()
+        self.successor = None
         self._apply(self.controller.release(reason))
+
+    def hand_over(self, reason: str) -> None:
+        """A newer order takes over: hold by setpoints until the vehicle shows another mode, `taken_over` or `keep` is
+        called. A setpoint that arrives after the order is ignored in its mode, or is the place where it stands. An
+        ArduCopter in GUIDED follows already while it is being engaged."""
+        if not self.controller.active or not self._follows_ours():
+            self.release(reason)
+            return
+        self._next_turn()
+        self.successor = reason
+        self.controller.stay()
+
+    def taken_over(self) -> None:
+        """The order has taken effect: control ends. Idempotent."""
+        if self.successor is not None:
+            self.release(self.successor)
+
+    def keep(self, why: str) -> None:
+        """The order has not taken effect: go on holding. Idempotent."""
+        if self.successor is None:
+            return
+        if self.controller.state is OffboardState.ENGAGING:
+            self.release(self.successor)  # who engaged it was told that it ended: the unattended vehicle is held
+            return
+        text = f"control goes on, it holds its position: {self.successor}, but {why}"
+        self.successor = None
+        self._publish("control", text, {"state": "flying"})
+
+    def _follows_ours(self) -> bool:
+        """Whether it flies by our setpoints now, if they come: under control, or engaged in the mode it was in."""
+        return self.controller.state is OffboardState.FLYING or offboard_entry.is_following(self._vehicle)
 
     async def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
         """Move the reference. Refused outside the fence, and unless it flies by setpoints."""
@@ -238,7 +286,7 @@ class OffboardEngagement:
         why = self._own_controller() or self._outside(setpoint.place, setpoint.free_xy, setpoint.free_z)
         if (refusal := why or self._stream_refusal(valid_s)) is not None:
             return Outcome.refused(refusal)
-        now = self._followed_at
+        now = self._loop.time()
         if (why := self.controller.follow(setpoint, now if given_at is None else given_at, now + valid_s)) is not None:
             return Outcome.refused(why)
         return Outcome(True, "accepted", "followed")
@@ -257,54 +305,42 @@ class OffboardEngagement:
             return Outcome.refused(f"raw setpoints are not flown: {'; '.join(controller.reasons)}")
         if (refusal := setpoint.refusal(controller.config.raw) or self._stream_refusal(valid_s)) is not None:
             return Outcome.refused(refusal)
-        if controller.follow_raw(setpoint, self._followed_at + valid_s) and self.clock.running:
+        if controller.follow_raw(setpoint, self._loop.time() + valid_s) and self.clock.running:
             self.clock.stop()  # the next tick of a position hold would come too late for the first one
             self.clock.start()
         return Outcome(True, "accepted", "followed")
 
     async def prepare(self, loaded: LoadedTrajectory) -> str | None:
-        """Nothing is to be sent anywhere before a start; see `CompanionControl.prepare`."""
+        """Nothing is to be sent anywhere before a start; see `FlightElsewhere.prepare`."""
         return None
 
     @property
     def lead_s(self) -> float:
-        """An order to a clock takes effect at once; see `CompanionControl.lead_s`."""
+        """An order to a clock takes effect at once; see `FlightElsewhere.lead_s`."""
         return 0.0
 
-    def trajectory_refusal(self, loaded: LoadedTrajectory, speed_factor: float, *, placed: bool = False) -> str | None:
-        """Why it cannot begin this trajectory now; None if it can. ``placed``: the caller knows it is at its begin."""
-        controller, origin, now = self.controller, self._vehicle.origin, self._loop.time()
-        if not self.flying or controller.frame is None or origin is None or self._fence is None:
+    def trajectory_refusal(
+        self, loaded: LoadedTrajectory, speed_factor: float, lock: FlightLock, tube: StartTube | None = None
+    ) -> str | None:
+        """Why it cannot begin this trajectory now; None if it can. ``lock``: of the flight that it is a part of;
+        ``tube``: how far from its begin it may be."""
+        controller, now = self.controller, self._loop.time()
+        if not self.flying or controller.frame is None:
             return self._not_flying().message.removeprefix("refused: ")
         if (why := self._own_controller()) is not None:
             return why
         if controller.flight is not None:
             return f"it follows {controller.flight.loaded.name} already: abort that first"
-        limits = self.trajectory_limits()
-        first = controller.frame.from_geodetic(*EnuFrame(origin).to_geodetic(*loaded.trajectory.start_enu_m))
-        return (
-            (None if placed else distance_refusal(controller.here(now), first, limits))
-            or loaded.why_not(limits, speed_factor)
-            or loaded.outside(origin, self._fence)
-        )
+        first = controller.frame.from_geodetic(*EnuFrame(lock.origin).to_geodetic(*loaded.trajectory.start_enu_m))
+        limits = lock.member(self._vehicle.name).limits
+        away = distance_refusal(controller.here(now), first, limits, tube)
+        return away or lock.path_refusal(self._vehicle.name, loaded, speed_factor)
 
-    def path_refusal(self, loaded: LoadedTrajectory, speed_factor: float) -> str | None:
-        """Why it may not be sent along this trajectory at all, wherever it is now; None if it may."""
-        origin = self._vehicle.origin
-        if origin is None:
-            return "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
-        fence = _shared(self._settings.fence_at(origin))
-        return loaded.why_not(self.trajectory_limits(), speed_factor) or loaded.outside(origin, fence)
-
-    def trajectory_limits(self) -> TrajectoryLimits:
-        """What it may be sent along."""
-        return self._settings.trajectory_limits()
-
-    def follow_trajectory(self, loaded: LoadedTrajectory, clock: TrajectoryClock) -> TrajectoryFlight:
-        """Follow a trajectory that `trajectory_refusal` accepted."""
-        frame, origin = self.controller.frame, self._vehicle.origin
-        assert frame is not None and origin is not None
-        flight = TrajectoryFlight(loaded, clock, origin, frame)
+    def follow_trajectory(self, loaded: LoadedTrajectory, clock: TrajectoryClock, lock: FlightLock) -> TrajectoryFlight:
+        """Follow a trajectory that `trajectory_refusal` accepted, along the axes of the lock's origin."""
+        frame = self.controller.frame
+        assert frame is not None
+        flight = TrajectoryFlight(loaded, clock, lock.origin, frame)
         self.controller.follow_trajectory(flight, self._loop.time())
         return flight
 
@@ -312,14 +348,6 @@ class OffboardEngagement:
         """Why a setpoint of a stream is not taken now; None if it is."""
         if not VALID_S[0] <= valid_s <= VALID_S[1]:
             return f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}"
-        now = self._loop.time()
-        paused, self._followed_at = now - self._followed_at >= NEW_STREAM_S, now
-        if self._frozen and not paused:
-            return (
-                f"the origin changed under this stream, and it stays where it is: pause for {NEW_STREAM_S:g} s, then "
-                "send in the new frame"
-            )
-        self._frozen = False
         return None
 
     def _own_controller(self) -> str | None:
@@ -379,12 +407,7 @@ class OffboardEngagement:
             self.controller.refusing = text
 
     def origin_changed(self) -> None:
-        """A stream of setpoints in the old frame ends where the vehicle is: its next ones may mean another place."""
-        if self.controller.streaming:
-            self.controller.stay()
-            self._frozen = True
-            text = "the origin changed while setpoints came: it stays where it is until they are sent anew"
-            self._publish("control", text, {"state": "flying"})
+        """Nothing flies by the old one: the lock of an engagement keeps it."""
 
     def link_changed(self) -> None:
         """Setpoints go over another link from now on: its delay and its rate are other ones, and the position is
@@ -433,6 +456,8 @@ class OffboardEngagement:
         await self._tasks.settled()
 
     def close(self) -> None:
+        """Control ends, and never begins again: an order may still be on its way to a vehicle that was dropped."""
+        self._closed = True
         self.release("skygcs is shutting down")
         self._tasks.close()
 
@@ -440,7 +465,8 @@ class OffboardEngagement:
 
     def _check_entry(self, now: float) -> None:
         """Raises RefusedError if it must not be flown by setpoints now."""
-        refusal = self._services.links.authority_refusal(self._vehicle.sysid)
+        refusal = "it was forgotten: nothing flies it any more" if self._closed else None
+        refusal = refusal or self._services.links.authority_refusal(self._vehicle.sysid)
         refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
@@ -467,6 +493,13 @@ class OffboardEngagement:
         if left_s > 0.0 and not self.controller.active:
             await self._commands.until(lambda: not self._led_by_another(), left_s)
 
+    async def _handed_over(self) -> None:
+        """Wait until the order that takes over has taken effect, or has failed; one that takes longer is replaced."""
+        if self.successor is None:
+            return
+        if not await self._commands.until(lambda: self.successor is None, HAND_OVER_S) and self.successor is not None:
+            self.release(SUPERSEDED)
+
     def _outside_now(self) -> str | None:
         origin, position = self._vehicle.origin, self._vehicle.telemetry("position")
         if origin is None or position is None or position["lat_deg"] is None:
@@ -482,7 +515,10 @@ class OffboardEngagement:
             refusal = offboard_entry.loss_refusal(self._vehicle)
         if refusal is not None:
             raise RefusedError(refusal)
-        if (note := offboard_entry.loss_note(self._vehicle)) is not None:
+
+    def _warn_of_loss(self) -> None:
+        """Say what the vehicle does if this computer dies, where that is dangerous."""
+        if (note := offboard_entry.loss_note(self._vehicle, self._loop.time())) is not None:
             self._publish("warning", note, {})
 
     def _check_gains(self, control_mode: ControlMode, *, force: bool) -> None:
@@ -518,16 +554,19 @@ class OffboardEngagement:
         self.controller.config = self._config_now()
         self.refresh_budget()
         self._check_gains(control_mode, force=force)
-        # the fence, the controller, its clock and its trace
+        # what it is entered with, the controller, its clock and its trace
         origin = self._vehicle.origin
         assert origin is not None
-        self._fence = _shared(self._settings.fence_at(origin))
-        self.controller.engage(control_mode, self._fence)
+        locks, flown = self._services.locks, (self._vehicle, self._settings)
+        self.lock = lock = locks.make(Holder.ENGAGEMENT, "", origin, [flown])
+        self.controller.engage(control_mode, _shared(lock.members[0].fence))
+        locks.take(lock, lambda: self.controller.active and self.lock is lock)
         self._limit_delay()
         if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
             self._streams.request_estimator_origin()
         self.clock.start()
         self._trace.begin()
+        self.on_begin()
 
     def _config_now(self) -> OffboardConfig:
         """The control law with gains that were changed before, and the vehicle's own hover thrust unless one is set.
@@ -627,20 +666,25 @@ class OffboardEngagement:
         the wind."""
         following = await self._commands.until(lambda: offboard_entry.is_following(self._vehicle), LATE_ENTRY_S)
         if following and self._vehicle.armed and self._turn == turn:
-            await self._orders.attempt_in_control(lambda now: offboard_entry.leave(self._vehicle, back_to))
+            await self._orders.attempt_in_control(lambda now: offboard_entry.leave(self._vehicle, back_to, now))
 
     # -- ticks
 
     def _tick(self, now: float) -> None:
         """One tick of the clock. Hot; never raises."""
+        if self._services.asleep():
+            return  # and what was known before is gone, with this engagement
         controller = self.controller
         if (why := self._services.links.authority_refusal(self._vehicle.sysid)) is not None:
             self.release(why)  # its own failsafe, or the site that commands it, acts
             return
+        if self.successor is not None and not offboard_entry.is_following(self._vehicle):
+            self.taken_over()  # its heartbeat came before the order's own outcome
+            return
         try:
             tick = controller.tick(now)
             if tick.message is not None:
-                self._commands.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
+                self._commands.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key, clearance=SETPOINTS)
         except Exception as error:  # a fault of ours must not leave a vehicle under setpoints without checks
             fault = f"flight control failed inside skygcs and ends: {error!r}"
             self._publish("fault", fault, {})
@@ -657,6 +701,7 @@ class OffboardEngagement:
         self._trace.write(tick)
         if not self.controller.active and self.clock.running:
             self.clock.stop()
+            self.successor = None
             self._ended_at = self._orders.sent_before_at = self._loop.time()
             self._displace()
             self._trace.end()
@@ -679,8 +724,10 @@ class OffboardEngagement:
         if self._turn != turn:
             return  # an order came before this task began: hold must not take its place
         outcome = await self._orders.attempt_in_control(lambda now: orders.hold(self._vehicle, now))
+        self.on_hold(outcome)
         if not outcome.ok:
-            text = f"it was ordered to hold, but: {outcome.message}; its own failsafe has to act"
+            then = "whether it does is not known" if outcome.result in UNHEARD else "its own failsafe has to act"
+            text = f"it was ordered to hold, but: {outcome.message}; {then}"
             self._publish("control", text, {"state": "held"})
 
     def _ping(self, now: float, priority: Priority = Priority.PROTOCOL, key: Hashable | None = None) -> None:
@@ -694,12 +741,14 @@ class OffboardEngagement:
         self._ping(self._loop.time(), Priority.SETPOINT, self._queue_key)
 
     def _outside(self, place: GeodeticPosition | None, free_xy: bool = False, free_z: bool = False) -> str | None:
-        if self._fence is None or place is None:
+        if self.lock is None or place is None:
             return None
         here = (place.lat_deg, place.lon_deg, place.alt_amsl_m)
-        return self._fence.why_not(*here, reference=True, free_xy=free_xy, free_z=free_z)
+        return self.lock.members[0].fence.why_not(*here, reference=True, free_xy=free_xy, free_z=free_z)
 
     def _not_flying(self) -> Outcome:
+        if self.successor is not None:
+            return Outcome.refused(f"another order takes over: {self.successor}")
         held = self.controller.state is OffboardState.HELD
         why = f"it is held: {'; '.join(self.controller.reasons)}" if held else "control is off"
         return Outcome.refused(f"{why}; `skygcs-cli control set {self._vehicle.name} position` first")

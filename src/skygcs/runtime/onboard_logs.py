@@ -18,16 +18,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
+from skygcs.config.files import LOG_MODE, make_log_folder
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import LOG_DATA, LOG_ENTRY
 from skygcs.core.protocols.base import Chunk, Effect, Report, Send
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.writer_thread import WriterThread
+
+LOGS = standing("logs")
 
 NEEDED = ("LOG_REQUEST_LIST", "LOG_ENTRY", "LOG_REQUEST_DATA", "LOG_DATA", "LOG_REQUEST_END")
 
@@ -105,6 +110,7 @@ class VehicleLogs:
         self._busy = False
         self._taken = 0
         self._chunks: deque[Chunk] = deque()
+        self._disk = WriterThread("onboard logs")
         self._some = asyncio.Event()
         self._reported_at = float("-inf")
         self._timer = DeadlineTimer(services.loop, self._on_timer)
@@ -216,7 +222,7 @@ class VehicleLogs:
         """The outcome, the whole file, and the messages sent."""
         file = _File(self._services.log_dir / FOLDER / _safe(self._vehicle.name), info, self._vehicle.family)
         try:
-            begin = await asyncio.to_thread(file.open)
+            begin = await self._loop.run_in_executor(self._disk, file.open)
         except OSError as error:
             return LogOutcome(False, "failed", f"{file.path}: {error.strerror or error}"), None, 0
         except asyncio.CancelledError:
@@ -244,14 +250,14 @@ class VehicleLogs:
         if not outcome.ok:
             return outcome, None, machine.sent
         try:
-            await asyncio.to_thread(file.finish)
+            await self._loop.run_in_executor(self._disk, file.finish)
         except OSError as error:
             return LogOutcome(False, "failed", f"{file.path}: {error.strerror or error}"), None, machine.sent
         return outcome, StoredLog(info.id, file.path, machine.size, begin), machine.sent
 
     def _close(self, file: _File) -> asyncio.Future[None]:
         """In a thread: it waits for a write in progress."""
-        return self._loop.run_in_executor(None, file.close)
+        return self._loop.run_in_executor(self._disk, file.close)
 
     async def _write(self, file: _File, machine: OnboardLogDownload) -> str | None:
         """Write chunks until the machine is done; the reason if the disk does not take them."""
@@ -261,7 +267,7 @@ class VehicleLogs:
             while self._chunks:
                 chunk = self._chunks.popleft()
                 try:
-                    await asyncio.to_thread(file.write, chunk)
+                    await self._loop.run_in_executor(self._disk, file.write, chunk)
                 except OSError as error:
                     text = f"{file.path}: {error.strerror or error}"
                     self._apply(machine.stop(self._loop.time(), "failed", text))
@@ -312,7 +318,7 @@ class VehicleLogs:
         sysid, compid = self._vehicle.sysid, self._vehicle.compid
         values = {**effect.values, "target_system": sysid, "target_component": compid}
         info = self._services.dialect.by_name[effect.message]
-        self._taken += self._services.send(info, values, sysid, compid, Priority.PROTOCOL)
+        self._taken += self._services.send(info, values, sysid, compid, Priority.PROTOCOL, clearance=LOGS)
 
     def _on_timer(self) -> None:
         if self._machine is not None:
@@ -355,10 +361,10 @@ class _File:
 
     def open(self) -> int | None:
         """The bytes that are there already; None: all."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_log_folder(self.folder)
         if self.path.exists():
             return None
-        fd = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        fd = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, LOG_MODE)
         begin = 0
         try:
             there = min(os.fstat(fd).st_size, self.info.size_bytes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
@@ -63,6 +64,10 @@ class OperatorWatchdog:
         if flown and (fired := self._dead_man.check(now)) is not None:
             self._act(fired, sorted(flown))
 
+    def slept(self, seconds: float) -> None:
+        """The computer slept for so long."""
+        self._dead_man.slept(seconds)
+
     def close(self) -> None:
         self._tasks.close()
 
@@ -72,4 +77,6 @@ class OperatorWatchdog:
         self._tasks.start(self._order(fired, names), f"dead-man {fired.action}")
 
     async def _order(self, fired: Fired, names: list[str]) -> None:
-        await self._fleet.command_all(names, ACTIONS[fired.action])  # each vehicle reports its outcome as an event
+        # each vehicle reports its outcome as an event; nobody is there for one whose way home does not become clear
+        at_end: dict[str, Any] = {"at_end": "land"} if fired.action == "rtl" else {}
+        await self._fleet.command_all(names, ACTIONS[fired.action], **at_end)

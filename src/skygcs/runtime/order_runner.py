@@ -11,14 +11,16 @@ import asyncio
 import math
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import firmware_name
-from skygcs.core.vehicle.order_plan import GoesThere, Plan, Step, TargetProof
+from skygcs.core.vehicle.gate import Clearance, clear_plan
+from skygcs.core.vehicle.order_plan import GoesThere, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import LATE_ACK_S, SUPERSEDED, CommandClient
@@ -27,9 +29,6 @@ MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
 )
 """Orders that replace the one in progress."""
-
-EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
-"""Orders that end a flight: already the first transmission goes over every link to the vehicle."""
 
 RETRY_S = 1.0
 """ArduPilot's estimator converges some ten seconds after the start; one attempt a second costs 90 B/s of the link."""
@@ -49,6 +48,11 @@ the same place: a vehicle that flies there goes on."""
 FINAL = frozenset({"refused", "unsupported", "lost", "cancelled"})
 """Outcomes that an attempt a second later would repeat."""
 
+ENDS_MOTION = frozenset({"hold", "stop", "release"})
+
+UNSUPPORTED = 3
+"""MAV_RESULT_UNSUPPORTED."""
+
 REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
 """Outcomes of a refusal by the vehicle."""
 
@@ -62,13 +66,31 @@ Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
 """Plans and executes."""
 
 
+class FlownBySetpoints(Protocol):
+    """Flight by setpoints, which a newer order takes over: it holds the vehicle until that order has taken effect."""
+
+    def hand_over(self, reason: str) -> None:
+        """A newer order is about to be sent."""
+        ...
+
+    def taken_over(self) -> None:
+        """The order has taken effect: send nothing more. Idempotent."""
+        ...
+
+    def keep(self, why: str) -> None:
+        """The order did not take effect: go on holding. Idempotent."""
+        ...
+
+
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
-    __slots__ = ("end_requested", "number", "plan", "queue", "step")
+    __slots__ = ("clearance", "end_requested", "number", "plan", "queue", "step")
 
-    def __init__(self, plan: Plan, number: int) -> None:
+    def __init__(self, plan: Plan, number: int, clearance: Clearance) -> None:
         self.plan = plan
+        self.clearance = clearance
+        """The outgoing gate's leave for what it sends."""
         self.number = number
         """Value of `OrderRunner.number` at its start; if that has changed, a newer order moves the vehicle."""
         self.queue = list(plan.steps)
@@ -90,12 +112,17 @@ class OrderRunner:
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
-        authority_refusal: Callable[[], str | None] = lambda: None,
+        order_refusal: Callable[[Plan], str | None] = lambda plan: None,
     ) -> None:
-        """``authority_refusal``: why another site's authority forbids sending now; None: it does not."""
+        """``order_refusal``: why a plan is not executed; None: it may be."""
         self.number = 0
-        self.before_moving: Callable[[str], None] = lambda reason: None
-        """Called with the reason before a plan that moves the vehicle is executed: flight by setpoints ends then."""
+        self.flown_by: FlownBySetpoints | None = None
+        """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
+        self.on_carried_out: Callable[[Plan], None] = lambda plan: None
+        """Called with each plan that moves the vehicle and that it has accepted. A change to the mode that it was in
+        already is none."""
+        self.moving = 0
+        """Plans in progress that move the vehicle."""
         self.sent_before_at = -math.inf
         """Time at which the last setpoint, or the last command of another order than a goto, went out: it may reach the
         vehicle after a goto that was sent later."""
@@ -104,7 +131,7 @@ class OrderRunner:
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self._authority_refusal = authority_refusal
+        self._order_refusal = order_refusal
         self._newest: Plan | None = None
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
@@ -145,8 +172,9 @@ class OrderRunner:
 
     # -- one attempt
 
-    async def attempt(self, planner: Planner) -> Outcome:
-        """Plan and execute once, without a report. An order that moves the vehicle ends its flight by setpoints."""
+    async def attempt(self, planner: Planner, *, reason: str | None = None) -> Outcome:
+        """Plan and execute once, without a report. An order that moves the vehicle takes over from its flight by
+        setpoints, which ends for this ``reason`` (None: the order's name) once the order has taken effect."""
         try:
             plan = planner(self._loop.time())
         except NotReadyError as error:
@@ -155,11 +183,36 @@ class OrderRunner:
             return Outcome.refused(str(error))
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
-        if (why := self._not_ours(plan)) is not None:
+        if (why := self._order_refusal(plan) or self._gate_refusal(plan)) is not None:
             return Outcome.refused(why)
-        if plan.order in MOVING:
-            self.before_moving(f"{plan.order} was ordered")
+        if plan.order in MOVING and self.flown_by is not None:
+            return await self._take_over(plan, self.flown_by, reason or f"{plan.order} was ordered")
         return await self.execute(plan)
+
+    async def _take_over(self, plan: Plan, flown_by: FlownBySetpoints, reason: str) -> Outcome:
+        """Execute a plan while the flight by setpoints goes on, holding, until a step of it has taken effect; see
+        `_took_effect`. If none has, it goes on holding: a vehicle that denies an order is still flown. A goto that is
+        carried out in the present mode, as an ArduCopter's in GUIDED, takes over at once: a setpoint that came after it
+        would take its place."""
+        number = self.number + 1
+        outcome: Outcome | None = None
+        flown_by.hand_over(reason)
+        if plan.order == "goto" and not self._changes_mode(plan):
+            flown_by.taken_over()
+        try:
+            outcome = await self.execute(plan)
+        finally:
+            if self.number == number:  # else the newer order has it handed over
+                if outcome is not None and outcome.ok:
+                    flown_by.taken_over()
+                else:
+                    flown_by.keep("the order was cancelled" if outcome is None else outcome.message)
+        return outcome
+
+    def _changes_mode(self, plan: Plan) -> bool:
+        """Whether a step of it ends with a mode that the vehicle is not in now."""
+        now = self._loop.time()
+        return any(isinstance(s.expect, ModeIn) and not s.expect.met(self._vehicle, now) for s in plan.steps)
 
     async def attempt_in_control(self, planner: Planner) -> Outcome:
         """An attempt by flight control itself, which does not end control."""
@@ -167,7 +220,7 @@ class OrderRunner:
             plan = planner(self._loop.time())
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if (why := self._not_ours(plan)) is not None:
+        if (why := self._order_refusal(plan)) is not None:
             return Outcome.refused(why)
         return await self.execute(plan)
 
@@ -177,11 +230,39 @@ class OrderRunner:
         If its caller is cancelled, or `wind_down` is called, during a step that only prepares later ones (arming for a
         take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
         """
-        if plan.order in MOVING:
-            self.number += 1
-            self._newest = plan
-            self._commands.supersede(_commands(plan))
-        run = _PlanInProgress(plan, self.number)
+        try:
+            clearance = self._clear(plan)
+        except RefusedError as error:
+            return Outcome.refused(str(error))
+        if plan.order not in MOVING:
+            return await self._execute(plan, clearance)
+        self.number += 1
+        self._newest = plan
+        self._commands.supersede(_commands(plan))
+        number, mode = self.number, self._vehicle.custom_mode
+        self.moving += 1
+        try:
+            outcome = await self._execute(plan, clearance)
+        finally:
+            self.moving -= 1
+        if outcome.ok and self.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
+            self.on_carried_out(plan)
+        return outcome
+
+    def _clear(self, plan: Plan) -> Clearance:
+        """The leave of the outgoing gate for a plan now. Raises RefusedError."""
+        return clear_plan(model_of(self._vehicle, self._loop.time()), plan)
+
+    def _gate_refusal(self, plan: Plan) -> str | None:
+        """Why the outgoing gate lets nothing of a plan pass now; None: it may be sent."""
+        try:
+            self._clear(plan)
+        except RefusedError as error:
+            return str(error)
+        return None
+
+    async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
+        run = _PlanInProgress(plan, self.number, clearance)
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
         if self._ending:
@@ -233,6 +314,9 @@ class OrderRunner:
             step = run.step = queue.pop(0)
             if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
                 continue
+            if self._known_unsupported(step, plan):
+                queue[:0] = step.instead
+                continue
             outcome = await self._persist(step, plan, run)
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.number:
@@ -251,23 +335,40 @@ class OrderRunner:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
                 if number == self.number:
-                    message += await self._undo(done, plan)
+                    message += await self._undo(done, run)
                 elapsed_s = self._loop.time() - started
                 return replace(
                     outcome, message=message, attempts=attempts, elapsed_s=elapsed_s, status_texts=tuple(texts)
                 )
             done.append(step)
+            if number == self.number:
+                self._took_effect(step, run)
             # superseded between two steps
             if queue and number != self.number:
                 text = f"a newer order took its place after {step.name!r}"
                 return Outcome(False, "cancelled", text, attempts, self._loop.time() - started, tuple(texts))
         return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
 
+    def _took_effect(self, step: Step, run: _PlanInProgress) -> None:
+        """A step has succeeded. One that changes the mode, and the last one, take the vehicle over from its flight by
+        setpoints; others, such as the choice of a mission item, prepare that."""
+        takes_over = isinstance(step.expect, ModeIn) or not run.queue
+        if self.flown_by is not None and takes_over and run.plan.order in MOVING and run.plan.order != "control":
+            self.flown_by.taken_over()
+
     async def _ended(self, run: _PlanInProgress, done: list[Step], attempts: int, started: float) -> Outcome:
         """The outcome of a plan that was cancelled before its last step."""
-        undone = await self._undo(done, run.plan) if run.number == self.number else ""
+        undone = await self._undo(done, run) if run.number == self.number else ""
         rest = run.queue[-1].name if run.queue else "the last step"
         return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
+
+    def _known_unsupported(self, step: Step, plan: Plan) -> bool:
+        """Whether the vehicle has said since its start that it lacks this command, for which there is another way. An
+        order that ends a motion asks again: its other way may be the weaker one."""
+        if step.command is None or not step.instead or plan.order in ENDS_MOTION:
+            return False
+        answers = model_of(self._vehicle, self._loop.time()).answers
+        return answers.get(step.command.command) == UNSUPPORTED
 
     async def _persist(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
         """Execute one step; if the plan persists, repeat it while no answer comes, as it may not have been received."""
@@ -290,12 +391,15 @@ class OrderRunner:
         number, expect = run.number, step.expect
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
-        if (why := self._not_ours(plan)) is not None:
+        if (why := self._order_refusal(plan)) is not None:
             return Outcome.refused(why)
         if step.message is not None:
-            return await self._message_step(step, number)
+            return await self._message_step(step, run)
         met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
-        spec = step.command
+        try:
+            spec = step.command if step.late is None else step.late.command(self._vehicle, self._loop.time())
+        except RefusedError as error:
+            return Outcome.refused(str(error))
         assert spec is not None
 
         def wanted() -> bool:
@@ -303,12 +407,12 @@ class OrderRunner:
 
         outcome = await self._commands.run(
             spec,
-            emergency="stop" if plan.order == "stop" else plan.emergency,
+            emergency=plan.emergency,
             satisfied=met,
             on_report=lambda percent: self.report_progress(plan.order, percent),
-            everywhere=plan.order in EVERYWHERE,
             wanted=wanted if plan.order in MOVING and not plan.final else None,
             with_repeats=step.with_repeats,
+            clearance=run.clearance,
         )
         # acknowledged: wait until the state shows it
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
@@ -361,9 +465,10 @@ class OrderRunner:
         await self._commands.run(request, satisfied=met, wanted=lambda: not newer())
         return await self._commands.until(lambda: met() or newer(), PROOF_S)
 
-    async def _message_step(self, step: Step, number: int) -> Outcome:
+    async def _message_step(self, step: Step, run: _PlanInProgress) -> Outcome:
         """Send a message, which has no acknowledgement, until its answer has come or the time is over."""
         assert step.message is not None
+        number = run.number
         name, values = step.message
         if name not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
@@ -374,7 +479,7 @@ class OrderRunner:
 
         while True:
             # send
-            if not self._commands.transmit(name, values):
+            if not self._commands.transmit(name, values, clearance=run.clearance):
                 return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
             attempts += 1
             if step.expect is None or step.expect_s == 0:
@@ -391,13 +496,14 @@ class OrderRunner:
                 unmet = step.expect.unmet(self._vehicle, self._loop.time())
                 return Outcome(False, "timeout", f"timeout: {unmet}", attempts, elapsed_s)
 
-    async def _undo(self, done: list[Step], plan: Plan) -> str:
+    async def _undo(self, done: list[Step], run: _PlanInProgress) -> str:
         """Undo the steps that were really executed, last first; returns what to add to the message."""
         added = ""
         for step in reversed(done):
             if step.undo is None:
                 continue
-            outcome = await self._step(step.undo, plan, _PlanInProgress(plan, self.number))
+            again = _PlanInProgress(run.plan, self.number, run.clearance)
+            outcome = await self._step(step.undo, run.plan, again)
             added += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
         return added
 
@@ -424,10 +530,6 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
-
-    def _not_ours(self, plan: Plan) -> str | None:
-        """Why this plan is refused as another site may command the vehicle; the emergency stop never is."""
-        return None if plan.order == "stop" else self._authority_refusal()
 
     def _is_ambiguous(self, plan: Plan) -> bool:
         """True if two vehicles have the system id and the plan is not one that both may take."""

@@ -1,4 +1,5 @@
-"""Keeps the parameters of vehicles on disk, one file per vehicle, so that a reconnect transfers none.
+"""Keeps the parameters of vehicles on disk, one file per vehicle, so that a reconnect transfers none; and the tables of
+parameter metadata that were read from vehicles, one per build of firmware.
 
 A file that is missing, broken, of another format or of another firmware is ignored; if a file cannot be written, the
 next connection reads the list again.
@@ -6,24 +7,32 @@ next connection reads the list again.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from skygcs.config.files import write_whole
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, encoding_of, is_name
+from skygcs.core.params.metadata import MAX_TABLE_BYTES
 from skygcs.core.protocols.parameter_list import MAX_COUNT
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.disk_writer import DiskWriter
 
 FORMAT = 1
 """Version of the file format; files of other versions are ignored."""
 
 MAX_FILES = 256
 """Number of files: one per vehicle of the largest fleet; those unused for longest are removed first."""
+
+MAX_TABLES = 16
+"""Tables of parameter metadata: one per firmware build in the fleet."""
 
 MAX_FILE_BYTES = 2_000_000
 """Largest file that is read: ten times the largest known."""
@@ -60,9 +69,10 @@ def default_cache_dir() -> Path | None:
 
 
 class ParamCache:
-    """``folder`` None: nothing is stored."""
+    """``folder`` None: nothing is stored. The fleet sets ``disk``, which writes beside the loop."""
 
     def __init__(self, folder: Path | None) -> None:
+        self.disk: DiskWriter | None = None
         self._folder = folder
 
     def load(self, key: CacheKey) -> CachedParams | None:
@@ -74,7 +84,7 @@ class ParamCache:
             if path.stat().st_size > MAX_FILE_BYTES:
                 return None
             cached = _decode(json.loads(path.read_text(encoding="utf-8")), key)
-            os.utime(path)
+            self._write(partial(_touch, path))
         except (OSError, ValueError, KeyError, TypeError):
             return None
         return cached
@@ -85,12 +95,37 @@ class ParamCache:
         if path is None or len(cached.params) > MAX_COUNT:
             return
         content = json.dumps(_encode(cached, key), separators=(",", ":")).encode()
+        self._write(partial(_store, path, content, "*.json", MAX_FILES), len(content))
+
+    def _write(self, job: Callable[[], object], size: int = 0) -> None:
+        if self.disk is None:
+            job()
+        else:
+            self.disk.offer("the parameter cache", job, size)
+
+    def load_table(self, crc: int) -> bytes | None:
+        """The table of parameter metadata that was made of a vehicle's file with this CRC."""
+        path = self._table_path(crc)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, content, 0o600, durable=False)
-            self._prune(path.parent)
+            if path is None or path.stat().st_size > MAX_TABLE_BYTES:
+                return None
+            return path.read_bytes()
         except OSError:
-            return
+            return None
+
+    async def store_table(self, crc: int, data: bytes) -> bool:
+        """Store a table, if there is a folder for it; the tables unused for longest are removed."""
+        path = self._table_path(crc)
+        if path is None:
+            return False
+        job = partial(_store, path, data, "*.tsv", MAX_TABLES)
+        try:
+            return job() if self.disk is None else await self.disk.run("parameter metadata", job, len(data))
+        except OSError:
+            return False
+
+    def _table_path(self, crc: int) -> Path | None:
+        return None if self._folder is None else self._folder / f"metadata-{crc:08x}.tsv"
 
     def _path(self, key: CacheKey) -> Path | None:
         if self._folder is None:
@@ -98,11 +133,23 @@ class ParamCache:
         board = re.sub(r"[^0-9A-Za-z]", "", key.board)[:40] or "board"
         return self._folder / f"{key.autopilot}-{key.sysid}-{key.compid}-{board}.json"
 
-    @staticmethod
-    def _prune(folder: Path) -> None:
-        files = sorted(folder.glob("*.json"), key=lambda p: p.stat().st_mtime)
-        for path in files[: max(0, len(files) - MAX_FILES)]:
-            path.unlink(missing_ok=True)
+
+def _touch(path: Path) -> None:
+    """Note that it is in use."""
+    with contextlib.suppress(OSError):
+        os.utime(path)
+
+
+def _store(path: Path, content: bytes, pattern: str, most: int) -> bool:
+    """Write a file and remove the oldest of its kind beyond ``most``; without a disk nothing is stored."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, content, 0o600, durable=False)
+        files = sorted(path.parent.glob(pattern), key=lambda p: p.stat().st_mtime)
+        for old in files[: max(0, len(files) - most)]:
+            old.unlink(missing_ok=True)
+        return True
+    return False
 
 
 def _encode(cached: CachedParams, key: CacheKey) -> dict[str, Any]:

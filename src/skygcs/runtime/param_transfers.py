@@ -28,12 +28,23 @@ from skygcs.core.protocols.base import Effect, ProtocolMachine, Report, Send
 from skygcs.core.protocols.command import MAX_TEXTS
 from skygcs.core.protocols.file_download import FileDownload, FileOutcome
 from skygcs.core.protocols.parameter import ABSENT_PROBES, ParameterProtocol, ParamOutcome
-from skygcs.core.protocols.parameter_list import BYTES_PER_S, MAX_COUNT, ListProgress, ParamList
+from skygcs.core.protocols.parameter_list import (
+    BYTES_PER_S,
+    MAX_COUNT,
+    WIDE_WINDOW,
+    WINDOW,
+    ListProgress,
+    ParamList,
+)
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.flight_lock import FlightLock, ParamWrite
+from skygcs.core.vehicle.gate import clear_param, standing
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
+from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.deadline_timer import DeadlineTimer
-from skygcs.runtime.param_cache import ParamBook
+from skygcs.runtime.param_cache import ParamBook, ParamCache
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -46,18 +57,11 @@ def offered(vehicle: Vehicle, dialect: Dialect, capabilities: int) -> bool:
     return vehicle.family == "ardupilot" and bool(capabilities & CAPABILITY_FTP) and MESSAGE in dialect.by_name
 
 
-def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes_per_s: float) -> FileDownload:
-    """The download of the parameter file. ``link_bytes_per_s``: rate of the slowest link to the vehicle, infinite if
-    none is known to be slow. Then the file is read at full rate, unless a rate below that of a slow link is
-    requested."""
-    wide = math.isinf(link_bytes_per_s) and (bytes_per_s is None or bytes_per_s >= BYTES_PER_S)
-    return FileDownload(
-        pck.PATH,
-        session=session,
-        max_bytes=pck.MAX_BYTES,
-        burst=burst or wide,
-        bytes_per_s=None if wide else bytes_per_s,
-    )
+def rate_for(bytes_per_s: float | None, link_bytes_per_s: float) -> float | None:
+    """Bytes a second that the answers may take of the link; None: no limit. ``link_bytes_per_s``: rate of the slowest
+    link to the vehicle, infinite if none is known to be slow. Then it is read as fast as it answers, unless a rate
+    below that of a slow link is requested."""
+    return None if math.isinf(link_bytes_per_s) and (bytes_per_s or math.inf) >= BYTES_PER_S else bytes_per_s
 
 
 def progress_of(download: FileDownload, now: float) -> ListProgress:
@@ -94,6 +98,9 @@ PROGRESS_EVERY_S = 1.0
 SETTLE_S = 0.5
 """Time after the last set parameter until the set ones are read once more: a PX4 corrects some of them itself
 (MPC_XY_CRUISE above MPC_XY_VEL_MAX) when the module they belong to runs, some ms later."""
+
+_CLEARED = {"PARAM_SET": standing("param set")}
+"""Messages of these transfers that are not harmless: who sets a parameter has asked (`_write`, or ``checked``)."""
 
 T = TypeVar("T")
 
@@ -147,6 +154,7 @@ class VehicleParams:
         """True if it has no hash: it answered everything else."""
         self._count: int | None = None
         self._file_session = 0
+        self._downloading = asyncio.Lock()
         self._file_running = False
         self._changed: dict[str, Param] = {}
         """Values sent during a file's download: newer than those in the file."""
@@ -243,9 +251,19 @@ class VehicleParams:
         """Read one parameter from the vehicle; by its name in the other generation if the vehicle has only that."""
         return await self._either(name, lambda n: self._one(n))
 
-    async def set(self, values: Mapping[str, Value], *, settle: bool = False) -> dict[str, ParamOutcome]:
+    async def set(
+        self,
+        values: Mapping[str, Value],
+        *,
+        settle: bool = False,
+        force: bool = False,
+        own: FlightLock | None = None,
+        checked: bool = False,
+    ) -> dict[str, ParamOutcome]:
         """Set parameters one after another and read each back; returns an outcome for each, also for those not sent
-        after a cancellation. ``settle``: read the changed ones once more at the end, as a vehicle may correct them."""
+        after a cancellation, and for those that a flight holds. ``settle``: read the changed ones once more at the end,
+        as a vehicle may correct them. ``force``: also those with an unknown effect on a flight; ``own``: the lock of
+        the flight that sets them for itself; ``checked``: the caller has asked the locks for all of them together."""
         cancelled = self._cancelled
         hashed = self._book.complete and self._book.hash is not None
         vouched = hashed and self._book.vouches(await self._ask_hash())
@@ -258,7 +276,11 @@ class VehicleParams:
                     continue
                 if done:
                     self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"setting {name}")
-                outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+                outcomes[name] = await (
+                    self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+                    if checked
+                    else self._write(name, value, force=force, own=own)
+                )
             if settle and self._cancelled == cancelled:
                 await self._settle(outcomes)
         finally:
@@ -267,6 +289,27 @@ class VehicleParams:
             self._book.vouched(await self._ask_hash() if vouched else None)
         self._book.save()
         return outcomes
+
+    async def _write(self, name: str, value: Value, *, force: bool, own: FlightLock | None) -> ParamOutcome:
+        """Set one, unless a flight holds it; a value that the vehicle has already changes nothing."""
+        if self._refusal() is not None:
+            return await self._either(name, lambda n: self._one(n, value))  # which says so
+        if own is None:  # a flight that sets them for itself has judged all of them
+            try:
+                clear_param(model_of(self._vehicle, self._loop.time()), name, force=force)
+            except RefusedError as error:
+                return await self._unless_held(name, value, str(error))
+        write = ParamWrite(self._vehicle.key, name, force)
+        if (why := self._services.locks.refusal(write, own=own)) is not None:
+            return await self._unless_held(name, value, why)
+        return await self._either(name, lambda n: self._one(n, value))
+
+    async def _unless_held(self, name: str, value: Value, why: str) -> ParamOutcome:
+        """A refusal, unless the vehicle has this value already."""
+        held = await self.get(name)
+        if not held.ok or held.param is None or held.param.value != value:
+            return ParamOutcome(False, "refused", f"refused: {why}", name)
+        return held
 
     async def _settle(self, outcomes: dict[str, ParamOutcome]) -> None:
         """Read the changed parameters once more; an outcome states if the vehicle has another value now."""
@@ -302,6 +345,27 @@ class VehicleParams:
             if not self._waiting and self._loading is not None:
                 self._loading.cancel()
                 self._loading = None
+
+    @property
+    def rate(self) -> float | None:
+        """Bytes a second that long answers may take of the links to it; None: no limit."""
+        return self._rate_for(BYTES_PER_S)
+
+    @property
+    def cache(self) -> ParamCache:
+        """What is kept on disk."""
+        return self._services.param_cache
+
+    def known(self) -> Mapping[str, Param]:
+        """The values as last heard, complete or not."""
+        return self._book.params
+
+    async def file(self, path: str, *, max_bytes: int) -> FileOutcome:
+        """Read one file of the vehicle by MAVLink FTP, as fast as its links allow."""
+        if (refusal := self._refusal()) is not None:
+            return FileOutcome(False, *refusal, b"", 0, 0.0)
+        rate = self.rate
+        return await self._download(path, max_bytes, burst=rate is None, bytes_per_s=rate)
 
     async def vouched(self) -> Mapping[str, Param]:
         """All known parameters if the vehicle confirms them by its hash; else nothing."""
@@ -394,13 +458,14 @@ class VehicleParams:
             return self._known_list(started)
         if self._cancelled != cancelled:
             return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
-        why_not = ""
+        rate, why_not = self._rate_for(bytes_per_s), ""
         if offered(self._vehicle, self._dialect, self._book.capabilities):
-            by_file = await self._load_file(burst=burst, bytes_per_s=bytes_per_s)
+            by_file = await self._load_file(burst=burst or rate is None, bytes_per_s=rate)
             if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
                 return by_file
             why_not = f" (not by file: {by_file.message})"
-        protocol = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
+        window = WINDOW if rate is not None else WIDE_WINDOW
+        protocol = ParamList(burst=burst, window=window, bytes_per_s=rate, stops_burst=px4)
         try:
             await self._run(protocol)
         finally:
@@ -427,20 +492,30 @@ class VehicleParams:
         )
 
     async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
-        self._file_session = (self._file_session + 16) & 0xFF  # a download may need several attempts
-        started, services = self._loop.time(), self._services
-        link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown)
-        protocol = download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
+        started = self._loop.time()
         self._changed.clear()
         self._file_running = True
         try:
-            await self._run(protocol)
+            outcome = await self._download(pck.PATH, pck.MAX_BYTES, burst=burst, bytes_per_s=bytes_per_s)
         finally:
             self.progress = None
             self._file_running = False
-        outcome = protocol.outcome
-        assert outcome is not None
         return self._loaded_file(outcome, self._loop.time() - started)
+
+    async def _download(self, path: str, max_bytes: int, *, burst: bool, bytes_per_s: float | None) -> FileOutcome:
+        """One file after another: a PX4 has one session."""
+        async with self._downloading:
+            self._file_session = (self._file_session + 16) & 0xFF  # a download may need several attempts
+            protocol = FileDownload(
+                path, session=self._file_session, max_bytes=max_bytes, burst=burst, bytes_per_s=bytes_per_s
+            )
+            await self._run(protocol)
+        assert protocol.outcome is not None
+        return protocol.outcome
+
+    def _rate_for(self, bytes_per_s: float | None) -> float | None:
+        services = self._services
+        return rate_for(bytes_per_s, services.links.setpoint_bytes_per_s(self._vehicle, services.flown))
 
     def _loaded_file(self, outcome: FileOutcome, elapsed_s: float) -> Loaded:
         try:
@@ -509,7 +584,7 @@ class VehicleParams:
             elif isinstance(effect, Report) and isinstance(protocol, ParamList):
                 self.progress = protocol.progress(self._loop.time())
                 self._progress("list", self.progress, "reading parameters")
-            elif isinstance(effect, Report) and isinstance(protocol, FileDownload):
+            elif isinstance(effect, Report) and isinstance(protocol, FileDownload) and self._file_running:
                 self.progress = progress_of(protocol, self._loop.time())
                 self._progress("list", self.progress, "reading parameters by file, some")
         done = self._running.get(protocol)
@@ -521,7 +596,8 @@ class VehicleParams:
         info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
         assert info is not None
         values = {**effect.values, "target_system": sysid, "target_component": compid}
-        self._taken[protocol] += self._send(info, values, sysid, compid, Priority.PROTOCOL)
+        cleared: dict[str, Any] = {"clearance": _CLEARED[effect.message]} if effect.message in _CLEARED else {}
+        self._taken[protocol] += self._send(info, values, sysid, compid, Priority.PROTOCOL, **cleared)
 
     def _set_timer(self) -> None:
         self._timer.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))

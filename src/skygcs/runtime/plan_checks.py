@@ -8,8 +8,10 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import EnuFrame
-from skygcs.core.mavlink.modes import is_copter
+from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.monitor.order_check import FORGET
 from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.plan import remedies
 from skygcs.core.plan.flight_findings import (
     DEFAULT_FLIGHT_TIME_S,
     DEFAULT_RESERVE_PERCENT,
@@ -18,17 +20,22 @@ from skygcs.core.plan.flight_findings import (
     Level,
     ReturnHeight,
     battery_finding,
+    refused,
 )
 from skygcs.core.plan.flight_record import FlightRecord
+from skygcs.core.plan.flight_situation import Prepared
+from skygcs.core.plan.guidance import Choice, Guidance, by_goto
 from skygcs.core.plan.margins import DEFAULT, MarginRule
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
+from skygcs.core.vehicle.flight_note import lost_place
+from skygcs.core.vehicle.plan_in_fence import CHECK, Reach, fence_finding, sampled
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime import fleet_margins
 from skygcs.runtime.offboard_engagement import OffboardEngagement
-from skygcs.runtime.plan_flight import measured_place
+from skygcs.runtime.plan_flight import HOLD_MODES, measured_place
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
 
@@ -42,6 +49,10 @@ PREFLIGHT_READERS = 3
 
 MOVING_MPS = 0.7
 """Faster than a vehicle drifts that holds."""
+
+ENGAGED_FROM = HOLD_MODES | {"AUTO.TAKEOFF", "OFFBOARD", "POSCTL", "LOITER", "POSHOLD"}
+"""Modes in the air from which a plan takes a vehicle under control: it stands, unless its pilot moves it. Not RTL, LAND
+or a mission, which fly their own way while the others take off."""
 
 STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
 
@@ -60,6 +71,7 @@ class Measured(NamedTuple):
 def measure(actors: Sequence[VehicleActor], everybody: Iterable[VehicleActor], frame: EnuFrame, now: float) -> Measured:
     """The places; findings name what cannot be measured."""
     places: Places = {}
+    names = [actor.name for actor in actors]
     grounded: set[str] = set()
     findings: list[Finding] = []
     for actor in actors:
@@ -71,7 +83,8 @@ def measure(actors: Sequence[VehicleActor], everybody: Iterable[VehicleActor], f
             if not is_flying(actor.vehicle, now):
                 grounded.add(actor.name)
         else:
-            findings.append(Finding(actor.name, "position", Level.REFUSED, why or "", "wait for GPS, check its link"))
+            remedy = remedies.leave_out(actor.name, names)
+            findings.append(refused(actor.name, "position", f"{why}: wait for its GPS, or", remedy))
     taking_part = {actor.vehicle.key for actor in actors}
     others: Places = {}
     for actor in everybody:
@@ -99,30 +112,34 @@ def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> 
     if place is None:
         if not flies:
             return []
-        text, todo = "it flies, takes no part, and its position is not known", "wait until it is heard, or land it"
-        return [Finding(actor.name, check, Level.REFUSED, text, todo, insist=True)]
+        text = "it flies, takes no part, and its position is not known"
+        return [refused(actor.name, check, text, remedies.land(actor.name), insist=True)]
     others[actor.name] = place
     where = ", ".join(f"{v:.1f}" for v in place)
     if not flies:
         return [Finding(actor.name, check, Level.OK, f"it takes no part and is an obstacle at ({where})")]
+    if age_s > POSITION_FRESH_S and not actor.vehicle.connected:
+        text = f"{lost_place(actor.vehicle, now)}, and may be anywhere about there{FORGET.format(name=actor.name)}"
+        return [refused(actor.name, check, text, remedies.forget(actor.name), insist=True)]
     if age_s > POSITION_FRESH_S or speed_mps > MOVING_MPS:
         text = (
             f"it takes no part and {'is silent' if age_s > POSITION_FRESH_S else f'flies with {speed_mps:.1f} m/s'}: "
         )
         text += f"it is no obstacle that stays at ({where})"
-        return [
-            Finding(actor.name, check, Level.REFUSED, text, "have it hold or land, or insist with force", insist=True)
-        ]
+        return [refused(actor.name, check, text, remedies.hold(actor.name), insist=True)]
     text = f"it flies, takes no part, and is taken to stay at ({where})"
     return [Finding(actor.name, check, Level.WARNING, text, "the monitor watches it")]
 
 
 def margin_rule(
-    actors: Iterable[VehicleActor], others: Iterable[VehicleActor], margin_m: float | None
+    actors: Iterable[VehicleActor], others: Iterable[VehicleActor], margin_m: float | None, by: Guidance
 ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
     """The margins of the fleet, and for people what each term is and where it is from."""
+    actors = list(actors)
     taking_part = [actor.name for actor in actors]
     rule = fleet_margins.margin_rule([*actors, *others], margin_m=margin_m)
+    if by is Guidance.GOTO:
+        rule = by_goto(rule, {actor.name: actor.vehicle.family for actor in actors})
     sources = {
         name: {
             term: [round(getattr(rule.by_vehicle[name], term), 3), rule.by_vehicle[name].sources.get(term, DEFAULT)]
@@ -133,11 +150,9 @@ def margin_rule(
     return rule, sources
 
 
-def state_findings(
-    actor: VehicleActor, control_mode: str, flown: Sequence[Vehicle], links: VehicleLinks
-) -> list[Finding]:
-    """Whether it is heard, may be controlled, and its link carries the control mode."""
-    vehicle, found = actor.vehicle, []
+def state_finding(actor: VehicleActor, names: list[str], now: float) -> Finding:
+    """Whether it is heard and may be ordered. ``names``: the vehicles that take part."""
+    vehicle = actor.vehicle
     why = None
     if vehicle.replayed:
         why = "it is heard in a recording only"
@@ -147,26 +162,70 @@ def state_findings(
         why = "two vehicles have its system id"
     elif vehicle.failsafe:
         why = "its own failsafe is active"
-    elif not is_copter(vehicle.type):
+    elif vehicle.kind is not VehicleClass.COPTER:
         why = "it is no multirotor or helicopter"
     else:
         try:
             offboard_entry.guided_mode(vehicle)
         except RefusedError as error:
             why = str(error)
+        if why is None and is_flying(vehicle, now) and vehicle.mode not in ENGAGED_FROM:
+            text = f"it flies in {vehicle.mode}, which moves it or leaves it to its pilot's sticks"
+            return refused(actor.name, "state", text, remedies.hold(actor.name))
     if why is not None:
-        return [Finding(actor.name, "state", Level.REFUSED, why, "it cannot fly the plan: leave it out")]
-    found.append(Finding(actor.name, "state", Level.OK, f"{vehicle.family}, {vehicle.mode}"))
-    if not isinstance(actor.offboard, OffboardEngagement):  # its setpoints are made on board
-        down = actor.offboard.down_reason()
-        text = "its companion flies it" if down is None else down
-        return [*found, Finding(actor.name, "link", Level.OK if down is None else Level.REFUSED, text)]
-    if (why := links.stream_refusal(vehicle, lambda: flown)) is None:
-        why = _too_slow(actor, control_mode, flown, links)
-    if why is not None:
-        found.append(Finding(actor.name, "link", Level.REFUSED, why, "fly fewer vehicles, or by position", insist=True))
-    else:
-        found.append(Finding(actor.name, "link", Level.OK, f"it carries {control_mode} setpoints"))
+        return refused(actor.name, "state", why, remedies.leave_out(actor.name, names))
+    return Finding(actor.name, "state", Level.OK, f"{vehicle.family}, {vehicle.mode}")
+
+
+def made_elsewhere(actor: VehicleActor) -> bool:
+    """True if another program makes its setpoints, and keeps its trajectories."""
+    return not isinstance(actor.offboard, OffboardEngagement)
+
+
+def not_streamed(actors: Sequence[VehicleActor], control_mode: str, links: VehicleLinks) -> dict[str, str]:
+    """The vehicles whose links do not carry setpoints of this mode to all of these, and why."""
+    flown = [actor.vehicle for actor in actors]
+    found = {}
+    for actor in actors:
+        if made_elsewhere(actor):
+            continue
+        why = links.stream_refusal(actor.vehicle, lambda: flown)
+        if (why := why or _too_slow(actor, control_mode, flown, links)) is not None:
+            found[actor.name] = why
+    return found
+
+
+def link_findings(
+    actors: Sequence[VehicleActor],
+    choice: Choice,
+    narrow: Mapping[str, str],
+    control_mode: str,
+    now: float,
+    *,
+    timed: bool,
+) -> list[Finding]:
+    """Whether the links carry the way that was chosen, and what happens when nothing is sent any more. ``narrow``: as
+    `not_streamed` has it."""
+    found = []
+    instead = remedies.make_phased() if timed else remedies.by_goto()
+    for actor in actors:
+        name = actor.name
+        if choice.by is not Guidance.GOTO:
+            level = Level.OK if offboard_entry.loss_note(actor.vehicle, now) is None else Level.WARNING
+            found.append(Finding(name, "if skygcs dies", level, offboard_entry.loss_text(actor.vehicle, now)))
+        if choice.by is Guidance.GOTO:
+            found.append(Finding(name, "link", Level.OK, "by goto: one order for each leg"))
+            text = "it flies its leg to the end, which is certified as a place to stay, and holds there"
+            found.append(Finding(name, "if skygcs dies", Level.OK, text))
+        elif isinstance(actor.offboard, OffboardEngagement):
+            why = narrow.get(name)
+            text = f"it carries {control_mode} setpoints"
+            fine = Finding(name, "link", Level.OK, text)
+            found.append(fine if why is None else refused(name, "link", why, instead, insist=True))
+        else:  # its setpoints are made on board
+            down = actor.offboard.down_reason()
+            fine = Finding(name, "link", Level.OK, "its companion flies it")
+            found.append(fine if down is None else refused(name, "link", down, remedies.bring_up(name)))
     return found
 
 
@@ -200,9 +259,10 @@ async def preflight_findings(
     found = []
     for name in standing:
         report = reports[name]
-        level = Level.OK if report["ok"] else Level.REFUSED
-        todo = "" if report["ok"] else f"see `skygcs-cli preflight {name}`, or insist with force"
-        found.append(Finding(name, "preflight", level, report["summary"], todo, insist=True))
+        summary = report["summary"]
+        fine = Finding(name, "preflight", Level.OK, summary)
+        remedy = remedies.preflight(name)
+        found.append(fine if report["ok"] else refused(name, "preflight", summary, remedy, insist=True))
     return found
 
 
@@ -225,6 +285,41 @@ def battery_findings(
         reserve = DEFAULT_RESERVE_PERCENT if reserve is None else reserve
         found.append(battery_finding(actor.name, percent, flight_time, duration_s, reserve))
     return found
+
+
+async def fence_findings(
+    actors: Sequence[VehicleActor], prepared: Prepared, frame: EnuFrame, measured: Measured
+) -> list[Finding]:
+    """Whether the autopilots' own fences leave room for the plan; their parameters are read."""
+    slots = asyncio.Semaphore(PREFLIGHT_READERS)
+
+    async def one(actor: VehicleActor) -> Finding:
+        async with slots:
+            held = await actor.fence.settings()
+            shapes = None if isinstance(held, str) or not held.enabled else await actor.missions.fence_shapes()
+        if isinstance(held, str):
+            return refused(actor.name, CHECK, held, remedies.insist("check its link"), insist=True)
+        return fence_finding(actor.name, held, shapes, _reach(actor, prepared, frame, measured))
+
+    flown = {name for step in prepared.steps for name in step.trajectories}
+    async with asyncio.TaskGroup() as group:
+        tasks = [
+            group.create_task(one(actor), name=f"fence of {actor.name}") for actor in actors if actor.name in flown
+        ]
+    return [task.result() for task in tasks]
+
+
+def _reach(actor: VehicleActor, prepared: Prepared, frame: EnuFrame, measured: Measured) -> Reach:
+    """The places that the plan leads a vehicle to, and the homes that its fence may be about."""
+    home, name = actor.vehicle.telemetry("home"), actor.name
+    homes = []
+    if home is not None and home["lat_deg"] is not None:
+        homes.append((home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]))
+    if name in measured.grounded or not homes:  # both firmwares set home anew where they arm
+        homes.append(frame.to_geodetic(*measured.places[name]))
+    tube_m = 0.0 if prepared.tubes is None else prepared.tubes.free_m[name]
+    ways = [step.trajectories[name] for step in prepared.steps if name in step.trajectories]
+    return Reach(tuple(homes), tuple(frame.to_geodetic(*place) for place in sampled(ways)), tube_m)
 
 
 async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeight | None]:

@@ -1,21 +1,18 @@
 """One flight of a plan: shows `core.plan.execution` the vehicles, and gives them the orders that it returns.
 
-What is decided is decided there. Vehicles are seen in the frame of the plan, the fleet's as of the start: a change of
-the fleet's origin moves no flight.
+What is decided is decided there. Vehicles are seen in the frame of the plan, that of the flight's lock.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
-from skygcs.core.geo import EnuFrame, Origin, world_from_enu
+from skygcs.core.geo import EnuFrame, world_from_enu
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.execution import (
-    START_LEAD_S,
     Execution,
     Left,
     Order,
@@ -25,18 +22,18 @@ from skygcs.core.plan.execution import (
     Why,
 )
 from skygcs.core.plan.flight_steps import FlightStep
+from skygcs.core.plan.guidance import Guidance
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
-from skygcs.core.vehicle.offboard_controller import OffboardState
+from skygcs.core.vehicle.autopilot import TAKEOFF_MODES
+from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.takeoff_watch import TakeoffWatch
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError, SkygcsError
+from skygcs.errors import SkygcsError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
-from skygcs.runtime.trajectories import Trajectories, TrajectoryGroup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 KIND = "plan"
@@ -44,8 +41,6 @@ KIND = "plan"
 
 ARM_WAIT_S = 20.0
 """A vehicle that is not ready yet is tried again for so long."""
-
-COPTER_TAKEOFF_MODE = "GUIDED"
 
 HOLD_MODES = frozenset({"AUTO.LOITER", "BRAKE", "GUIDED"})
 """In which an autopilot holds its place by itself. Not ArduCopter's LOITER and POSHOLD, which follow the sticks."""
@@ -70,6 +65,52 @@ class FlightSettings(NamedTuple):
     force: bool
 
 
+class FlightGuidance(Protocol):
+    """The way in which the vehicles of one flight are guided (`core.plan.guidance`)."""
+
+    by: Guidance
+
+    def clock(self, now: float) -> tuple[ClockState | None, float]:
+        """State and trajectory time of the step under way; None: none is."""
+        ...
+
+    def status(self, now: float) -> dict[str, Any] | None:
+        """The clock of the step, for people and programs; None: there is none."""
+        ...
+
+    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Left | None:
+        """Why a vehicle that is engaged does not follow any more."""
+        ...
+
+    async def engage(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
+        """Take a vehicle that is in the air, and send it to where its first step begins."""
+        ...
+
+    def fly(self, flight: PlanFlight) -> str | None:
+        """Begin the step under way; why that is not possible."""
+        ...
+
+    def look(self, flight: PlanFlight, now: float) -> None:
+        """Called with each look at the vehicles."""
+        ...
+
+    def set_speed(self, speed_factor: float) -> bool:
+        """Fly the step under way at this multiple of its speed; False: it has none."""
+        ...
+
+    def stop(self, flight: PlanFlight) -> None:
+        """Stop all on their ways."""
+        ...
+
+    def go_on(self, flight: PlanFlight) -> None:
+        """Go on after a stop."""
+        ...
+
+    def end(self, flight: PlanFlight) -> None:
+        """Stop all for good."""
+        ...
+
+
 class PlanFlight:
     """From arming to the end. ``on_change`` is called after every change of its state; ``certify_landing`` when it
     waits for that."""
@@ -80,24 +121,24 @@ class PlanFlight:
         execution: Execution,
         actors: Mapping[str, VehicleActor],
         loaded: Sequence[Loaded],
-        origin: Origin,
+        lock: FlightLock,
+        guidance: FlightGuidance,
         known: Callable[[VehicleActor], bool] = lambda actor: True,
     ) -> None:
-        """``loaded``: the trajectories of each step, with their bounds; ``known``: whether the fleet still has a
-        vehicle."""
+        """``loaded``: the trajectories of each step, with their bounds; ``lock``: what they were certified with;
+        ``known``: whether the fleet still has a vehicle."""
         self.settings = settings
+        self.guidance = guidance
         self.execution = execution
         self.actors = dict(actors)
-        self.origin = origin
+        self.lock = lock
         self.known = known
-        self.frame = EnuFrame(origin)
-        self.group: TrajectoryGroup | None = None
-        """Of the step under way."""
+        self.frame = EnuFrame(lock.origin)
         self.sights: dict[str, Sight] = {}
         """As of the last tick."""
         self.loaded = list(loaded)
         self.engaged: set[str] = set()
-        """Vehicles that are under control for this flight."""
+        """Vehicles that follow this flight: under control, or with the first goto accepted."""
         self.takeoffs: dict[str, TakeoffWatch] = {}
         self.being_taken: set[str] = set()
         """Vehicles whose take-off or control is ordered and not answered: the mode that they last reported is old."""
@@ -108,10 +149,11 @@ class PlanFlight:
 
     def clock(self, now: float) -> tuple[ClockState | None, float]:
         """State and trajectory time of the step under way."""
-        if self.group is None:
-            return None, 0.0
-        time = self.group.clock.at(now)
-        return time.state, time.trajectory_s
+        return self.guidance.clock(now)
+
+    def why_displaced(self, name: str, now: float) -> str | None:
+        """See `Execution.why_displaced`, of where a vehicle is now."""
+        return self.execution.why_displaced(name, self.place_of(self.actors[name].vehicle, now)[0])
 
     def look(self, now: float) -> dict[str, Sight]:
         """All its vehicles, as they are seen now."""
@@ -124,7 +166,7 @@ class PlanFlight:
         place, age_s, speed = self.place_of(vehicle, now, delay_s)
         takeoff = None
         if self.execution.state is PlanState.TAKEOFF and name in self.takeoffs:
-            takeoff = self.takeoffs[name].look(now)
+            takeoff = str(self.takeoffs[name].look(now))
         on_ground = not is_flying(vehicle, now)
         reported, _, _ = measured_place(vehicle, self.frame, now, carried=False)
         return Sight(
@@ -134,7 +176,7 @@ class PlanFlight:
             vehicle.armed,
             on_ground,
             takeoff,
-            self._left(name, actor, now),
+            self.left_of(name, now),
             reported,
             age_s + delay_s,
             holds=vehicle.mode in HOLD_MODES,
@@ -150,27 +192,26 @@ class PlanFlight:
             return None
         return actor.vehicle.mode
 
-    def _left(self, name: str, actor: VehicleActor, now: float) -> Left | None:
-        """Why it does not follow; None: it does, or is not to yet."""
+    def left_of(self, name: str, now: float) -> Left | None:
+        """Why a vehicle does not follow; None: it does, or is not to yet."""
         if self.execution.over or self.execution.state in (PlanState.ABORTING, PlanState.LANDING):
             return None
-        vehicle, controller = actor.vehicle, actor.offboard.controller
+        actor = self.actors[name]
+        vehicle = actor.vehicle
         if not self.known(actor):
             return Left(Why.LOST, "it was forgotten, and no order reaches it any more")
         if not vehicle.connected:
             return Left(Why.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
         if name not in self.engaged:
+            return self._taken_before(name, actor, now)
+        return self.guidance.left(self, name, actor)
+
+    def _taken_before(self, name: str, actor: VehicleActor, now: float) -> Left | None:
+        """Why a vehicle that flies and waits to be taken under control is not ours to take: its mode has changed."""
+        mode = self.unexpected_mode(name)
+        if mode is None or mode == self.lock.member(name).mode or actor.vehicle.in_air(now) is False:
             return None
-        why = "; ".join(controller.reasons)
-        if controller.state is OffboardState.HELD:
-            return Left(Why.GUARD, f"the guard holds it: {why}")
-        if controller.state is not OffboardState.FLYING:
-            return Left(_why(why), why or f"control is {controller.state.value}")
-        if self.group is not None and name in self.group.left:
-            return Left(
-                Why.GUARD, why or "it does not follow its trajectory any more: its reference led out of the fence"
-            )
-        return None
+        return Left(Why.PILOT, f"it was switched to {mode} before it was under control")
 
     def status(self, now: float) -> list[dict[str, Any]]:
         """Each vehicle, for people and programs."""
@@ -181,7 +222,7 @@ class PlanFlight:
             sight = self.sights.get(name)
             place = None if sight is None else sight.place_m
             off_m = None
-            if place is not None and self.group is not None and not execution.over:
+            if place is not None and self.clock(now)[0] is not None and not execution.over:
                 off_m = execution.off_m(name, place, trajectory_s)
             left = execution.left.get(name)
             found.append(
@@ -213,13 +254,11 @@ class FlightOrders:
 
     def __init__(
         self,
-        trajectories: Trajectories,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         on_change: Callable[[], None],
         certify_landing: LandingRounds,
     ) -> None:
-        self._trajectories = trajectories
         self._loop = loop
         self._on_event = on_event
         self._on_change = on_change
@@ -230,6 +269,7 @@ class FlightOrders:
         """Look at the vehicles, and do what follows."""
         now = self._loop.time()
         sights = flight.look(now)
+        flight.guidance.look(flight, now)
         state, trajectory_s = flight.clock(now)
         self.carry_out(flight, flight.execution.tick(now, state, trajectory_s, sights))
 
@@ -238,6 +278,10 @@ class FlightOrders:
         self._report(flight)
         for order in orders:
             self._give(flight, order)
+
+    def start(self, work: Coroutine[Any, Any, None], name: str) -> None:
+        """Begin an order as a task of its own."""
+        self._tasks.start(work, name)
 
     def close(self) -> None:
         """Cancel what is under way."""
@@ -248,26 +292,22 @@ class FlightOrders:
         await self._tasks.settled()
 
     def _give(self, flight: PlanFlight, order: Order) -> None:
-        now, group = self._loop.time(), flight.group
         match order.kind:
             case OrderKind.FLY:
-                self._fly(flight)
+                if (why := flight.guidance.fly(flight)) is not None:
+                    self.carry_out(flight, flight.execution.start_failed(why))
             case OrderKind.CERTIFY_LANDING:
-                self._tasks.start(self._certified(flight), "certificate of a landing")
-            case OrderKind.STOP_CLOCK | OrderKind.GO_ON | OrderKind.END_CLOCK if group is not None:
-                clock = group.clock
-                with contextlib.suppress(RefusedError):  # it stands already
-                    match order.kind:
-                        case OrderKind.STOP_CLOCK:
-                            clock.pause(now)
-                        case OrderKind.GO_ON:
-                            clock.resume(now)
-                        case _:
-                            clock.abort(now)
+                self.start(self._certified(flight), "certificate of a landing")
+            case OrderKind.STOP_CLOCK:
+                flight.guidance.stop(flight)
+            case OrderKind.GO_ON:
+                flight.guidance.go_on(flight)
+            case OrderKind.END_CLOCK:
+                flight.guidance.end(flight)
             case _:
                 for name in order.vehicles:
                     work = self._order(flight, order.kind, name)
-                    self._tasks.start(work, f"{order.kind.value} {name} for the plan")
+                    self.start(work, f"{order.kind.value} {name} for the plan")
 
     async def _certified(self, flight: PlanFlight) -> None:
         try:
@@ -277,20 +317,6 @@ class FlightOrders:
             self.carry_out(flight, flight.execution.landing_refused([text]))
             if not isinstance(error, SkygcsError):
                 raise
-
-    def _fly(self, flight: PlanFlight) -> None:
-        """Start the step under way on one clock."""
-        now, settings = self._loop.time(), flight.settings
-        loaded = flight.loaded[flight.execution.index]
-        chosen = {flight.actors[name]: one for name, one in loaded.items() if name in flight.actors}
-        lead_s = max(START_LEAD_S, self._trajectories.lead_s(chosen))
-        begun = self._trajectories.begin(chosen, now + lead_s, settings.speed_factor, plan=settings.plan)
-        if isinstance(begun, TrajectoryGroup):
-            flight.group = begun
-            return
-        flight.group = None
-        why = "; ".join(f"{actor.name}: {text}" for actor, text in list(begun.items())[:3])
-        self.carry_out(flight, flight.execution.start_failed(f"{flight.execution.step.name} does not start: {why}"))
 
     async def _order(self, flight: PlanFlight, kind: OrderKind, name: str) -> None:
         """One order to one vehicle, to its outcome."""
@@ -305,7 +331,9 @@ class FlightOrders:
             case OrderKind.TAKEOFF:
                 outcome = await self._take_off(flight, name, actor)
             case OrderKind.ENGAGE:
-                outcome = await self._engage(flight, name, actor)
+                outcome = await flight.guidance.engage(flight, name, actor)
+                if outcome.ok:
+                    flight.engaged.add(name)
             case OrderKind.HOLD:
                 flight.engaged.discard(name)
                 outcome = await actor.hold()
@@ -317,11 +345,12 @@ class FlightOrders:
         self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message, mode))
 
     async def _arm(self, actor: VehicleActor) -> Outcome:
-        """In the mode of the take-off that follows: after a landing an ArduCopter is in LAND, in which it does not
-        arm."""
+        """In the mode of the take-off that follows: after a landing an ArduCopter is in LAND and a PX4 in AUTO.LAND, in
+        which they do not arm."""
         vehicle = actor.vehicle
-        if vehicle.family == "ardupilot" and not vehicle.armed and vehicle.mode != COPTER_TAKEOFF_MODE:
-            outcome = await actor.set_mode(COPTER_TAKEOFF_MODE)
+        mode = TAKEOFF_MODES.get(vehicle.family)
+        if mode is not None and not vehicle.armed and vehicle.mode != mode:
+            outcome = await actor.set_mode(mode)
             if not outcome.ok:
                 return outcome
         return await actor.arm(wait_s=ARM_WAIT_S)
@@ -337,19 +366,6 @@ class FlightOrders:
         outcome = await actor.takeoff(height_m, force=flight.settings.force, engage=False)
         if outcome.ok:  # it has left the ground: from here on it is watched
             flight.takeoffs[name] = TakeoffWatch(actor.vehicle, position["alt_amsl_m"], height_m, self._loop.time())
-        return outcome
-
-    async def _engage(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
-        """Under control, and to where its first step begins."""
-        settings = flight.settings
-        if not (actor.offboard.flying and actor.offboard.controller.wanted.value == settings.control_mode):
-            outcome = await actor.control(settings.control_mode, force=settings.force)
-            if not outcome.ok:
-                return outcome
-        lat_deg, lon_deg, alt_m = flight.frame.to_geodetic(*flight.execution.step.starts()[name])
-        outcome = await actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
-        if outcome.ok:
-            flight.engaged.add(name)
         return outcome
 
     def _report(self, flight: PlanFlight) -> None:
@@ -390,8 +406,3 @@ def measured_place(
     vx, vy, vz = world_from_enu((east, north, up), frame.origin)
     x, y, z = frame.from_geodetic(lat_deg, lon_deg, alt_m)
     return (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s), age_s, math.hypot(east, north, up)
-
-
-def _why(text: str) -> Why:
-    """Of the reason for which control ended."""
-    return Why.ORDER if "was ordered" in text or "switched off" in text else Why.PILOT

@@ -14,12 +14,13 @@ import asyncio
 import itertools
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
 
 from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.plan import remedies
 from skygcs.core.plan.execution import (
-    SILENT_S,
+    POSITION_SILENT_S,
     SLOW_MPS,
     Execution,
     PlanState,
@@ -33,30 +34,53 @@ from skygcs.core.plan.flight_findings import (
     ReturnHeight,
     offered_heights,
     refusals,
+    refused,
     return_height_findings,
 )
 from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.plan.flight_situation import Prepared, Situation
-from skygcs.core.plan.flight_steps import FlightStep, plan_of, renamed, rest_of, starts_of
+from skygcs.core.plan.flight_steps import FlightStep, from_where, plan_of, renamed, rest_of, starts_of
+from skygcs.core.plan.guidance import AUTO, Choice, Guidance, choose
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
 from skygcs.core.trajectory import ClockState, MotionLimits, least_limits
+from skygcs.core.vehicle.flight_lock import FlightLock, Holder
+from skygcs.core.vehicle.offboard_entry import loss_reach
+from skygcs.core.vehicle.plan_rehearsal import (
+    SLOWER,
+    Flown,
+    Stage,
+    Stopped,
+    factor_that_passes,
+    rehearse,
+    slowed,
+    too_fast,
+)
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
-from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, SkygcsError, TargetError
 from skygcs.events import Event
+from skygcs.number_text import rounded
 from skygcs.planning.process import PlanningProcesses
+from skygcs.runtime.flight_locks import FlightLocks
+from skygcs.runtime.plan_by_goto import GotoGuidance
+from skygcs.runtime.plan_by_setpoints import SetpointGuidance
 from skygcs.runtime.plan_checks import (
     Measured,
     battery_findings,
+    fence_findings,
+    link_findings,
+    made_elsewhere,
     margin_rule,
     measure,
+    not_streamed,
     preflight_findings,
     return_heights,
-    state_findings,
+    state_finding,
 )
-from skygcs.runtime.plan_flight import KIND, FlightOrders, FlightSettings, PlanFlight
+from skygcs.runtime.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, PlanFlight
 from skygcs.runtime.plan_uploads import PlanUploads
+from skygcs.runtime.separation_monitor import SeparationMonitor
+from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -82,6 +106,10 @@ class World(Protocol):
     def vehicles(self) -> Mapping[int, VehicleActor]: ...
     @property
     def origin(self) -> Origin | None: ...
+    @property
+    def locks(self) -> FlightLocks: ...
+    @property
+    def monitor(self) -> SeparationMonitor: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
 
 
@@ -129,6 +157,8 @@ class FlightRequest:
     speed_factor: float = 1.0
     margin_m: float | None = None
     force: bool = False
+    by: str = AUTO
+    """A `Guidance`, or the choice of one."""
 
 
 @dataclass(slots=True)
@@ -137,8 +167,9 @@ class _Checked:
 
     kept: KeptPlan
     actors: list[VehicleActor]
-    origin: Origin | None = None
-    findings: list[Finding] | None = None
+    lock: FlightLock
+    by: Choice
+    findings: list[Finding] = field(default_factory=list)
     steps: tuple[FlightStep, ...] = ()
     loaded: tuple[dict[str, LoadedTrajectory], ...] = ()
     execution: Execution | None = None
@@ -147,14 +178,22 @@ class _Checked:
     sources: dict[str, dict[str, list[Any]]] | None = None
     heights: dict[str, ReturnHeight | None] | None = None
     apart_m: float = 0.0
+    new_heights: dict[str, float] = field(default_factory=dict)
+    """Return heights in metres that are to be set before the flight begins."""
+
+    def passes(self, *, force: bool) -> bool:
+        """Whether nothing found keeps the plan on the ground."""
+        return not refusals(self.findings, force=force)
 
     def report(self, *, force: bool) -> dict[str, Any]:
         """JSON-able."""
-        findings = self.findings or []
+        findings = self.findings
         heights = self.heights or {}
         offered = offered_heights(heights, self.apart_m)
         return {
             "ok": not refusals(findings, force=force),
+            "by": self.by.by.value,
+            "why": self.by.reason,
             "findings": [finding.as_dict() for finding in findings],
             "certificate": None if self.certificate is None else self.certificate.as_dict(),
             "way_there": None if self.way is None else self.way.as_dict(),
@@ -172,6 +211,13 @@ class _Checked:
                 name: [h.height_m, offered[name], h.param] for name, h in heights.items() if h is not None
             },
         }
+
+
+class ChosenWay(NamedTuple):
+    """The way in which a plan is flown, and what was found of the links that it needs."""
+
+    choice: Choice
+    findings: list[Finding]
 
 
 MAX_STEPS_SHOWN = 50
@@ -200,13 +246,18 @@ class PlanRunner:
         self._links = links
         self._loop = loop
         self._on_event = on_event
-        self._orders = FlightOrders(trajectories, loop, on_event, plans.changed, self._certify_landing)
+        self._trajectories = trajectories
+        self._orders = FlightOrders(loop, on_event, plans.changed, self._certify_landing)
         self._numbers = itertools.count(1)
         self._busy: str | None = None
         """What is under way that must not be twice: a check before a flight, or a new certificate."""
         self._rule: MarginRule = MarginRule()
+        self._by = Guidance.SETPOINTS
         self._request = FlightRequest()
         self._force_landing = False
+        self._tasks = TaskSet(loop, on_event)
+        self._checking: FlightLock | None = None
+        """Of the flight that is being checked before it begins."""
         self._ending = False
 
     # -- what is kept
@@ -254,35 +305,80 @@ class PlanRunner:
             raise RefusedError("skygcs is shutting down")
         self._busy = "the check before a flight"
         try:
-            checked = await self._check(request, set_return_heights=set_return_heights)
-            report = checked.report(force=request.force)
-            if not report["ok"] or checked.execution is None or checked.origin is None:
-                return False, report
+            checked = await self._check(request, set_return_heights=set_return_heights, before_flight=True)
+            if not checked.passes(force=request.force) or checked.execution is None:
+                return False, checked.report(force=request.force)
             if (lacking := await self._relayed(checked.actors, checked.loaded)) is not None:
                 raise RefusedError(lacking)
+            if self._ending:
+                raise RefusedError("skygcs is shutting down")
+            if checked.new_heights:  # last: a flight that is refused has changed nothing
+                await self._write_heights(checked)
+            report = checked.report(force=request.force)
+            if report["ok"]:
+                self._begin(request, checked, checked.execution)
+            return bool(report["ok"]), report
         finally:
-            self._busy = None
-        if self._ending:
-            raise RefusedError("skygcs is shutting down")
+            self._busy = self._checking = None
+
+    def _begin(self, request: FlightRequest, checked: _Checked, execution: Execution) -> None:
+        """Let a checked flight begin."""
         settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
         actors = {actor.name: actor for actor in checked.actors}
-        self._request = request
-        self.flight = PlanFlight(settings, checked.execution, actors, checked.loaded, checked.origin, self._knows)
+        self._request, self._by = request, checked.by.by
+        guidance = self._guidance(checked.by.by)
+        self.flight = PlanFlight(settings, execution, actors, checked.loaded, checked.lock, guidance, self._knows)
         self.flight.look(self._loop.time())
-        self._orders.carry_out(self.flight, checked.execution.begin())
-        return True, report
+        self._orders.carry_out(self.flight, execution.begin())
 
-    async def _check(self, request: FlightRequest, *, set_return_heights: bool = False) -> _Checked:
+    def _guidance(self, by: Guidance) -> FlightGuidance:
+        if by is Guidance.GOTO:
+            return GotoGuidance(self._fleet.monitor, self._loop, self._orders.start)
+        return SetpointGuidance(self._trajectories, self._loop, by)
+
+    def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
+        """The way in which these vehicles fly a plan, and what was found of their links. Raises RefusedError."""
+        narrow = not_streamed(actors, control_mode, self._links)
+        own = {actor.name: made_elsewhere(actor) for actor in actors}
+        choice = choose(by, timed=timed, own_companion=own, not_streamed=narrow)
+        return ChosenWay(choice, link_findings(actors, choice, narrow, control_mode, self._loop.time(), timed=timed))
+
+    def _locked(self, kept: KeptPlan, actors: Sequence[VehicleActor], origin: Origin, *, held: bool) -> FlightLock:
+        """What the flight is checked with; ``held`` from here to the end of the flight."""
+        flown = [(actor.vehicle, actor.config.control) for actor in actors]
+        lock = self._fleet.locks.make(Holder.PLAN, kept.name, origin, flown)
+        if held:
+            self._checking = lock
+            self._hold(lock)
+        return lock
+
+    def _hold(self, lock: FlightLock) -> None:
+        """Hold a lock as long as its flight is checked or under way."""
+
+        def under_way() -> bool:
+            return self._checking is lock or (self.moving and self.flight is not None and self.flight.lock is lock)
+
+        self._fleet.locks.take(lock, under_way)
+
+    async def _check(
+        self, request: FlightRequest, *, set_return_heights: bool = False, before_flight: bool = False
+    ) -> _Checked:
+        """``before_flight``: nobody may change what it is checked with from here on."""
         kept = self._kept(request.plan)
         names, actors = self._chosen(kept, request.vehicles)
         origin = self._fleet.origin
         if origin is None:
             raise RefusedError("the fleet has no origin yet: set [origin], or `skygcs-cli origin from`")
-        checked = _Checked(kept, actors, origin)
+        timed = isinstance(kept.plan, TimedPlan)
+        way = self.chosen_way(actors, request.control_mode, request.by, timed=timed)
+        by = way.choice.by
+        checked = _Checked(kept, actors, self._locked(kept, actors, origin, held=before_flight), way.choice)
         frame, now = EnuFrame(origin), self._loop.time()
         # each vehicle by itself
-        flown: list[Vehicle] = [actor.vehicle for actor in actors]
-        findings = [f for actor in actors for f in state_findings(actor, request.control_mode, flown, self._links)]
+        await asyncio.gather(*(actor.read_loss() for actor in actors))
+        findings = checked.findings
+        findings += [state_finding(actor, [actor.name for actor in actors], now) for actor in actors]
+        findings += way.findings
         if not refusals(findings, force=request.force):
             standing = measure(actors, [], frame, now).grounded
             findings += await preflight_findings(actors, standing, self._fleet.preflight)
@@ -290,12 +386,11 @@ class PlanRunner:
         # the places as they are now, after the questions
         measured = measure(actors, self._fleet.everybody(), frame, self._loop.time())
         findings += measured.findings
-        checked.findings = findings
-        rule, checked.sources = self._margins(actors, request)
+        rule, checked.sources = self._margins(actors, request, by)
         self._rule = rule
         if len(measured.places) < len(actors):
             return checked
-        await self._check_heights(checked, rule, set_return_heights=set_return_heights)
+        _check_heights(checked, rule, set_return_heights=set_return_heights)
         # the way there, the plan, the certificates
         situation = Situation(
             renamed(kept.plan, names),
@@ -305,38 +400,69 @@ class PlanRunner:
             rule,
             _limits(actors),
             request.speed_factor,
+            by is Guidance.GOTO,
             _grounds(actors, measured, frame),
         )
-        prepared, checked.loaded = await self._prepared(situation, None)
+        stage = None if by is Guidance.GOTO else _stage(checked, request.speed_factor)
+        prepared, checked.loaded, stopped = await self._prepared(situation, None, stage)
         checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
         findings += _certificate_findings(prepared)
         findings += _bounds_findings(checked, request.speed_factor)
-        highest_m = (
-            max((step_m[2] for step_m in prepared.steps[0].starts().values()), default=0.0) if prepared.steps else 0.0
-        )
-        climb_s = (highest_m - min(place[2] for place in measured.places.values())) / SLOWEST_CLIMB_MPS
-        flight_s = prepared.duration_s / request.speed_factor + max(0.0, climb_s)
+        findings += _rehearsal_findings(stopped, timed=timed)
+        if by is Guidance.GOTO:
+            findings += _reach_findings(checked)
+        findings += await fence_findings(actors, prepared, frame, measured)
+        flight_s = _climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
         findings += battery_findings(actors, flight_s, self._record)
         if prepared.tubes is not None and prepared.steps:
-            checked.execution = Execution(prepared.steps, measured.grounded, prepared.tubes)
+            checked.execution = Execution(
+                prepared.steps, measured.grounded, prepared.tubes, measured.places, by_goto=by is Guidance.GOTO
+            )
         return checked
 
-    async def _check_heights(self, checked: _Checked, rule: MarginRule, *, set_return_heights: bool) -> None:
-        """Return heights that differ; set them if that is asked for."""
-        if checked.heights is None or checked.findings is None or len(checked.actors) < 2:
-            return
-        half_m = max(rule.half_m(actor.name) for actor in checked.actors)
-        checked.apart_m = 2.0 * half_m * rule.downwash_ratio
-        found = return_height_findings(checked.heights, checked.apart_m)
-        if set_return_heights and any(f.level is Level.REFUSED for f in found):
-            offered = offered_heights(checked.heights, checked.apart_m)
+    async def _write_heights(self, checked: _Checked) -> None:
+        """Set the return heights that the check has found necessary; all of them, or none if one cannot be set or the
+        order is cancelled meanwhile."""
+        before = dict(checked.heights or {})
+        written: list[VehicleActor] = []
+        done = False
+        try:
             for actor in checked.actors:
-                is_now = checked.heights.get(actor.name)
-                if is_now is not None and offered[actor.name] != is_now.height_m:
-                    await actor.params.set({is_now.param: offered[actor.name] * is_now.per_metre})
-            checked.heights = await return_heights(checked.actors)
-            found = return_height_findings(checked.heights, checked.apart_m)
-        checked.findings += found
+                wanted, is_now = checked.new_heights.get(actor.name), before.get(actor.name)
+                if wanted is None or is_now is None:
+                    continue
+                written.append(actor)
+                outcomes = await actor.params.set({is_now.param: wanted * is_now.per_metre}, own=checked.lock)
+                failed = [f"{name}: {outcome.message}" for name, outcome in outcomes.items() if not outcome.ok]
+                if failed:
+                    remedy = remedies.insist("check its link")
+                    checked.findings.append(refused(actor.name, "return height", failed[0], remedy))
+                    return
+            done = not self._ending
+        finally:
+            if not done:
+                await asyncio.shield(
+                    self._tasks.start(self._restore_heights(checked, written, before), "heights undone")
+                )
+        heights = {
+            name: None if h is None else h._replace(height_m=checked.new_heights.get(name, h.height_m))
+            for name, h in before.items()
+        }
+        checked.heights = heights
+
+    async def _restore_heights(
+        self, checked: _Checked, written: Sequence[VehicleActor], before: Mapping[str, ReturnHeight | None]
+    ) -> None:
+        """The return heights as they were, of those whose new one was sent."""
+        for actor in written:
+            height = before[actor.name]
+            if height is None:
+                continue
+            outcomes = await actor.params.set({height.param: height.height_m * height.per_metre}, own=checked.lock)
+            if not all(outcome.ok for outcome in outcomes.values()):
+                text = f"{height.param} may not be {rounded(height.height_m)} m as before"
+                remedy = remedies.set_parameter(actor.name, height.param, height.height_m * height.per_metre)
+                checked.findings.append(refused(actor.name, "return height", text, remedy))
 
     def _kept(self, number: str | None) -> KeptPlan:
         if self.kept is None:
@@ -364,10 +490,10 @@ class PlanRunner:
         return names, actors
 
     def _margins(
-        self, actors: Sequence[VehicleActor], request: FlightRequest
+        self, actors: Sequence[VehicleActor], request: FlightRequest, by: Guidance
     ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
         others = [actor for actor in self._fleet.everybody() if actor not in actors]
-        return margin_rule(actors, others, request.margin_m)
+        return margin_rule(actors, others, request.margin_m, by)
 
     # -- orders of people
 
@@ -399,9 +525,10 @@ class PlanRunner:
             raise RefusedError(
                 f"it was certified for {certified:g} times the planned speed: run it with --speed for more"
             )
-        if flight.group is None or flight.execution.over:
+        if flight.guidance.by is Guidance.GOTO:
+            raise RefusedError("by goto autopilots fly at their own speed: `skygcs-cli params set` changes that")
+        if flight.execution.over or not flight.guidance.set_speed(speed_factor):
             raise RefusedError(f"the plan is {flight.execution.state}: it has no speed now")
-        flight.group.clock.set_speed(self._loop.time(), speed_factor)
         flight.settings = flight.settings._replace(speed_factor=speed_factor)
         self._changed()
         return f"flying at {speed_factor:g} times the planned speed"
@@ -437,8 +564,16 @@ class PlanRunner:
         if lacking or len(measured.places) < len(actors):
             return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
+        by_goto = flight.guidance.by is Guidance.GOTO
+        if by_goto and not in_place:  # from where they are on their legs, and not from the begin of these
+            rest[0] = from_where(rest[0], measured.places, execution.tubes.downwash_ratio, _limits(actors))
         situation = self._situation_of_rest(actors, measured, rest, in_place=in_place)
-        prepared, loaded = await self._prepared(situation, rest)
+        stage = None
+        if not by_goto:
+            stage = _stage_of(flight.lock, actors, self._request.speed_factor)
+        prepared, loaded, stopped = await self._prepared(situation, rest, stage)
+        if stopped is not None:
+            return False, f"refused: {_stopped_text(stopped[0])}", [_stopped_text(stopped[0])]
         if prepared.problems or prepared.tubes is None:
             return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
         if not in_place and (why := await self._relayed(actors, loaded)) is not None:
@@ -449,11 +584,13 @@ class PlanRunner:
             self._orders.carry_out(flight, execution.go_on())
             return True, "going on: all are at their places", []
         # a new flight from here
-        if flight.group is not None:
-            flight.group.clock.abort(self._loop.time())
-        again = Execution(prepared.steps, (), prepared.tubes)
-        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, flight.origin, self._knows)
+        flight.guidance.end(flight)
+        again = Execution(prepared.steps, (), prepared.tubes, prepared.steps[0].starts(), by_goto=by_goto)
+        lock = flight.lock.of(frozenset(staying))
+        guidance = self._guidance(flight.guidance.by)
+        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, lock, guidance, self._knows)
         self.flight = later
+        self._hold(lock)
         later.look(self._loop.time())
         self._orders.carry_out(later, again.begin())
         without = f", without {', '.join(out)}" if out else ""
@@ -463,7 +600,7 @@ class PlanRunner:
         self, actors: Sequence[VehicleActor], measured: Measured, rest: Sequence[FlightStep], *, in_place: bool
     ) -> Situation:
         """``in_place``: they are where they have to be, so there is no way back."""
-        rule, _ = self._margins(actors, self._request)
+        rule, _ = self._margins(actors, self._request, self._by)
         kept_space = FlightSpace() if self.kept is None else self.kept.space
         return Situation(
             plan_of(rest[0]),
@@ -473,6 +610,7 @@ class PlanRunner:
             rule,
             _limits(actors),
             self._request.speed_factor,
+            self._by is Guidance.GOTO,
         )
 
     async def _certify_landing(self, flight: PlanFlight) -> None:
@@ -511,11 +649,9 @@ class PlanRunner:
             reasons = [*certificate.reasons(), "move them apart, or `plan land --force` lands all at once"]
             self._orders.carry_out(flight, execution.landing_refused(reasons))
 
-    async def _prepared(
-        self, situation: Situation, rest: list[FlightStep] | None
-    ) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
-        prepared, loaded = await self.work(_prepared_and_loaded, situation, rest)
-        return prepared, loaded
+    async def _prepared(self, situation: Situation, rest: list[FlightStep] | None, stage: Stage | None) -> _Rehearsed:
+        found: _Rehearsed = await self.work(_prepared_and_loaded, situation, rest, stage)
+        return found
 
     async def _relayed(
         self, actors: Sequence[VehicleActor], steps: Sequence[Mapping[str, LoadedTrajectory]]
@@ -558,12 +694,13 @@ class PlanRunner:
             self._orders.carry_out(flight, flight.execution.abort("skygcs is shutting down"))
             await self._orders.settled()
             return
-        if flight.group is not None:
-            flight.group.clock.abort(self._loop.time())
-        self._on_event(Event(KIND, None, None, f"{flight.settings.plan}: ended by the shutdown of skygcs", {}))
+        flight.guidance.end(flight)
+        then = ": each flies its leg to the end and holds there" if flight.guidance.by is Guidance.GOTO else ""
+        self._on_event(Event(KIND, None, None, f"{flight.settings.plan}: ended by the shutdown of skygcs{then}", {}))
 
     def close(self) -> None:
         self._orders.close()
+        self._tasks.close()
 
     # -- what is shown
 
@@ -576,27 +713,16 @@ class PlanRunner:
         if flight is None:
             return answer
         execution, settings = flight.execution, flight.settings
-        clock = None
-        if flight.group is not None:
-            time = flight.group.clock.at(now)
-            finishes = flight.group.clock.finishes_at_s(now)
-            clock = {
-                "state": time.state.value,
-                "trajectory_s": round(time.trajectory_s, 3),
-                "duration_s": round(flight.group.clock.duration_s, 3),
-                "rate": round(time.rate, 3),
-                "speed_factor": flight.group.clock.speed_factor,
-                "finishes_in_s": None if finishes is None else round(max(0.0, finishes - now), 3),
-            }
         return answer | {
             "state": execution.state.value,
             "phase": execution.step.name,
             "step": execution.index + 1,
             "steps": len(execution.steps),
             "reason": execution.reason,
-            "mode": settings.control_mode,
+            "by": flight.guidance.by.value,
+            "mode": None if flight.guidance.by is Guidance.GOTO else settings.control_mode,
             "speed": settings.speed_factor,
-            "clock": clock,
+            "clock": flight.guidance.status(now),
             "waits_for": list(execution.waits_for),
             "pairs": [pair._asdict() for pair in execution.pairs],
             "vehicles": flight.status(now),
@@ -608,20 +734,67 @@ class PlanRunner:
         return self.flight is not None and not self.flight.execution.over
 
 
-def _prepared_and_loaded(
-    situation: Situation, rest: list[FlightStep] | None
-) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
-    """The steps (``rest``: after a stop) and the bounds of each trajectory; both take long, and load numpy."""
+def _prepared_and_loaded(situation: Situation, rest: list[FlightStep] | None, stage: Stage | None) -> _Rehearsed:
+    """The steps (``rest``: after a stop), the bounds of each trajectory, and what stopped their rehearsal on a
+    ``stage``; all take long, and load numpy. Straight legs that lead towards a fence too fast are slowed down."""
     from skygcs.core.plan.preparation import prepare, prepare_return
 
     prepared = prepare(situation) if rest is None else prepare_return(situation, rest)
     if prepared.problems:
-        return prepared, ()
-    loaded = tuple(
-        {name: LoadedTrajectory(trajectory, step.name) for name, trajectory in step.trajectories.items()}
-        for step in prepared.steps
-    )
-    return prepared, loaded
+        return _Rehearsed(prepared, (), None)
+    steps, loaded = [], []
+    for step in prepared.steps:
+        ways = _loaded(step)
+        if stage is not None and not step.timed and too_fast(ways, step.name, stage) is not None:
+            slower = slowed(step, situation.limits, stage)
+            step, ways = (step, ways) if slower is None else (slower, _loaded(slower))
+        steps.append(step)
+        loaded.append(ways)
+    prepared = replace(prepared, steps=tuple(steps))
+    stopped = None
+    if stage is not None and steps and prepared.tubes is not None:
+        why = rehearse(steps, loaded, prepared.tubes, stage)
+        if why is not None:
+            stopped = why, factor_that_passes(loaded, steps, prepared.tubes, stage)
+    return _Rehearsed(prepared, tuple(loaded), stopped)
+
+
+class _Rehearsed(NamedTuple):
+    """What a flight is made of."""
+
+    prepared: Prepared
+    loaded: tuple[dict[str, LoadedTrajectory], ...]
+    stopped: tuple[Stopped, float | None] | None
+    """What stopped the rehearsal, and the speed factor at which nothing does; None: it reached its end."""
+
+
+def _loaded(step: FlightStep) -> dict[str, LoadedTrajectory]:
+    return {name: LoadedTrajectory(trajectory, step.name) for name, trajectory in step.trajectories.items()}
+
+
+def _stage(checked: _Checked, speed_factor: float) -> Stage:
+    return _stage_of(checked.lock, checked.actors, speed_factor)
+
+
+def _stage_of(lock: FlightLock, actors: Sequence[VehicleActor], speed_factor: float) -> Stage:
+    """Where a flight with this lock is rehearsed: with the guard's figures of now."""
+    flown = {actor.name: Flown(lock.member(actor.name).fence, loss_reach(actor.vehicle)) for actor in actors}
+    brake_mps2 = min(lock.member(actor.name).limits.brake_mps2 for actor in actors)
+    return Stage(lock.origin, flown, brake_mps2, speed_factor)
+
+
+def _stopped_text(stopped: Stopped) -> str:
+    who = "" if stopped.vehicle is None else f"{stopped.vehicle}: "
+    return f"the guard would stop it in {stopped.step}: {who}{stopped.text}"
+
+
+def _rehearsal_findings(stopped: tuple[Stopped, float | None] | None, *, timed: bool) -> list[Finding]:
+    if stopped is None:
+        return []
+    why, factor = stopped
+    otherwise = remedies.make_phased() if timed else remedies.by_goto()
+    remedy = otherwise if factor is None else remedies.slower(factor)
+    return [refused(why.vehicle, "rehearsal", _stopped_text(why), remedy)]
 
 
 def _way_down(*arguments: Any) -> Any:
@@ -633,9 +806,9 @@ def _way_down(*arguments: Any) -> Any:
 
 def _certificate_findings(prepared: Prepared) -> list[Finding]:
     if prepared.problems:
-        todo = "move the vehicles, change the plan, or give another margin"
+        remedy = remedies.make_again("change its places where they are named, or the vehicles'")
         return [
-            Finding(vehicle, "certificate", Level.REFUSED, line, todo)
+            refused(vehicle, "certificate", line, remedy)
             for line, vehicle in zip(prepared.problems, prepared.vehicles, strict=True)
         ]
     closest = None if prepared.certificate is None else prepared.certificate.closest
@@ -643,17 +816,66 @@ def _certificate_findings(prepared: Prepared) -> list[Finding]:
     return [Finding(None, "certificate", Level.OK, text)]
 
 
+def _check_heights(checked: _Checked, rule: MarginRule, *, set_return_heights: bool) -> None:
+    """Find return heights that are too near each other; note those that are to be set if that is asked for."""
+    if checked.heights is None or len(checked.actors) < 2:
+        return
+    half_m = max(rule.half_m(actor.name) for actor in checked.actors)
+    checked.apart_m = 2.0 * half_m * rule.downwash_ratio
+    found = return_height_findings(checked.heights, checked.apart_m)
+    if set_return_heights and any(f.level is Level.REFUSED for f in found):
+        offered = offered_heights(checked.heights, checked.apart_m)
+        known = {name: height for name, height in checked.heights.items() if height is not None}
+        checked.new_heights = {name: offered[name] for name, h in known.items() if offered[name] != h.height_m}
+        wanted = {
+            name: None if height is None else height._replace(height_m=offered[name])
+            for name, height in checked.heights.items()
+        }
+        found = return_height_findings(wanted, checked.apart_m)
+    checked.findings += found
+
+
 def _bounds_findings(checked: _Checked, speed_factor: float) -> list[Finding]:
     """Limits of motion and the control fence of each vehicle."""
     found: dict[str, Finding] = {}
-    by_name = {actor.name: actor for actor in checked.actors}
     for step, loaded in zip(checked.steps, checked.loaded, strict=False):
         for name, one in loaded.items():
-            why = None if name in found else by_name[name].offboard.path_refusal(one, speed_factor)
+            why = None if name in found else checked.lock.path_refusal(name, one, speed_factor)
             if why is not None:
                 text = f"{step.name}: {why}"
-                found[name] = Finding(name, "bounds", Level.REFUSED, text, "fly slower, or change fence or limits")
+                found[name] = refused(name, "bounds", text, _within_bounds(checked, name, one, speed_factor))
     return list(found.values())
+
+
+def _within_bounds(checked: _Checked, name: str, one: LoadedTrajectory, speed_factor: float) -> remedies.Remedy:
+    """A speed at which a trajectory keeps its limits; where it is the fence, another plan within it."""
+    for factor in (speed_factor * slower for slower in SLOWER):
+        if checked.lock.path_refusal(name, one, factor) is None:
+            return remedies.slower(factor)
+    return remedies.make_again("move its places into the control fence, or set control.fence in the fleet file")
+
+
+def _reach_findings(checked: _Checked) -> list[Finding]:
+    """By goto: legs that are longer than a goto may be."""
+    found: dict[str, Finding] = {}
+    for step in checked.steps:
+        for actor in checked.actors:
+            way = step.trajectories[actor.name]
+            leg_m = math.dist(way.start_enu_m, way.end_enu_m)
+            if leg_m > actor.config.goto_limit_m and actor.name not in found:
+                text = f"{step.name}: a leg of {leg_m:.0f} m; a goto may be {actor.config.goto_limit_m:g} m long"
+                remedy = remedies.again(f"set vehicles.{actor.name}.goto_limit_m in the fleet file")
+                found[actor.name] = refused(actor.name, "bounds", text, remedy)
+    return list(found.values())
+
+
+def _climb_s(prepared: Prepared, measured: Measured) -> float:
+    """Time that the lowest vehicle takes to the height of the highest start."""
+    if not prepared.steps:
+        return 0.0
+    highest_m = max((start_m[2] for start_m in prepared.steps[0].starts().values()), default=0.0)
+    lowest_m = min(place_m[2] for place_m in measured.places.values())
+    return max(0.0, highest_m - lowest_m) / SLOWEST_CLIMB_MPS
 
 
 def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -> FlightSpace:
@@ -674,7 +896,7 @@ def _returning(
     staying, out, reasons = [], [], []
     for name in execution.names:
         sight, left = sights[name], sights[name].left or execution.left.get(name)
-        silent = sight.place_m is None or sight.age_s > SILENT_S
+        silent = sight.place_m is None or sight.age_s > POSITION_SILENT_S
         if sight.forgotten and not sight.on_ground:
             out.append(name)
             reasons.append(f"{name} was forgotten: abort, and run it again from where they are, or insist with force")

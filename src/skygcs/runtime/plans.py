@@ -44,6 +44,8 @@ class Plans:
         self._on_event = on_event
         self._runner: PlanRunner | None = None
         self._records: dict[int, FlightRecord] = {}
+        self.recalled: dict[int, FlightRecord] = {}
+        """By key, records of the daemon before, of vehicles that were not heard yet."""
         self._charged_at = -math.inf
         self._ending = False
 
@@ -65,7 +67,10 @@ class Plans:
 
     def record(self, actor: VehicleActor) -> FlightRecord:
         """What is measured of this vehicle's battery in flight."""
-        return self._records.setdefault(actor.vehicle.key, FlightRecord())
+        key = actor.vehicle.key
+        if key not in self._records:
+            self._records[key] = self.recalled.pop(key, FlightRecord())
+        return self._records[key]
 
     def status(self) -> dict[str, Any]:
         """As plan.status answers."""
@@ -80,6 +85,7 @@ class Plans:
             "step": 0,
             "steps": 0,
             "reason": "",
+            "by": None,
             "mode": None,
             "speed": None,
             "clock": None,

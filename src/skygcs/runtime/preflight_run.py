@@ -10,35 +10,42 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
-from skygcs.core.mavlink.modes import is_copter
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.params.names import turns_on
+from skygcs.core.plan.flight_findings import ReturnHeight, offered_heights
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
-from skygcs.core.preflight.report import Fix, Report, Severity, failed
+from skygcs.core.preflight.report import Finding, Fix, Report, Severity, failed, passed
+from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.parameter import ParamOutcome
+from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import sticks_of
+from skygcs.number_text import rounded
+from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.vehicle_services import VehicleServices
-
-if TYPE_CHECKING:  # only vehicles of [mocap] have it
-    from skygcs.core.mocap.pose_stream import PoseStream
 
 AT_ONCE = 8
 """Parameters of one vehicle requested at the same time: 8 x 45 B are 65 ms of 57600 baud; a missing one takes 7 s."""
 
 VEHICLES_AT_ONCE = 3
 """Vehicles examined at the same time: their requests, some fifteen each, share a radio."""
+
+REQUESTS = 2
+"""Of a message that was promised and did not come: a radio that loses 2 % loses one of four vehicles' messages in every
+fourth preflight."""
 
 SETTLE_S = 3.0
 """Time until the vehicle's telemetry reflects a set parameter: it evaluates its arming checks once a second, and
@@ -56,6 +63,7 @@ class Examined:
     at: float
     fixed: Mapping[str, ParamOutcome]
     unfixed: str = ""
+    return_height: ReturnHeight | None = None
 
 
 class Preflight:
@@ -67,6 +75,7 @@ class Preflight:
         vehicle: Vehicle,
         config: VehicleConfig,
         params: VehicleParams,
+        metadata: VehicleMetadata,
         services: VehicleServices,
         request: Request,
         *,
@@ -79,6 +88,7 @@ class Preflight:
         self.vehicle = vehicle
         self._config = config
         self._params = params
+        self._metadata = metadata
         self._services = services
         self._dialect = services.dialect
         self._request = request
@@ -87,14 +97,25 @@ class Preflight:
         self._valid_s = services.preflight_valid_s
         self.wall_clock = wall_clock
         """The time of day in Unix seconds, with which the vehicle's clock is compared."""
-        self.poses: PoseStream | None = None
-        """Its poses of motion capture; None: none are sent to it."""
+        self._pose_problem: Callable[[float], str | None] | None = None
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()
         """Names of parameters that it does not have, except required ones, which may appear after a change of
         settings."""
         self._expectations = _expectations(config)
+
+    @property
+    def footprint(self) -> Footprint:
+        """The space that the vehicle needs."""
+        return self._config.separation.footprint()
+
+    def fly_by_poses(self, problem: Callable[[float], str | None]) -> None:
+        """Expect poses of motion capture instead of GPS from now on. ``problem(now)``: why it cannot fly by them."""
+        self._pose_problem = problem
+        self._expectations = replace(
+            self._expectations, mocap=True, gps_fix_min="no_gps", satellites_min=0, hdop_max=0.0
+        )
 
     async def run(self, *, fix: bool = False, confirmed: Confirmed = None) -> Examined:
         """Examine it. With ``fix`` set the parameters that correct a finding, and examine it again.
@@ -163,12 +184,18 @@ class Preflight:
         if self._facts({}).able:
             asked = await self._ask_params(wanted)
             await self._ask_messages()
-        examined = Examined(examine(self._facts(asked), wanted), self._loop.time(), fixed, unfixed)
+        facts = self._facts(asked)
+        height = return_height(facts)
+        returns = None if height is None else ReturnHeight(*height)
+        examined = Examined(examine(facts, wanted), self._loop.time(), fixed, unfixed, returns)
         if life == self._lives:
             self.last = examined
         return examined
 
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
+        known = {a.param.name: a.param for a in answers.values() if a.param is not None}
+        if self.vehicle.family == "px4":  # an ArduCopter has a value outside a recommended range from the beginning
+            known = dict(self._params.known()) | known
         return Facts(
             state=dict(take_snapshot(self.vehicle, self._loop.time(), self.wall_clock())),
             gcs_sysid=None if self._services.own[0] == self.vehicle.sysid else self._services.own[0],
@@ -176,15 +203,13 @@ class Preflight:
             expected_autopilot=self._config.autopilot,
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
-            copter=is_copter(self.vehicle.type),
-            pose_problem=self._pose_problem(),
+            copter=self.vehicle.kind is VehicleClass.COPTER,
+            sticks=sticks_of(self.vehicle, self._loop.time()),
+            outside=self._metadata.outside(known.values()) if answers else None,
+            judged=len(known),
+            pose_problem=None if self._pose_problem is None else self._pose_problem(self._loop.time()),
             origin_off_m=None if self.vehicle.origin is None else off_m(self.vehicle, self.vehicle.origin),
         )
-
-    def _pose_problem(self) -> str | None:
-        if not self._expectations.mocap:
-            return None
-        return "no poses are sent to it" if self.poses is None else self.poses.problem(self._loop.time())
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
         """Read the needed parameters, by their requested names, several at a time. Values that PX4 confirms by its hash
@@ -208,7 +233,8 @@ class Preflight:
                         self._absent.add(name)
 
         async with asyncio.TaskGroup() as group:
-            for names in needed_params(self.vehicle.family, wanted, self.vehicle.mode):
+            copter = self.vehicle.kind is VehicleClass.COPTER
+            for names in needed_params(self.vehicle.family, wanted, copter=copter):
                 group.create_task(ask(names), name=f"preflight of {self.vehicle.name}: {names[0]}")
         return answers
 
@@ -219,7 +245,9 @@ class Preflight:
             if message in self._dialect.by_name and (slot is None or self._loop.time() - slot.at > FRESH_S):
                 if self._unneeded(message):
                     continue
-                await self._request(message)
+                for _ in range(REQUESTS):
+                    if (await self._request(message)).result != "timeout":
+                        break
 
     def _unneeded(self, message: str) -> bool:
         """True if the message's data is known: a battery's charge is in SYS_STATUS, too; the version does not
@@ -278,7 +306,32 @@ async def examine_all(
 
     async with asyncio.TaskGroup() as group:
         tasks = {n: group.create_task(one(n, v), name=f"preflight of {n}") for n, v in vehicles.items()}
-    return {name: task.result() for name, task in tasks.items()}
+    reports = {name: task.result() for name, task in tasks.items()}
+    for name, finding in _return_together(vehicles).items():
+        reports[name]["findings"].append(finding.as_dict())
+    return reports
+
+
+def _return_together(vehicles: Mapping[str, Preflight | Unheard]) -> dict[str, Finding]:
+    """Of vehicles whose return heights are nearer to each other than their margin: that they would return one after
+    another, and what brings them home at once. It keeps none of them on the ground."""
+    seen = {name: v for name, v in vehicles.items() if isinstance(v, Preflight) and v.last is not None}
+    heights = {name: None if v.last is None else v.last.return_height for name, v in seen.items()}
+    known = {name: height for name, height in heights.items() if height is not None}
+    if len(known) < 2:
+        return {}
+    margins = [pair_margin(v.footprint, v.footprint) for v in seen.values()]
+    apart_m = max(margin.total_m * margin.downwash_ratio for margin in margins)
+    found = {}
+    for name, wanted_m in offered_heights(known, apart_m).items():
+        param, per_metre, height_m = known[name]
+        if wanted_m == height_m:
+            continue
+        text = f"returns at {rounded(height_m)} m, less than {rounded(apart_m)} m from another: where their ways "
+        text += "conflict they return one after another; all at once with "
+        text += f"{param} {wanted_m * per_metre:g} ({wanted_m:g} m)"
+        found[name] = passed(text).named("return heights", Severity.NOTE)
+    return found
 
 
 def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:
@@ -297,10 +350,7 @@ def _expectations(config: VehicleConfig) -> Expectations:
     control = config.control
     slowest_hz = min(control.velocity_hz or VELOCITY_HZ, control.position_hz or POSITION_HZ)
     wanted = config.preflight.expectations(control=config.control_planned, setpoint_hz=slowest_hz)
-    wanted = replace(wanted, delegated=config.delegated)
-    if not config.mocap:
-        return wanted
-    return replace(wanted, mocap=True, gps_fix_min="no_gps", satellites_min=0, hdop_max=0.0)
+    return replace(wanted, delegated=config.delegated)
 
 
 def _answer(outcome: ParamOutcome) -> Answer:

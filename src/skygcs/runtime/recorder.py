@@ -18,14 +18,15 @@ import io
 import os
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from skygcs.config.files import LOG_MODE, make_log_folder
 from skygcs.events import Event
 from skygcs.tlog.format import TIME_BYTES, encode_record
+from skygcs.writer_thread import WriterThread
 
 FLUSH_PERIOD_S = 0.25
 """Longest time that a record waits in memory while the disk works; the write takes well below a second."""
@@ -54,7 +55,7 @@ OpenFile = Callable[[Path], io.FileIO]
 
 def _open_new(path: Path) -> io.FileIO:
     """Open a new file, unbuffered; fails if it exists."""
-    return io.FileIO(path, "xb")
+    return io.FileIO(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, LOG_MODE), "wb")
 
 
 @dataclass(slots=True)
@@ -121,7 +122,7 @@ class TlogFiles:
             return True
 
     def _open(self, data: bytes | bytearray, now: float) -> io.FileIO:
-        self._folder.mkdir(parents=True, exist_ok=True)
+        make_log_folder(self._folder)
         unix_us = int.from_bytes(data[:TIME_BYTES], "big")
         try:
             begun = f"{datetime.fromtimestamp(unix_us / 1e6, UTC):%Y%m%dT%H%M%SZ}"
@@ -179,7 +180,7 @@ class Recorder:
         self._on_event = on_event
         self._piece_bytes = max(min(PIECE_BYTES, max_bytes // 4), 1)
         self._max_buffer_bytes = max_buffer_bytes
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="tlog")
+        self._executor = WriterThread("tlog")
         self._flushing: asyncio.Task[None] | None = None
         self._closed = False
         self._newest_us = 0
@@ -271,7 +272,7 @@ class Recorder:
                 self._flushing = loop.create_task(self._flush(), name="last tlog flush")
                 await asyncio.shield(self._flushing)
                 await loop.run_in_executor(self._executor, self._files.close)
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown()
         if waiting := sum(p.records for p in self._pieces) + self._piece.records:
             self._lost += waiting
             self._report(f"recording ended with {waiting} records unwritten: {self._fault or 'the disk is stuck'}")

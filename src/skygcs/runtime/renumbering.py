@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from skygcs.config.tables import key_lines, line_of
 from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle import flight_lock
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.errors import RefusedError
@@ -112,6 +113,7 @@ class Renumbering:
         if self._busy is not None:
             raise RefusedError(f"{self._busy} is being given another id: one at a time")
         require_connected(vehicle, now)
+        self._fleet.locks.require(flight_lock.Renumbering(vehicle.key))
         if vehicle.family not in PARAMETERS:
             raise RefusedError("it is neither a PX4 nor an ArduPilot: its parameter for the system id is not known")
         if (why := why_not_idle(vehicle, now)) is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
@@ -14,13 +14,24 @@ from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import HORIZON_S
+from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
-from skygcs.core.monitor.order_check import Mover, Other, goto_conflict, setpoint_conflict, takeoff_conflict
-from skygcs.core.monitor.tracks import PLAN_STEP_S, Member, Place
+from skygcs.core.monitor.order_check import (
+    FORGET,
+    FRESH_S,
+    Mover,
+    Other,
+    goto_conflict,
+    setpoint_conflict,
+    takeoff_conflict,
+)
+from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
+from skygcs.core.monitor.ways import Way, along, conflict
 from skygcs.core.separation import Footprint
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
+from skygcs.core.vehicle.mission_orders import MISSION_MODES, current_item
 from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -40,6 +51,9 @@ SHARE = 0.1
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
+
+PAIRS_OF_LEGS_A_TURN = 500
+"""Of two missions that are compared, before other tasks of the loop may get their turn: 1 ms."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -212,10 +226,10 @@ class SeparationMonitor:
         movers, others, end_s = [], [], 0.0
         for actor, loaded in starting.items():
             movers.append(
-                on_trajectory(actor.vehicle, self._footprint(actor), loaded, clock, _places(loaded, clock, now))
+                on_trajectory(actor.vehicle, self.footprint(actor), loaded, clock, _places(loaded, clock, now))
             )
             end_s = max(end_s, _left_s(clock, now))
-        for key, track in self.monitor.tracks.tracks.items():
+        for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             other = self._actors.get(key)
             if other is None or other in starting:
                 continue
@@ -231,7 +245,49 @@ class SeparationMonitor:
         refused = ((actor, self._refusal(found.get(actor.vehicle.key))) for actor in starting)
         return {actor: why for actor, why in refused if why is not None}
 
-    def _footprint(self, actor: VehicleActor) -> Footprint:
+    async def mission_refusals(self, starting: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
+        """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
+        flies, or a vehicle that flies otherwise, and why. They are compared as space, in turns with others."""
+        ways = {actor: way for actor, run in starting.items() if (way := self._mission_way(actor, run)) is not None}
+        others = []
+        for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
+            actor = self._actors.get(key)
+            if actor is None or actor in starting or track.parked:
+                continue
+            flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
+            way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
+            others.append(self._present_way(actor, track) if way is None else way)
+        refused: dict[VehicleActor, str] = {}
+        for actor, way in ways.items():
+            found = await _first_conflict(way, [*others, *(w for a, w in ways.items() if a is not actor)])
+            if (why := self._refusal(found)) is not None:
+                refused[actor] = why
+        return refused
+
+    def _mission_way(self, actor: VehicleActor, run: MissionRun) -> Way | None:
+        """The way of a mission from where its vehicle is; None: that is not known."""
+        mover, home, frame = self._mover(actor.vehicle), actor.vehicle.telemetry("home"), self.monitor.tracks.frame
+        if mover is None or frame is None:
+            return None
+        alt_m = actor.vehicle.home_alt_amsl_m()
+        base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
+        if home is not None:
+            base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
+        return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame)
+
+    def _present_way(self, actor: VehicleActor, track: Track) -> Way:
+        """Where a vehicle is, and the way to where skygcs has sent it."""
+        frame = self.monitor.tracks.frame
+        assert frame is not None
+        points = [frame.from_ecef(track.ecef_m)]
+        if (destination := self._destination(track.key)) is not None:
+            points.append(frame.from_geodetic(*destination))
+        doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
+        ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
+        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m, doing)
+
+    def footprint(self, actor: VehicleActor) -> Footprint:
+        """The space that a vehicle needs."""
         return self._settings(actor.vehicle.key, actor)[0]
 
     def _mover(self, vehicle: Vehicle) -> Mover | None:
@@ -245,12 +301,16 @@ class SeparationMonitor:
         if self._loop.time() - at > POSITION_FRESH_S:
             return None
         here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-        return Mover(vehicle.key, vehicle.name, self._footprint(actor), here)
+        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here)
 
     def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
+        """``sent``: for an order that goes on by itself, so where others were sent and who is lost counts, too."""
         for key, track in self.monitor.tracks.tracks.items():
             if key not in together:
                 yield Other(track, self._destination(key) if sent else None)
+        for key, track in self.monitor.tracks.lost.items() if sent else ():
+            if key not in together and key in self._actors:
+                yield Other(track)
 
     def _destination(self, key: int) -> Place | None:
         known, actor = self._destinations.get(key), self._actors.get(key)
@@ -294,6 +354,18 @@ class SeparationMonitor:
             "took_s": round(self.took_s, 5),
             "longest_turn_s": round(self.longest_turn_s, 5),
         }
+
+
+async def _first_conflict(way: Way, others: Sequence[Way]) -> str | None:
+    """The first conflict of a way, in words; others get their turn after each part of it."""
+    for other in others:
+        legs = max(1, PAIRS_OF_LEGS_A_TURN // max(1, len(other.legs)))
+        for part in range(0, len(way.legs), legs):
+            found = conflict(replace(way, legs=way.legs[part : part + legs]), [other])
+            if found is not None:
+                return found
+            await asyncio.sleep(0)
+    return None
 
 
 async def _in_turns(work: Iterator[None]) -> tuple[float, float]:

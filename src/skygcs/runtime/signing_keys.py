@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,7 @@ from skygcs.core.mavlink.signing import (
     timestamp_of,
     unix_time_of,
 )
+from skygcs.disk_writer import CLOSE_S, DiskWriter
 from skygcs.errors import KeyFileError, RefusedError
 from skygcs.events import Event
 from skygcs.links.base import Channel
@@ -233,6 +235,8 @@ class Signing:
         store: SigningStore,
         unix_s: Callable[[], float] = time.time,
     ) -> None:
+        self.disk: DiskWriter | None = None
+        """Saves the clocks beside the loop; without one they are not saved."""
         self._dialect = dialect
         self._on_event = on_event
         self._store = store
@@ -311,9 +315,9 @@ class Signing:
         for (secret, _), streams in self._streams.items():
             if secret == key.secret:
                 streams.reset()
-        self._store.save(key.id, wall, wall=wall, exact=False)
+        if self.disk is not None:
+            self.disk.offer("a clock of signing", partial(self._store.save, key.id, wall, wall=wall, exact=False))
         key.saved = wall
-        self._report_store()
         text = f"the clock of key {key.id} was {_duration(before_s)} ahead of this computer's and is set back to it"
         self._on_event(Event("signing", None, None, f"signing: {text}", {"key_id": key.id, "ahead_s": round(before_s)}))
         return text
@@ -440,13 +444,22 @@ class Signing:
                     if key.clock.timestamp - key.saved > SAVE_EVERY_S * TICKS_PER_S or not key.saved:
                         stamp = max(key.clock.timestamp, self._wall())
                         key.clock.see_wall(self._wall())
-                        await asyncio.to_thread(self._store.save, key.id, stamp, wall=key.clock.wall, exact=False)
                         key.saved = stamp
+                        await self._save(key, stamp, exact=False)
                     self._report_store()
         finally:
             for key in self._keys.values():
-                self._store.save(key.id, key.clock.timestamp, wall=key.clock.wall, exact=True)
+                await self._save(key, key.clock.timestamp, exact=True)
             self._report_store()
+
+    async def _save(self, key: _Key, stamp: int, *, exact: bool) -> None:
+        if self.disk is None:
+            return
+        job = partial(self._store.save, key.id, stamp, wall=key.clock.wall, exact=exact)
+        try:
+            await self.disk.run("a clock of signing", job, within_s=CLOSE_S)
+        except OSError as error:
+            self._store.problem = f"the clock of key {key.id} cannot be written ({error.strerror})"
 
     def _report_store(self) -> None:
         """A clock that cannot be saved is reported once per reason."""

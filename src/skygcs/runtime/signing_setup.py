@@ -25,14 +25,18 @@ from skygcs.core.mavlink.signing import KEY_BYTES, is_signed_with, key_id
 from skygcs.core.protocols.command import MAX_TEXTS, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.flight_evidence import why_not_idle
+from skygcs.core.vehicle.flight_lock import SigningClockReset
+from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet import Fleet, Reports, Unreported
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.signing_keys import Signing
+
+SIGNING = standing("signing")
 
 TRIES = 3
 WAIT_S = 2.5
@@ -62,16 +66,19 @@ class SigningSetup:
         self._loop = loop
         self._on_event = on_event
 
-    async def setup(self, targets: str | list[str], key_file: Path, *, force: bool = False) -> dict[str, Outcome]:
+    async def setup(
+        self, targets: str | list[str], key_file: Path, *, force: bool = False, reports: Reports | None = None
+    ) -> dict[str, Outcome]:
         """Give the vehicles the key of a file. Raises TargetError, or KeyFileError before anything is sent."""
-        return await self._send_key(targets, read_key(key_file), force=force)
+        return await self._send_key(targets, read_key(key_file), reports or Unreported(), force=force)
 
-    async def off(self, targets: str | list[str]) -> dict[str, Outcome]:
+    async def off(self, targets: str | list[str], *, reports: Reports | None = None) -> dict[str, Outcome]:
         """Remove the vehicles' key. Raises TargetError."""
-        return await self._send_key(targets, None, force=False)
+        return await self._send_key(targets, None, reports or Unreported(), force=False)
 
     def reset_clock(self, wanted: str, *, force: bool = False) -> str:
         """See `Signing.reset_clock`. Without ``force`` it also raises RefusedError while a vehicle may be in use."""
+        self._fleet.locks.require(SigningClockReset())
         now = self._loop.time()
         used = [a.name for a in self._fleet.vehicles.values() if a.vehicle.connected and why_not_idle(a.vehicle, now)]
         if used and not force:
@@ -81,10 +88,19 @@ class SigningSetup:
             )
         return self._signing.reset_clock(wanted)
 
-    async def _send_key(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
+    async def _send_key(
+        self, targets: str | list[str], key: bytes | None, reports: Reports, *, force: bool
+    ) -> dict[str, Outcome]:
         vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
+        reports.begun([vehicle.name for vehicle in vehicles])
+
+        async def one(vehicle: Vehicle) -> Outcome:
+            outcome = await self._report_one(vehicle, key, force=force)
+            reports.ended(vehicle.name, outcome)
+            return outcome
+
         async with asyncio.TaskGroup() as group:
-            tasks = {v.name: group.create_task(self._report_one(v, key, force=force)) for v in vehicles}
+            tasks = {vehicle.name: group.create_task(one(vehicle)) for vehicle in vehicles}
         return {name: task.result() for name, task in tasks.items()}
 
     async def _report_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
@@ -183,7 +199,7 @@ class SigningSetup:
             if key is not None:
                 values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
             shown.clear()
-            if not self._hub.send_on((channel.id,), info, values, Priority.COMMAND):
+            if not self._hub.send_on((channel.id,), info, values, Priority.COMMAND, clearance=SIGNING):
                 return Outcome(False, "failed", f"{channel.link.name} did not accept the message", number)
             remove = self._hub.observers.add(None, {vehicle.key}, lambda frame, _, now: look(frame))
             try:

@@ -15,6 +15,7 @@ from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import RESULT_NAMES, Ack
 from skygcs.core.radio_link.rate_controller import RateController, RateRequest
 from skygcs.core.radio_link.stream_rates import POSITION
@@ -253,6 +254,21 @@ class StreamRequester:
             if info is not None and self._vehicle.slot(message) is None:
                 values = {"command": mav_cmd.REQUEST_MESSAGE, "param1": float(info.msgid)}
                 self._commands.transmit("COMMAND_LONG", values, Priority.PROTOCOL)
+        self._identify_program()
+
+    def _identify_program(self) -> None:
+        """Ask an ArduPilot which of its programs it is, and an ArduPlane whether it lifts by rotors: its MAV_TYPE shows
+        neither (`mavlink.vehicle_class`)."""
+        vehicle = self._vehicle
+        if vehicle.family != "ardupilot":
+            return
+        if vehicle.program is None and not self._commands.in_flight(mav_cmd.DO_SEND_BANNER):
+            self._commands.transmit("COMMAND_LONG", {"command": mav_cmd.DO_SEND_BANNER}, Priority.PROTOCOL)
+        if vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL) and "PARAM_REQUEST_READ" in self._dialect.by_name:
+            for name in ("Q_ENABLE", "Q_GUIDED_MODE"):
+                if vehicle.param(name) is None:
+                    values = {"param_id": name, "param_index": -1}
+                    self._commands.transmit("PARAM_REQUEST_READ", values, Priority.PROTOCOL)
 
     def _read_intervals(self, now: float) -> None:
         """Give the controller the newest MESSAGE_INTERVAL."""

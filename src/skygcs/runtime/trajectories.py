@@ -21,15 +21,18 @@ from weakref import WeakKeyDictionary
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState, Trajectory, TrajectoryClock
+from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.trajectory_flight import (
     OVER,
     LoadedTrajectory,
+    StartTube,
     TrajectoryFlight,
     common_clock,
     require_speed,
 )
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.events import Event
+from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -51,6 +54,9 @@ MOST_POINTS_OF_ALL = 20_000
 """Of all trajectories in one answer: some 400 kB."""
 
 
+NO_TUBES: Mapping[str, StartTube] = {}
+
+
 class DrawnPath(NamedTuple):
     """Points of a trajectory for a picture; ``number`` is never given twice."""
 
@@ -64,6 +70,8 @@ class TrajectoryGroup:
 
     clock: TrajectoryClock
     flights: dict[VehicleActor, TrajectoryFlight]
+    lock: FlightLock
+    """What it was checked and begun with."""
     state: ClockState = ClockState.WAITING
     """As was reported last."""
     left: list[str] = field(default_factory=list)
@@ -84,10 +92,14 @@ class Trajectories:
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         separation: SeparationMonitor,
+        locks: FlightLocks,
     ) -> None:
         self._vehicles = vehicles
         self._separation = separation
+        self._locks = locks
         self._checking = asyncio.Lock()
+        self._starting: FlightLock | None = None
+        """Of the start whose distances are being checked."""
         self._loop = loop
         self._on_event = on_event
         self._loaded: dict[VehicleActor, LoadedTrajectory] = {}
@@ -163,9 +175,23 @@ class Trajectories:
     def start(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
         """Let all of them begin at ``at_s`` of the daemon's clock, or none. Distances are the caller's matter."""
         chosen, refused = self._chosen(actors)
+        lock = None if refused else self._lock_of(chosen)
+        return self._start(actors, chosen, refused, at_s, speed_factor, lock)
+
+    def _start(
+        self,
+        actors: Sequence[VehicleActor],
+        chosen: Mapping[VehicleActor, LoadedTrajectory],
+        refused: dict[VehicleActor, str],
+        at_s: float,
+        speed_factor: float,
+        lock: FlightLock | None,
+    ) -> dict[str, Outcome]:
         at_s = max(at_s, self._loop.time() + self.lead_s(actors)) if self.lead_s(actors) > 0.0 else at_s
-        if not refused:
-            begun = self.begin(chosen, at_s, speed_factor)
+        if not refused and lock is None:
+            refused = dict.fromkeys(chosen, "the fleet has no origin yet")
+        if not refused and lock is not None:
+            begun = self.begin(chosen, at_s, speed_factor, lock)
             if isinstance(begun, TrajectoryGroup):
                 text = f"begins in {at_s - self._loop.time():.1f} s"
                 return {actor.name: Outcome(True, "accepted", text) for actor in actors}
@@ -179,16 +205,36 @@ class Trajectories:
         async with self._checking:
             at_s = max(at_s, self._loop.time()) if at_s >= began else at_s
             chosen, refused = self._chosen(actors)
-            clock = None if refused else self._clock(chosen, at_s, speed_factor)
+            lock = None if refused else self._lock_of(chosen)
+            clock = None if lock is None else self._clock(chosen, at_s, speed_factor, lock)
             if isinstance(clock, TrajectoryClock):
-                refused = await self._separation.trajectory_refusals(chosen, clock)
+                self._starting = lock
+                try:
+                    refused = await self._separation.trajectory_refusals(chosen, clock)
+                finally:
+                    self._starting = None
                 changed = [actor for actor in actors if self._loaded.get(actor) is not chosen[actor]]
                 refused |= dict.fromkeys(changed, "its trajectory was changed while it was checked")
             elif clock is not None:
                 refused = clock
             if refused:
                 return self._none_starts(actors, refused)
-            return self.start(actors, max(at_s, self._loop.time()), speed_factor)
+            return self._start(actors, chosen, {}, max(at_s, self._loop.time()), speed_factor, lock)
+
+    def _lock_of(self, chosen: Mapping[VehicleActor, LoadedTrajectory]) -> FlightLock | None:
+        """What these fly by from now on, held while they do; None without an origin."""
+        first, loaded = next(iter(chosen.items()), (None, None))
+        if first is None or loaded is None or first.vehicle.origin is None:
+            return None
+        flown = [(actor.vehicle, actor.config.control) for actor in chosen]
+        lock = self._locks.make(Holder.TRAJECTORY, loaded.name, first.vehicle.origin, flown)
+        return self._locks.take(lock, lambda: self._flown_by(lock))
+
+    def _flown_by(self, lock: FlightLock) -> bool:
+        """Whether a group flies by this lock, or is about to."""
+        now = self._loop.time()
+        groups = (group for group in self._groups if group.lock is lock and group.flights)
+        return self._starting is lock or any(group.clock.at(now).state not in OVER for group in groups)
 
     def _chosen(
         self, actors: Sequence[VehicleActor]
@@ -204,19 +250,19 @@ class Trajectories:
         chosen: Mapping[VehicleActor, LoadedTrajectory],
         at_s: float,
         speed_factor: float,
-        *,
-        placed: bool = False,
+        lock: FlightLock,
+        tubes: Mapping[str, StartTube] = NO_TUBES,
     ) -> TrajectoryClock | dict[VehicleActor, str]:
         """The started clock of a start, or why it must not be, by vehicle."""
         found = {
-            actor: actor.offboard.trajectory_refusal(loaded, speed_factor, placed=placed)
+            actor: actor.offboard.trajectory_refusal(loaded, speed_factor, lock, tubes.get(actor.name))
             for actor, loaded in chosen.items()
         }
         refused = {actor: why for actor, why in found.items() if why is not None}
         if refused:
             return refused
         try:
-            brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in chosen)
+            brake = min(lock.member(actor.name).limits.brake_mps2 for actor in chosen)
             clock = common_clock(list(chosen.values()), brake, speed_factor, self.lead_s(chosen))
             clock.start(self._loop.time(), at_s)
         except (RefusedError, TrajectoryError) as error:
@@ -228,17 +274,18 @@ class Trajectories:
         chosen: Mapping[VehicleActor, LoadedTrajectory],
         at_s: float,
         speed_factor: float,
-        *,
-        plan: str | None = None,
+        lock: FlightLock,
+        tubes: Mapping[str, StartTube] = NO_TUBES,
     ) -> TrajectoryGroup | dict[VehicleActor, str]:
-        """Let all of them begin these trajectories, or none: then why not, by vehicle. ``plan``: the plan it belongs
-        to, which reports what becomes of it and alone may let it go on."""
-        # the barrier of a plan has measured them, each within its tube of its place
-        now, clock = self._loop.time(), self._clock(chosen, at_s, speed_factor, placed=plan is not None)
+        """Let all of them begin these trajectories, or none: then why not, by vehicle. ``lock``: of the start, or of
+        the plan it belongs to, which reports what becomes of it and alone may let it go on. ``tubes``: how far from
+        its begin each may be, where a certificate says so."""
+        now, clock = self._loop.time(), self._clock(chosen, at_s, speed_factor, lock, tubes)
         if not isinstance(clock, TrajectoryClock):
             return clock
-        flights = {actor: actor.offboard.follow_trajectory(loaded, clock) for actor, loaded in chosen.items()}
-        group = TrajectoryGroup(clock, flights, plan=plan)
+        flights = {actor: actor.offboard.follow_trajectory(loaded, clock, lock) for actor, loaded in chosen.items()}
+        plan = lock.title if lock.holder is Holder.PLAN else None
+        group = TrajectoryGroup(clock, flights, lock, plan=plan)
         self._groups.append(group)
         for actor, flight in flights.items():
             text = (
@@ -276,7 +323,7 @@ class Trajectories:
 
         def change(group: TrajectoryGroup, now: float) -> None:
             _require_no_plan(group)
-            limits = [actor.offboard.trajectory_limits() for actor in group.flights]
+            limits = [group.lock.member(actor.name).limits for actor in group.flights]
             require_speed(list(group.flights.values()), limits, speed_factor)
             group.clock.set_speed(now, speed_factor)
 
@@ -329,6 +376,7 @@ class Trajectories:
             group.left.append(actor.name)
             controller = actor.offboard.controller
             why = "; ".join(controller.reasons) or f"control is {controller.state.value}"
+            why = actor.offboard.successor or why
             self._publish(group, actor, f"it left its trajectory: {why}", ClockState.ABORTED)
         if not gone or not group.flights:
             return

@@ -53,12 +53,17 @@ class Change:
 
 
 class UndoJournal:
-    """One per daemon. `left` lists entries of an earlier run, and those that this run could not undo."""
+    """One per daemon. `left` lists entries of an earlier run, and those that this run could not undo.
+
+    Its methods wait for the disk: `DiskWriter.run` calls them, one after another. ``number_left`` does not.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._in_progress: set[str] = set()
         self._number = 0
+        self.number_left = 0
+        """Of entries that wait for their undo; from the last `left`, `begin`, `undone` or `drop`."""
         self.problems: list[str] = []
         """Files of the folder that cannot be read, and why; from the last `left`."""
 
@@ -103,12 +108,14 @@ class UndoJournal:
 
     def undone(self, change: Change) -> None:
         """The vehicle has its old values again. Raises OSError if the entry cannot be removed."""
-        self._in_progress.discard(change.id)
         self._path(change.id).unlink(missing_ok=True)
+        self._in_progress.discard(change.id)
+        self.left()
 
     def left_over(self, change: Change) -> None:
         """It could not be undone now: keep the entry."""
         self._in_progress.discard(change.id)
+        self.left()
 
     def left(self) -> list[Change]:
         """The entries that wait for their undo, oldest first, without those in progress. Other files are `problems`."""
@@ -123,6 +130,7 @@ class UndoJournal:
                 continue
             if change.id not in self._in_progress:
                 found.append(change)
+        self.number_left = len(found)
         return sorted(found, key=lambda c: (c.began, c.id))
 
     def find(self, id: str) -> Change:
@@ -138,6 +146,7 @@ class UndoJournal:
             self._path(change.id).unlink(missing_ok=True)
         except OSError as error:
             raise RefusedError(f"{self._path(change.id)} cannot be removed: {error.strerror or error}") from None
+        self.left()
 
     def _files(self) -> list[Path]:
         try:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
+from skygcs.disk_writer import DiskWriter
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.undo_journal import Change, UndoJournal
@@ -14,6 +16,9 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 SAME = 1e-6
 """Relative difference below which two values of a parameter are equal: it is a 32-bit float on the wire."""
+
+
+T = TypeVar("T")
 
 
 class UndoOrders:
@@ -24,11 +29,13 @@ class UndoOrders:
         journal: UndoJournal,
         vehicles: Mapping[int, VehicleActor],
         now: Callable[[], float],
+        disk: DiskWriter,
         on_event: Callable[[Event], None],
     ) -> None:
         self._journal = journal
         self._vehicles = vehicles
         self._now = now
+        self._disk = disk
         self._on_event = on_event
         self._running: set[str] = set()
 
@@ -41,17 +48,18 @@ class UndoOrders:
             text = f"{self._journal.folder}: {'; '.join(problems[:5])}; these files are not undone"
             self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
 
-    def left(self) -> dict[str, Any]:
-        """JSON-able: entries that wait for their undo, and files that cannot be read."""
-        changes = [change.as_dict() for change in self._journal.left()]
+    async def left(self) -> dict[str, Any]:
+        """JSON-able: entries that wait for their undo, and files that cannot be read. Raises RefusedError if the disk
+        does not answer."""
+        changes = [change.as_dict() for change in await self._with_disk(self._journal.left)]
         return {"changes": changes, "problems": list(self._journal.problems)}
 
-    def drop(self, id: str) -> None:
+    async def drop(self, id: str) -> None:
         """Remove an entry. Raises RefusedError."""
-        change = self._journal.find(id)
+        change = await self._with_disk(partial(self._journal.find, id))
         if id in self._running:
             raise RefusedError(f"{id} is being undone just now")
-        self._journal.drop(change)
+        await self._with_disk(partial(self._journal.drop, change))
         self._publish(
             change, f"{change.what} of {change.began}: entry removed, nothing is undone", {"id": id, "state": "dropped"}
         )
@@ -62,7 +70,7 @@ class UndoOrders:
         Without ``force`` it is refused for an armed vehicle, and if a parameter has neither its old value nor that of
         the change: another program has set it since.
         """
-        change = self._journal.find(id)
+        change = await self._with_disk(partial(self._journal.find, id))
         if id in self._running:
             raise RefusedError(f"{id} is being undone just now")
         self._running.add(id)
@@ -98,15 +106,21 @@ class UndoOrders:
                     f"it was changed since; {FORCE_HINT}"
                 )
             to_set[name] = before
-        outcomes = await actor.params.set(to_set) if to_set else {}
+        outcomes = await actor.params.set(to_set, force=force) if to_set else {}
         wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if wrong:
             return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
         try:
-            self._journal.undone(change)
+            await self._disk.run("the undo journal", partial(self._journal.undone, change))
         except OSError as error:
             return Outcome(False, "failed", f"it is as before, but {change.id} cannot be removed: {error.strerror}")
         return Outcome(True, "accepted", "it is as before" + (f" ({', '.join(to_set)} set)" if to_set else " already"))
+
+    async def _with_disk(self, job: Callable[[], T]) -> T:
+        try:
+            return await self._disk.run("the undo journal", job)
+        except OSError as error:
+            raise RefusedError(f"{self._journal.folder}: {error.strerror or error}") from None
 
     def _actor(self, change: Change) -> VehicleActor:
         found = [a for a in self._vehicles.values() if a.sysid == change.sysid and not a.vehicle.replayed]

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
 
+from skygcs.config.control import GROUND
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
@@ -25,19 +26,30 @@ from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENT
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle import mission_orders, orders, unguarded
+from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
+from skygcs.core.vehicle.flight_lock import (
+    EstimatorOrigin,
+    FenceListWrite,
+    HomeMove,
+    RallyWrite,
+    RateChange,
+    SensorCalibration,
+)
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardState
+from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.raw_setpoint import raw_from_world
 from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
+from skygcs.core.vehicle.stick_modes import needs_sticks
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
@@ -45,20 +57,21 @@ from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
 from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
+from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.order_runner import OrderRunner, duplicate_refusal
 from skygcs.runtime.origin_push import both, home_at, push_origin
+from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
-from skygcs.runtime.takeoff_engagement import TakeoffEngagement
+from skygcs.runtime.takeoffs import Takeoffs
+from skygcs.runtime.unattended_holds import UnattendedHolds
 from skygcs.runtime.vehicle_services import VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.core.mocap.pose_stream import PoseStream
-    from skygcs.runtime.companion_control import CompanionControl
     from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
 
 SHUTDOWN = "skygcs is shutting down"
@@ -67,15 +80,23 @@ SHUTDOWN = "skygcs is shutting down"
 class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
 
-    Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``missions``,
+    Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``metadata`` (of
+    parameters), ``missions``,
     ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages),
     ``calibration``.
     """
 
     def __init__(
-        self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices, *, configured: bool | None = None
+        self,
+        vehicle: Vehicle,
+        config: VehicleConfig,
+        services: VehicleServices,
+        *,
+        configured: bool | None = None,
+        flown_before: str | None = None,
     ) -> None:
-        """``configured``: True if the fleet file names it; None: the file names no vehicle."""
+        """``configured``: True if the fleet file names it; None: the file names no vehicle. ``flown_before``: see
+        `UnattendedWatch`."""
         self.vehicle = vehicle
         self.config = config
         self.channel = ""
@@ -98,27 +119,47 @@ class VehicleActor:
         )
         self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
         """Why nothing may be sent to it now, as another site may command it; None: it may."""
-        not_ours = self.authority_refusal
-        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, not_ours)
+        refusal = self._order_refusal
+        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, refusal)
         self.offboard = self._new_offboard(services)
+        self.unattended = self._new_unattended(flown_before)
         after_takeoff = config.control.engage_after_takeoff or "off"
-        self._after_takeoff = TakeoffEngagement(
-            vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event
-        )
+        self.takeoffs = Takeoffs(vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event)
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
+        self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self._request)
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self._orders.report_progress, services.on_event
         )
         self._logs: VehicleLogs | None = None
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
-        self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
+        self.preflight = Preflight(
+            vehicle, config, self.params, self.metadata, services, self._request, configured=configured
+        )
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
-        self.poses: PoseStream | None = None
-        """Of motion capture; None: it has none."""
         self._probes = services.probes and "TIMESYNC" in services.dialect.by_name
-        self._read: dict[int, Callable[[Frame, float], None]] = {
+        self._read = self._readers()
+        """Messages of which every frame is read, with their readers."""
+
+    def _new_unattended(self, flown_before: str | None) -> UnattendedHolds:
+        """The watch over who flies it."""
+        services, offboard = self._services, self.offboard
+        holds = UnattendedHolds(
+            self.vehicle,
+            offboard,
+            self._orders,
+            self._plan_hold,
+            services.loop,
+            services.on_event,
+            flown_before=flown_before,
+        )
+        if isinstance(offboard, OffboardEngagement):
+            offboard.on_hold, offboard.on_begin = holds.on_hold, holds.on_begin
+        return holds
+
+    def _readers(self) -> dict[int, Callable[[Frame, float], None]]:
+        return {
             COMMAND_ACK: self._on_ack,
             TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
@@ -126,7 +167,13 @@ class VehicleActor:
             **dict.fromkeys(self.params.messages, self.params.on_frame),
             **dict.fromkeys((LOG_ENTRY, LOG_DATA), self._on_log_frame),
         }
-        """Messages of which every frame is read, with their readers."""
+
+    def _order_refusal(self, plan: Plan) -> str | None:
+        """Why a plan is not executed: another site may command the vehicle, or an extension objects. The emergency stop
+        always is."""
+        if plan.order == "stop":
+            return None
+        return self.authority_refusal() or self._services.order_refusal(self.vehicle, plan, self._loop.time())
 
     def _state_evidence(self) -> StateEvidence:
         vehicle, links = self.vehicle, self._services.links
@@ -167,12 +214,13 @@ class VehicleActor:
             self._logs = VehicleLogs(self.vehicle, self._services)
         return self._logs
 
-    def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | CompanionControl:
-        """Its flight by setpoints: from here, or by its companion."""
-        if self.config.control.at == "companion" and not self.vehicle.replayed:
-            from skygcs.runtime.companion_control import CompanionControl  # imported only where companions fly
-
-            return CompanionControl(self.vehicle, self.config, self._orders, services)
+    def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | FlightElsewhere:
+        """Its flight by setpoints: from here, or from where an extension relays its orders."""
+        at = self.config.control.at or GROUND
+        if at != GROUND and not self.vehicle.replayed:
+            flight = services.flights_elsewhere[at](self.vehicle, self.config, services)
+            self._orders.flown_by = flight
+            return flight
         return OffboardEngagement(self.vehicle, self.config, self.commands, self._orders, self.streams, services)
 
     # -- state
@@ -186,8 +234,6 @@ class VehicleActor:
             state["control"] = self.control_state(now)
         if "calibration" in state:
             state["calibration"] = self.calibration.status()
-        if "mocap" in state and self.poses is not None:
-            state["mocap"] = self.poses.status(now)
         if "messages" in state:
             self.streams.add_to(state)
         if "uplink" in state and self._probes and self.uplink.answered_at is not None:
@@ -271,12 +317,12 @@ class VehicleActor:
             self.offboard.watch(now)
         elif self.offboard.controller.active:
             self.offboard.refresh_budget()
-        if self._probes and self.vehicle.connected and not self.vehicle.replayed:
+        if self.vehicle.replayed:
+            return
+        self.unattended.tick(now, self.authority_refusal())
+        self.fence.tick(now)
+        if self._probes and self.vehicle.connected:
             self._probe(now)
-
-    def take_poses(self, poses: PoseStream) -> None:
-        """Show these poses in its state, and judge them in its preflight."""
-        self.poses = self.preflight.poses = poses
 
     def set_duplicate(self, where: str | None) -> None:
         """Note where another vehicle sends with its ids; None: it has stopped. State and control, which use one
@@ -299,7 +345,7 @@ class VehicleActor:
     def authority_lost(self, text: str) -> None:
         """Another site may command it from now on: end control and everything in progress but vehicles.stop, without
         sending anything."""
-        self._after_takeoff.cancel()
+        self.takeoffs.cancel()
         self.offboard.release(text)
         self.commands.stop_unauthorised(text)
         self.missions.stop("refused", text)
@@ -313,7 +359,7 @@ class VehicleActor:
 
     async def wind_down(self) -> None:
         """The daemon ends: begin nothing that needs an undo, and undo what has begun; wait until that is done."""
-        self._after_takeoff.cancel()
+        self.takeoffs.cancel()
         if not self.offboard.controller.active:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
@@ -325,7 +371,8 @@ class VehicleActor:
         )
 
     def close(self) -> None:
-        self._after_takeoff.cancel()
+        self.takeoffs.cancel()
+        self.unattended.close()
         self.offboard.close()
         self.missions.close()
         self._stop_logs("cancelled", SHUTDOWN)
@@ -354,8 +401,12 @@ class VehicleActor:
         """Disarm. ``force`` stops the motors also in the air, and also of a lost vehicle, with emergency priority."""
         return await self._orders.run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
 
-    async def set_mode(self, name: str) -> Outcome:
-        return await self._orders.run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
+    async def set_mode(self, name: str, *, force: bool = False) -> Outcome:
+        """``force``: also into a mode flown by sticks, in the air and without any, where that can be sane."""
+        model = model_of(self.vehicle, self._loop.time())
+        if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
+            await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
+        return await self._orders.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
 
     async def takeoff(
         self,
@@ -381,11 +432,9 @@ class VehicleActor:
                 raise RefusedError(why)
             return plan
 
-        self._after_takeoff.cancel()
-        position = self.vehicle.telemetry("position")
+        self.takeoffs.cancel()
         outcome = await self._orders.retry("takeoff", planner, wait_s)
-        if engage:
-            self._after_takeoff.begin(outcome, None if position is None else position["alt_amsl_m"], height)
+        self.takeoffs.begin(outcome, self.vehicle.takeoff.alt_amsl_m, height, engage=engage)
         return outcome
 
     async def land(self) -> Outcome:
@@ -418,6 +467,8 @@ class VehicleActor:
 
     async def calibrate(self, sensor: str) -> Outcome:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
+        if (why := self._services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
+            return self.refuse("calibrate", why)
         return await self._orders.track("calibrate", self.calibration.run(Sensor(sensor)))
 
     async def confirm_pose(self) -> Outcome:
@@ -439,10 +490,15 @@ class VehicleActor:
         force: bool = False,
     ) -> Outcome:
         """Set its home; without arguments at its position. In the air, or farther than goto_limit_m, only with
-        ``force``."""
-        return await self._orders.run(
-            "home",
-            lambda now: orders.set_home(
+        ``force``; never to another place while a flight counts from it."""
+
+        def planner(now: float) -> Plan:
+            altitude_m = self.vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
+            place = None
+            if lat_deg is not None and lon_deg is not None and altitude_m is not None:
+                place = (lat_deg, lon_deg, altitude_m)
+            self._services.locks.require(HomeMove(self.vehicle.key, place))
+            return orders.set_home(
                 self.vehicle,
                 now,
                 lat_deg=lat_deg,
@@ -450,8 +506,9 @@ class VehicleActor:
                 alt_amsl_m=alt_amsl_m,
                 limit_m=self.config.goto_limit_m,
                 force=force,
-            ),
-        )
+            )
+
+        return await self._orders.run("home", planner)
 
     async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
         """Send the fleet's origin to the vehicle; with ``home`` also make it the home. When armed only with
@@ -459,10 +516,14 @@ class VehicleActor:
         return await self._orders.track("origin", self._push_origin(origin, home, force))
 
     async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
+        if (why := self._services.locks.refusal(EstimatorOrigin(self.vehicle.key))) is not None:
+            return Outcome.refused(why)
         sent = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
         if not home or sent.result == "refused":
             return sent
-        limit_m = self.config.goto_limit_m
+        limit_m, place = self.config.goto_limit_m, (origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+        if (why := self._services.locks.refusal(HomeMove(self.vehicle.key, place))) is not None:
+            return both(sent, Outcome.refused(why))
         return both(sent, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
@@ -470,6 +531,8 @@ class VehicleActor:
         rate."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
+            if (why := self._services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
+                return self.refuse("interval", why)
             self.streams.leave(name)
         return await self._orders.run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
@@ -483,6 +546,8 @@ class VehicleActor:
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
         """REQUEST_DATA_STREAM, the older message, which has no acknowledgement."""
+        if (why := self._services.locks.refusal(RateChange(self.vehicle.key, None))) is not None:
+            return self.refuse("stream", why)
         return await self._orders.run(
             "stream", lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz)
         )
@@ -503,20 +568,30 @@ class VehicleActor:
         def planner(now: float) -> Plan:
             orders.require_connected(self.vehicle, now)
             plan = orders.command_plan(self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z)
-            if not force:
-                unguarded.require_guarded((self.vehicle,), now, self._dialect, command, params)
-            return plan
+            return replace(plan, force=force)
 
         return await self._orders.run("command", planner)
 
     async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
-        """See `Missions.bring`."""
+        """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present
+        ones."""
+        if (why := self._list_refusal(kinds)) is not None:
+            return self.refuse("plan upload", why)
         work = self.missions.bring(plan, kinds, limit_m=self.config.goto_limit_m, force=force)
         return await self._orders.track("plan upload", work)
 
     async def clear_plan(self, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
-        """See `Missions.drop`."""
+        """See `Missions.drop`; as `upload_plan`."""
+        if (why := self._list_refusal(kinds)) is not None:
+            return self.refuse("plan clear", why)
         return await self._orders.track("plan clear", self.missions.drop(kinds, force=force))
+
+    def _list_refusal(self, kinds: Collection[MissionType]) -> str | None:
+        """Why these lists must not be changed now; None if they may. A mission is nothing that a flight stands on."""
+        refusal, key = self._services.locks.refusal, self.vehicle.key
+        fence = refusal(FenceListWrite(key)) if MissionType.FENCE in kinds else None
+        rally = refusal(RallyWrite(key)) if MissionType.RALLY in kinds else None
+        return fence or rally
 
     async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
         """See `Missions.fetch`."""
@@ -534,11 +609,16 @@ class VehicleActor:
         return await self.logs.get(logs, force=force)
 
     async def set_fence(
-        self, *, radius_m: float | None = None, height_m: float | None = None, action: str | None = None
+        self,
+        *,
+        radius_m: float | None = None,
+        height_m: float | None = None,
+        action: str | None = None,
+        force: bool = False,
     ) -> FenceOutcome:
         """See `VehicleFence.set`."""
         return await self._report_fence(
-            "fence", lambda: self.fence.set(radius_m=radius_m, height_m=height_m, action=action)
+            "fence", lambda: self.fence.set(radius_m=radius_m, height_m=height_m, action=action, force=force)
         )
 
     async def read_fence(self) -> FenceOutcome:
@@ -568,23 +648,23 @@ class VehicleActor:
 
         return await self._orders.run("mission", planner)
 
-    async def resume_mission(self) -> Outcome:
-        """Go on with the current item; `hold` pauses a mission."""
+    async def resume_mission(self, *, force: bool = False) -> Outcome:
+        """Go on with the current item; `hold` pauses a mission. ``force``: whoever is in the way, which the fleet
+        knows."""
         return await self._orders.run("mission", lambda now: mission_orders.resume(self.vehicle, now))
 
-    async def set_mission_item(self, *, item: int) -> Outcome:
-        """Make it the current item, from 1."""
+    async def set_mission_item(self, *, item: int, force: bool = False) -> Outcome:
+        """Make it the current item, from 1. ``force``: as for `resume_mission`."""
         return await self._orders.run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Control it by setpoints: "position", "velocity", "attitude" or "raw"; "off": end control and hold."""
-        self._after_takeoff.cancel()
+        self.takeoffs.cancel()
         if mode != "off":
             return await self._engage(mode, force=force)
         if not self.offboard.controller.active:
             self.offboard.release("switched off")
             return self._orders.finish("control", Outcome(True, "accepted", "control is off"))
-        self.offboard.release("switched off")
         return await self._orders.track("control", self._switched_off())
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
@@ -659,8 +739,17 @@ class VehicleActor:
         return orders.hold(self.vehicle, now)
 
     async def _switched_off(self) -> Outcome:
-        outcome = await self._orders.attempt(self._plan_hold)
-        return replace(outcome, message=f"control is off; {outcome.message}")
+        outcome = await self._orders.attempt(self._plan_hold, reason="switched off")
+        if outcome.result == "refused":
+            self.offboard.release("switched off")  # nothing was sent, and nothing would end it later
+        ended = "control goes on" if self.offboard.flying else "control is off"
+        return replace(outcome, message=f"{ended}; {outcome.message}")
+
+    async def read_loss(self) -> None:
+        """Read the parameters that decide what it does when this station dies, those that nobody has read yet."""
+        plan = ask_loss_parameters(self.vehicle, self._loop.time())
+        if plan.steps and self.vehicle.connected and not self.vehicle.replayed:
+            await self._orders.attempt_in_control(lambda now: plan)
 
     async def _request(self, message: str) -> Outcome:
         """Request one message, without a report."""
@@ -745,6 +834,7 @@ class VehicleActor:
                 self.uplink.forget()
                 self.offboard.release("the vehicle rebooted")
                 self.preflight.forget()
+                self.metadata.forget()
                 self.streams.restart(now)
             self._services.on_event(event)
 

@@ -7,19 +7,34 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
+from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle.geodetic_position import Setpoint
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime.command_client import SendFn
 from skygcs.runtime.control_clock import ControlClock
+from skygcs.runtime.flight_elsewhere import FlightElsewhere
+from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.undo_journal import UndoJournal
 
 OnEvent = Callable[[Event], None]
+
+NewFlight = Callable[[Vehicle, VehicleConfig, "VehicleServices"], FlightElsewhere]
+"""Makes the flight of a vehicle whose `ControlSettings.at` is an extension's."""
+
+OrderRefusal = Callable[[Vehicle, Plan, float], str | None]
+
+
+def no_order_refusal(vehicle: Vehicle, plan: Plan, now: float) -> str | None:
+    """Every order passes."""
+    return None
 
 
 class VehicleLinks(Protocol):
@@ -56,6 +71,10 @@ class VehicleLinks(Protocol):
 
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         """Ids of the channels on which a message of ours to this vehicle is sent now."""
+        ...
+
+    def links_to(self, vehicle: Vehicle) -> frozenset[str]:
+        """Names of the links over which this vehicle is heard now."""
         ...
 
     def uplink_lost(self, key: int) -> None:
@@ -103,6 +122,9 @@ class WideLinks:
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         return ()
 
+    def links_to(self, vehicle: Vehicle) -> frozenset[str]:
+        return frozenset()
+
     def uplink_lost(self, key: int) -> None:
         pass
 
@@ -134,29 +156,6 @@ class NoOrderChecks:
         return None
 
 
-class ClockDifference(Protocol):
-    """`core.clock_offset.ClockOffset`: add ``offset_s`` to a time of our clock to get the companion's."""
-
-    @property
-    def offset_s(self) -> float: ...
-    @property
-    def error_s(self) -> float: ...
-    @property
-    def round_trip_s(self) -> float: ...
-
-
-class CompanionCalls(Protocol):
-    """The connection to one companion (`runtime.companion_link.CompanionLink`)."""
-
-    name: str
-
-    @property
-    def is_up(self) -> bool: ...
-    def summary(self) -> dict[str, Any]: ...
-    def clock(self) -> ClockDifference | None: ...
-    async def call(self, method: str, params: dict[str, Any] | None = None, timeout_s: float = 5.0) -> Any: ...
-
-
 @dataclass(frozen=True, slots=True)
 class VehicleServices:
     """Created once by the fleet and passed to every actor."""
@@ -174,13 +173,21 @@ class VehicleServices:
     param_cache: ParamCache
     journal: UndoJournal
     """Journal of changes to undo."""
+    disk: DiskWriter
+    """Writes files beside the loop."""
     order_checks: OrderChecks = field(default_factory=NoOrderChecks)
     log_dir: Path = Path("logs")
     """Folder for control traces and records of fence tests."""
-    companions: Mapping[str, CompanionCalls] = field(default_factory=dict)
-    """By vehicle, the connection to the companion on it."""
+    flights_elsewhere: Mapping[str, NewFlight] = field(default_factory=dict)
+    """Makers of flights elsewhere, by values of `ControlSettings.at`."""
+    locks: FlightLocks = field(default_factory=FlightLocks)
+    """Of the flights under way: asked before an order that could change one."""
     preflight_valid_s: float = math.inf
     probes: bool = False
     """True if uplinks are probed."""
+    order_refusal: OrderRefusal = no_order_refusal
+    """Why an extension objects to an order (`Extensions.order_refusal`); None: it may be sent."""
+    asleep: Callable[[], bool] = lambda: False
+    """`SleepWatch.check`."""
     running_clocks: set[ControlClock] = field(default_factory=set)
     """Of all vehicles that are controlled by setpoints."""

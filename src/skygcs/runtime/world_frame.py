@@ -7,8 +7,10 @@ from typing import Any
 
 from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.core.vehicle import origin as origins
+from skygcs.core.vehicle.flight_lock import OriginChange
 from skygcs.errors import RefusedError
 from skygcs.events import Event
+from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -20,10 +22,13 @@ class World:
     has the new origin, so no answer mixes two frames. Nothing is sent to the vehicles.
     """
 
-    def __init__(self, origin: Origin | None, actors: Mapping[int, VehicleActor], on_event: OnEvent) -> None:
+    def __init__(
+        self, origin: Origin | None, actors: Mapping[int, VehicleActor], locks: FlightLocks, on_event: OnEvent
+    ) -> None:
         self.origin = origin
         self.generation = 0 if origin is None else 1
         self._actors = actors
+        self._locks = locks
         self._on_event = on_event
 
     def join(self, actor: VehicleActor) -> None:
@@ -33,8 +38,8 @@ class World:
     def set(self, origin: Origin | None, *, force: bool = False, source: str = "") -> None:
         """Set the frame. Setting the same origin again has no effect.
 
-        Raises RefusedError for an impossible origin, and without ``force`` for one of another site. The event names
-        ``source``: "alpha".
+        Raises RefusedError for an impossible origin, while a flight is made of the present one, and without ``force``
+        for one of another site. The event names ``source``: "alpha".
         """
         if origin is not None:
             origin = origins.checked(origin)
@@ -43,6 +48,7 @@ class World:
         old = self.origin
         if origin == old:
             return
+        self._locks.require(OriginChange(origin))
         self.origin = origin
         self.generation += 1
         for actor in self._actors.values():

@@ -16,7 +16,7 @@ from typing import Any
 
 from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
-from skygcs.sim import failsafe
+from skygcs.sim import copter_sticks, failsafe
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER, Reaction
 from skygcs.sim.body import Vector
@@ -139,7 +139,7 @@ class CopterVehicle(SimVehicle):
             speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
             accel_mps2=braking if self.mode == CopterMode.BRAKE else p["WPNAV_ACCEL"] / 100,
             climb_mps=p["WPNAV_SPEED_UP"] / 100,
-            descent_mps=p["WPNAV_SPEED_DN"] / 100,
+            descent_mps=copter_sticks.descent_mps(self.mode) or p["WPNAV_SPEED_DN"] / 100,
             yaw_rate_radps=radians(60),
             climb_accel_mps2=p[accel] * unit_mps2,
         ).bounded()
@@ -342,7 +342,7 @@ class CopterVehicle(SimVehicle):
             self.fly_home()
         elif mode == CopterMode.AUTO and self.armed:
             self.run.begin(self, now)
-        else:
+        elif self.landed or not copter_sticks.begin(self, mode):
             self.hold_here()
 
     def fly_home(self) -> None:

@@ -180,6 +180,11 @@ class Body:
         self.up_m = max(0.0, self.up_m)
         self.rest()
 
+    def set_up(self) -> None:
+        """Stand upright again, as after a person has picked it up where it lay."""
+        self.crashed = False
+        self.rest()
+
     def rest(self) -> None:
         """Lie still where it is: level, or on its side."""
         self.vel_e_mps = self.vel_n_mps = self.vel_u_mps = 0.0

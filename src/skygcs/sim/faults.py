@@ -19,6 +19,8 @@ class Faults:
     satellites: int = 14
     hdop: float = 0.75
     """Of its GPS: so many satellites under open sky."""
+    throttle_down: bool = False
+    """A pilot's transmitter is on and lies there with its throttle down, as SITL's; else no receiver was ever seen."""
     unhealthy_sensors: int = 0
     """Bits of MAV_SYS_STATUS_SENSOR that SYS_STATUS reports as present, enabled and not healthy."""
     clock_error_s: float = 0.0

@@ -118,6 +118,9 @@ class Quad(Body):
         self.thrust = self.airframe.hover_thrust if up_m > 0.0 else 0.0
         self._steering.restart()
 
+    def set_up(self) -> None:
+        self.place(self.east_m, self.north_m, 0.0)
+
     def step(
         self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
     ) -> None:

@@ -135,6 +135,8 @@ def _reboot(v: VehicleState, c: Command, now: float) -> int | None:
     if v.armed:
         return answers.reboot_armed
     v.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
+    if v.motion.on_ground:
+        v.motion.set_up()
     v.reboot(now)
     return None
 

@@ -74,6 +74,9 @@ def sys_status(v: VehicleState, now: float) -> Fields:
     present, enabled, healthy = (m.MAV_SYS_STATUS_GEOFENCE if flag else 0 for flag in v.fence_flags)
     health |= healthy
     sensors = _ALL_SENSORS & ~m.MAV_SYS_STATUS_SENSOR_GPS if v.by_vision else _ALL_SENSORS
+    if v.faults.throttle_down:
+        sensors |= m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+        health |= m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     return {
         "onboard_control_sensors_present": sensors | present,
         "onboard_control_sensors_enabled": sensors | enabled,

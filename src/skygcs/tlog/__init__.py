@@ -1,1 +1,1 @@
-"""Recorded flights, read from end to end in bounded memory: selection, tables, curves."""
+"""Recorded flights, read from end to end in bounded memory: records, their times, the selection of some."""

@@ -53,6 +53,9 @@ class ByteSource(Protocol):
 
 LogKind = Literal["tlog", "raw"]
 
+LATEST_UNIX_S = 1 << 31
+"""The seconds of ROS messages have 31 bits; a time beyond (2038) was never a flight's."""
+
 
 class LogEntry:
     """One record of a tlog, or one frame of a raw capture.
@@ -76,6 +79,12 @@ class LogEntry:
 
     def __repr__(self) -> str:
         return f"<LogEntry at {self.offset} {self.verdict} {self.frame or len(self.raw)}>"
+
+    def unix_ns(self) -> int | None:
+        """Its time for files of other programs, in nanoseconds; None for one that these cannot hold, such as a record
+        with a wrong time. `LogReader.faults` counts what such a time does to the order."""
+        unix_ns = 1000 * self.unix_us if self.unix_us is not None else round(self.at_s * 1e9)
+        return unix_ns if 0 <= unix_ns < LATEST_UNIX_S * 10**9 else None
 
 
 def encode_record(unix_us: int, raw: bytes) -> bytes:

@@ -42,7 +42,7 @@ from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
-from skygcs.rpc.client_connection import Subscription
+from skygcs.rpc.client_connection import OnReport, Subscription
 from skygcs.rpc.daemon_clock import DaemonClock
 from skygcs.rpc.error_codes import INVALID_PARAMS, LIMIT_EXCEEDED, NO_DAEMON
 from skygcs.web.roles import access
@@ -173,10 +173,17 @@ class DaemonConnection:
 
     # -- requests of pages
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+    async def call(
+        self,
+        method: str,
+        params: dict[str, Any],
+        deadline_s: float | None = None,
+        on_report: OnReport | None = None,
+    ) -> bytes:
         """The daemon's answer, encoded. Raises RpcError; DaemonUnreachable at once while it is not connected.
 
-        ``deadline_s``: of this process' clock; a daemon that reads the request later refuses it.
+        ``deadline_s``: of this process' clock; a daemon that reads the request later refuses it. ``on_report``: gets
+        the reports of an order.
         """
         kind = access(method)
         client = self._clients.get({"read": "reads", "ends flight": "ending"}.get(kind, "orders"))
@@ -190,7 +197,7 @@ class DaemonConnection:
             raise RpcError(LIMIT_EXCEEDED, text)
         self._waiting += counted
         try:
-            return await client.relay(method, params, due_s)
+            return await client.relay(method, params, due_s, on_report)
         except ValueError as error:  # 1e999 is read as infinite, which JSON cannot carry on
             raise RpcError(INVALID_PARAMS, f"{method}: {error}") from None
         finally:

@@ -34,7 +34,7 @@ MAX_NAMES, MAX_SITES, MAX_SEARCH_CHARS = 300, 64, 200
 
 MAX_NAME_CHARS = 64
 
-SILENT_S = 5.0
+VEHICLE_SILENT_S = 5.0
 """A vehicle of which nothing came for so long is not heard: the page's own limit (store.ts)."""
 
 EMPTY_BATTERY_PERCENT = 10.0
@@ -70,7 +70,7 @@ class Digest:
         return math.inf if self.silence_s is None else self.silence_s + max(now - self.at, 0.0)
 
     def heard(self, now: float) -> bool:
-        return self.connected and self.silence_now_s(now) < SILENT_S
+        return self.connected and self.silence_now_s(now) < VEHICLE_SILENT_S
 
     def matches(self, words: Iterable[str], now: float) -> bool:
         """Whether each word is in it. The page's own filter has the same words (columns.ts)."""

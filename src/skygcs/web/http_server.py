@@ -24,7 +24,7 @@ import structlog
 from aiohttp import WSMsgType, web
 from aiohttp.web_protocol import RequestHandler
 
-from skygcs.web.allow_list import AllowList
+from skygcs.config.allow_list import AllowList
 from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage

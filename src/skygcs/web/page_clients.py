@@ -8,6 +8,7 @@ read for STUCK_S is closed; nothing else changes because of it.
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Any, Protocol
@@ -16,6 +17,7 @@ import structlog
 from pydantic_core import from_json, to_json
 
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
+from skygcs.rpc.client_connection import OnReport
 from skygcs.rpc.error_codes import (
     AWAY,
     INTERNAL_ERROR,
@@ -28,6 +30,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TOO_LATE,
 )
+from skygcs.rpc.order_reports import REPORT
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
@@ -36,6 +39,9 @@ from skygcs.web.state_batches import LatestStates, PageStates
 
 EVENTS_WAITING = 256
 """As the daemon's own bound for a subscription."""
+
+REPORTS_WAITING = 1024
+"""Replies and reports of orders that wait for a page: an order to the largest fleet that has them comes to 300."""
 
 LEAST_RATE_HZ, MAX_RATE_HZ, DEFAULT_RATE_HZ = 0.2, 20.0, 10.0
 
@@ -87,8 +93,15 @@ class Source(Protocol):
     site: str | None
     """The name of the own site, where there are others."""
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
-        """Its answer, encoded. Raises RpcError."""
+    async def call(
+        self,
+        method: str,
+        params: dict[str, Any],
+        deadline_s: float | None = None,
+        on_report: OnReport | None = None,
+    ) -> bytes:
+        """Its answer, encoded. ``on_report``: gets the reports of an order (`skygcs.rpc.order_reports`). Raises
+        RpcError."""
         ...
 
     def operator_active(self) -> None: ...
@@ -417,8 +430,11 @@ class PageClient:
             if own is not None:
                 result = _encode(await own(self, params))
             else:
-                deadline_s = request["deadline_s"] if self._is_order(method) else None
-                result = await self.pages.source.call(method, params, deadline_s)
+                order = self._is_order(method)
+                deadline_s = request["deadline_s"] if order else None
+                asked = order and request.get(REPORT) is True
+                on_report = functools.partial(self._report, request_id) if asked else None
+                result = await self.pages.source.call(method, params, deadline_s, on_report)
             reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), result)
         except DaemonUnreachable as error:
             reply = _error(request_id, AWAY, str(error))
@@ -432,6 +448,13 @@ class PageClient:
                 request_id, INTERNAL_ERROR, f"{method[:MAX_ECHO_CHARS]} failed inside skygcs web; see its log"
             )
         self._reply(reply, ends_flight)
+
+    def _report(self, request_id: object, method: str, params: dict[str, Any]) -> None:
+        """Pass on what has come of an order of this page, with the page's own id of it. One that reads too slowly gets
+        it with the reply."""
+        if len(self._replies) < REPORTS_WAITING:
+            body = _encode({**params, "request": request_id})
+            self._reply(b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), body), None)
 
     def _reply(self, reply: bytes, ends_flight: bool | None) -> None:
         if not self._closed:

@@ -24,6 +24,7 @@ from skygcs.config.files import open_regular
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import RpcError, SkygcsError
 from skygcs.events import Event
+from skygcs.rpc.client_connection import OnReport
 from skygcs.rpc.error_codes import INVALID_PARAMS, REFUSED, TARGET_ERROR
 from skygcs.tlog.files import FileWindow, LogFile
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind
@@ -199,7 +200,13 @@ class ReplaySource:
             "ended": self.ended,
         }
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+    async def call(
+        self,
+        method: str,
+        params: dict[str, Any],
+        deadline_s: float | None = None,
+        on_report: OnReport | None = None,
+    ) -> bytes:
         """What a recording can answer, encoded. Raises RpcError."""
         return to_json(self._result(method, params), inf_nan_mode="null", serialize_unknown=True)
 
@@ -305,7 +312,8 @@ class ReplaySource:
             self._publish(pages)
             self._moved.clear()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._moved.wait(), STEP_S)
+                async with asyncio.timeout(STEP_S):
+                    await self._moved.wait()
 
     async def _go_to(self, pages: PageClients) -> None:
         """Begin at the nearest checkpoint and read on to the place; a newer place in the meantime begins anew."""

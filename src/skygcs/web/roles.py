@@ -14,6 +14,7 @@ Access = Literal["read", "order", "ends flight", "refused"]
 
 READ = frozenset(
     {
+        "alarms.list",
         "authority.status",
         "clock.read",
         "commands.list",
@@ -36,6 +37,7 @@ READ = frozenset(
         "plan.status",
         "preflight.status",
         "recorder.status",
+        "ros.status",
         "router.stats",
         "rpc.discover",
         "signing.status",
@@ -67,6 +69,7 @@ ENDS_FLIGHT = frozenset(
 
 ORDERS = frozenset(
     {
+        "alarms.acknowledge",
         "control.gains",
         "control.record",
         "control.set",
@@ -93,6 +96,7 @@ ORDERS = frozenset(
         "params.cancel",
         "params.get",
         "params.list",
+        "params.metadata",
         "params.set",
         "plan.cancel",
         "plan.certify",
@@ -142,11 +146,12 @@ NOT_PASSED_ON = frozenset(
     {
         *("auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"),
         *("companion.contact", "companion.order", "companion.setpoint"),
-        *("authority.grant", "authority.revoke"),
+        *("authority.grant", "authority.revoke", "ros.report"),
     }
 )
 """The web process subscribes once for all pages; corrections are a stream of bytes that no page has; a
-companion is called by its ground, which keeps the numbers; authority is granted by the holder of a lease."""
+companion is called by its ground, which keeps the numbers; authority is granted by the holder of a lease;
+the process of ROS reports about itself."""
 
 
 def access(method: str) -> Access:

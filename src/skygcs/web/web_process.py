@@ -21,12 +21,13 @@ from typing import Any
 import structlog
 
 from skygcs import __version__
+from skygcs.cancellation import ended
+from skygcs.config.allow_list import allow_list, check_address
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
 from skygcs.rpc.error_codes import INVALID_PARAMS
-from skygcs.web.allow_list import allow_list, check_address
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection
@@ -200,9 +201,7 @@ class WebProcess:
         finally:
             if feeding is not None:
                 self.source.stopping = True
-                feeding.cancel()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await feeding
+                await ended(feeding)
             await self.pages.close()
             await http.close()
             await control.close()
@@ -306,4 +305,5 @@ def _write_cookies(path: Path | None, saved: dict[str, Any]) -> None:
             json.dump(saved, file)
         temporary.replace(path)
     except OSError as error:
-        _log.warning("browsers will have to sign in again after a restart", reason=str(error))
+        if path.parent.exists():  # else the folder of the socket is gone, as after a demo: no process will look here
+            _log.warning("browsers will have to sign in again after a restart", reason=str(error))

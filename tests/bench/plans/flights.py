@@ -153,7 +153,9 @@ class Air:
     async def call(self, method_name: str, **params: Any) -> Any:
         method = METHODS[method_name]
         self.daemon.operator_watchdog.on_client()
-        answer = method.handler(SimpleNamespace(services=self.daemon), method.params.model_validate(params))
+        answer = method.handler(
+            SimpleNamespace(services=self.daemon, reports=None), method.params.model_validate(params)
+        )
         return await answer if asyncio.iscoroutine(answer) else answer
 
     def places(self) -> dict[str, Vector]:

@@ -18,6 +18,7 @@ from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
 from skygcs.core.control.guard import ControlMode, GuardConfig
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.quad import F450, IDEAL
+from support.table import each
 
 QUIET = Carried(
     vehicles=10,
@@ -73,7 +74,7 @@ def test_the_swing_is_that_of_the_last_seconds_only() -> None:
     assert swing_m([-5.0, 9.0, 1.0, 1.2, 1.1], 0.3, 0.1) == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize(("share", "value"), [(0.5, 50), (0.99, 99), (1.0, 100), (0.001, 1)])
+@each(("share", "value"), [(0.5, 50), (0.99, 99), (1.0, 100), (0.001, 1)])
 def test_a_percentile_is_one_of_the_values(share: float, value: int) -> None:
     assert percentile(list(range(100, 0, -1)), share) == value
 
@@ -126,9 +127,7 @@ def test_wind_blows_it_as_far_as_the_arithmetic_says_and_for_as_long() -> None:
 # -- the flights
 
 
-@pytest.mark.parametrize(
-    ("delay_s", "following", "percent"), [(0.0, True, 8.1), (0.3, True, 20.1), (0.0, False, 5.6), (0.3, False, 10.6)]
-)
+@each(("delay_s", "following", "percent"), [(0.0, True, 8.1), (0.3, True, 20.1), (0.0, False, 5.6), (0.3, False, 10.6)])
 def test_a_step_overshoots_as_in_the_notes(delay_s: float, following: bool, percent: float) -> None:
     track = axis(fly(Flight(IDEAL, delay_s=delay_s, following=following, seconds=12.0)), EAST)
     assert overshoot_percent(track, 3.0) == pytest.approx(percent, abs=0.1)
@@ -166,7 +165,7 @@ def test_a_quiet_run_within_its_targets_misses_nothing() -> None:
     assert "10 of 10" in section.text()
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "word"),
     [
         ({"lateness_p99_median_ms": 5.1}, "lateness"),

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from bench.commanded_daemon import Column, Measured, percentile
 from bench.radio import report
 from bench.radio.cell import measure
+from support.table import each
 
 
 def test_a_planned_cell_is_measured_whole() -> None:
@@ -51,7 +50,7 @@ def test_every_target_is_judged_on_every_cell_that_is_to_be_carried() -> None:
     }
 
 
-@pytest.mark.parametrize(
+@each(
     ("figures", "said"),
     [
         ({"ages_s": [3.0]}, "position age p95 <= 2.5 s: 3.00 s"),

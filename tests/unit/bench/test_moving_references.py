@@ -10,13 +10,14 @@ import pytest
 from bench.control.docs_tables import BEGIN, END, differences, write_tables
 from bench.control.figures import Section
 from bench.control.moving import Path3, circle, figure_of_eight, rounded_square, sharp_square
+from support.table import each
 
 PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "control-figures.md"
 KEYS = ("circle", "paths", "wrong_delay", "climb", "uplink_step", "loss", "rates", "entry")
 STEP_S = 1e-4
 
 
-@pytest.mark.parametrize("path", [circle, figure_of_eight, rounded_square, sharp_square])
+@each("path", [circle, figure_of_eight, rounded_square, sharp_square])
 def test_velocity_and_acceleration_are_those_of_the_positions(path: Path3) -> None:
     corners = 0
     for n in range(2000):
@@ -55,7 +56,7 @@ def test_a_page_without_a_place_is_refused(tmp_path: Path) -> None:
         write_tables(page, [a_section()])
 
 
-@pytest.mark.parametrize("key", KEYS)
+@each("key", KEYS)
 def test_the_docs_have_every_table(key: str) -> None:
     text = PAGE.read_text()
     table = text.partition(BEGIN.format(key=key))[2].partition(END.format(key=key))[0]

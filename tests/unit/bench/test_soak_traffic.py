@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import random
 
-import pytest
-
 from bench import soak_traffic
 from bench.soak_traffic import AUTOPILOT, Book, Kind, Source, World
 from skygcs.core.mavlink.parser import FrameParser
 from support.frames import dialect
+from support.table import each
 
 KIND: Kind = soak_traffic._kind("ATTITUDE")
 A, B = 0, 1
@@ -40,7 +39,7 @@ def test_a_lost_frame_is_missing_where_it_must_come() -> None:
     assert book.missing() == {A: 4, B: 5}
 
 
-@pytest.mark.parametrize(
+@each(
     ("what", "receiver", "times", "damage"),
     [("misdelivered", B, 1, False), ("doubled", A, 2, False), ("unknown or damaged", A, 1, True)],
 )

@@ -15,10 +15,12 @@ from typer.testing import CliRunner
 
 from skygcs.cli import orders
 from skygcs.cli.main import app
+from skygcs.cli.origin import zero_in_the_air
 from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
+from support.table import each
 
 DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
 
@@ -76,6 +78,13 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
     fleet.close()
 
 
+def test_a_range_names_the_ids_that_no_vehicle_has(fleet: Fleet) -> None:
+    """After the outcomes, and to a person only."""
+    assert "no vehicle has the system ids 4-60\n" in fleet.run("land", "1-60")
+    assert "system ids" not in fleet.run("land", "1-3")
+    assert "system ids" not in fleet.run("land", "1-60", "--json")
+
+
 def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert fleet.order("arm", "1,3", "--wait", "2")[1] == {"force": False, "wait_s": 2.0}
     assert fleet.order("disarm", "all", "--force")[1] == {"force": True}
@@ -84,7 +93,7 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert fleet.order("takeoff", "alpha", "--no-arm")[1] == {**usual, "height_m": None, "arm": False}
     assert fleet.order("takeoff", "alpha", "5", "--force")[1] == {**usual, "force": True}
     assert [fleet.order(o, "1-2")[0] for o in ("land", "rtl", "hold")] == ["land", "rtl", "hold"]
-    assert fleet.order("mode", "alpha", "AUTO.LOITER") == ("set_mode", {"name": "AUTO.LOITER"})
+    assert fleet.order("mode", "alpha", "AUTO.LOITER") == ("set_mode", {"name": "AUTO.LOITER", "force": False})
     place = fleet.order("goto", "alpha", "43.1", "-79.2", "10", "--yaw", "-90")[1]
     assert (place["lat_deg"], place["lon_deg"], place["height_m"], place["yaw_deg"]) == (43.1, -79.2, 10, -90)
     assert fleet.order("goto", "alpha", "-43.1", "-79.2")[1]["height_m"] is None
@@ -103,6 +112,15 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert (raw["command"], raw["int_frame"], raw["x"], raw["y"], raw["z"]) == (192, 6, -437806000, 5, 10)
 
 
+def test_the_origin_of_a_flying_vehicle_shows_where_zero_is() -> None:
+    state = {"name": "alpha", "landed": "in_air", "position": {"alt_rel_m": 12.04}}
+    assert list(zero_in_the_air({"alt_amsl_m": 192.1}, state)) == [
+        "up is 0 where alpha flies: 192.1 m above sea level, 12.0 m above its home; "
+        "heights near the ground are negative"
+    ]
+    assert list(zero_in_the_air({"alt_amsl_m": 180.0}, state | {"landed": "on_ground"})) == []
+
+
 def test_the_origin_is_shown_set_taken_and_reported(fleet: Fleet) -> None:
     asked = fleet.daemon.fleet.origin_asked
     assert "no origin" in fleet.run("origin")
@@ -116,6 +134,7 @@ def test_the_origin_is_shown_set_taken_and_reported(fleet: Fleet) -> None:
     assert asked == [("set", False), ("set", False), ("set", False), ("set", True)]
     assert fleet.json("origin", "from", "bravo", "--heading")["origin"]["alt_amsl_m"] == 102.0
     assert asked[-1] == ("from", "bravo", True, False)
+    assert "flies" not in fleet.run("origin", "from", "bravo")  # on the ground
     assert fleet.run("origin", "push", "1,2", "--home").split()[:2] == ["ok", "alpha"]
     assert asked[-1] == ("push", True, False)
     assert "zero coordinate" in fleet.run("origin", "set", "0", "0", "0", code=FAILED)
@@ -139,7 +158,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
     ("args", "code", "text"),
     [
         (["arm", "9"], FAILED, "no vehicle '9'; there are: alpha, bravo, carol"),
-        (["takeoff", "all", "-5"], USAGE, "height_m"),
+        (["takeoff", "all", "-5"], USAGE, "cli: height: "),
         (["arm"], USAGE, "TARGETS"),
         (["goto", "all", "43"], USAGE, "LAT LON"),
         (["goto", "all", "43", "x"], USAGE, "LON"),
@@ -147,7 +166,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["goto", "all", "--enu", "1,2"], USAGE, "E,N,U"),
         (["goto", "all", "1", "2", "--enu", "1,2,3"], USAGE, "not both"),
         (["goto", "all", "1", "2", "--yow", "3"], USAGE, "--yow"),
-        (["goto", "all", "143", "2"], USAGE, "lat_deg"),
+        (["goto", "all", "143", "2"], USAGE, "skygcs-cli: lat: "),
         (["home", "all", "43"], USAGE, "LAT LON [ALT]"),
         (["home", "all", "1", "2", "3", "4"], USAGE, "LAT LON ALT"),
         (["command", "all", "SERVO"], USAGE, "DO_SET_SERVO"),
@@ -163,7 +182,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["takeoff", "all", "inf"], USAGE, "'inf' is not a finite number"),
         (["takeoff", "all", "high"], USAGE, "'high' is not a number"),
         (["takeoff", "all", "5", "--wait", "inf"], USAGE, "not a finite number"),
-        (["arm", "all", "--wait", "-1"], USAGE, "wait_s"),
+        (["arm", "all", "--wait", "-1"], USAGE, "cli: wait: "),
         (["goto", "all", "1", "2", "--yaw", "nan"], USAGE, "not a finite number"),
         (["stream", "all", "POSITION", "inf"], USAGE, "not a finite number"),
         (["command", "all", "192", "--frame", "6", "--z", "nan"], USAGE, "not a finite number"),
@@ -353,9 +372,7 @@ def test_json_is_taken_wherever_it_stands(fleet: Fleet) -> None:
     assert json.loads(fleet.run("call", "vehicles.get", '{"target": 2}', "--json"))["name"] == "bravo"
 
 
-@pytest.mark.parametrize(
-    "args", [["--help"], ["goto", "-h"], ["message", "send", "--help"], ["links", "-h"], ["tlog", "-h"]]
-)
+@each("args", [["--help"], ["goto", "-h"], ["message", "send", "--help"], ["links", "-h"], ["tlog", "-h"]])
 def test_help_is_there_without_a_daemon(args: list[str]) -> None:
     result = CliRunner().invoke(app, args)
     assert result.exit_code == DONE and "Usage" in result.output

@@ -17,6 +17,7 @@ from skygcs.core.control.trace import COLUMNS
 from support.controlled import FLYING, OFF, Commanded, commanded
 from support.fake_daemon import FakeOutcome
 from support.flown_trace import flown_trace
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -132,7 +133,7 @@ def test_each_column_has_a_cell_of_its_own() -> None:
     }
 
 
-@pytest.mark.parametrize("control", [None, {}, OFF])
+@each("control", [None, {}, OFF])
 def test_a_vehicle_that_is_not_controlled_is_off(control: Any) -> None:
     cells = track_cells({"name": "alpha", "control": control})
     assert cells[:2] == ("alpha", "off") and not any(cells[2:])
@@ -147,7 +148,7 @@ def test_a_held_vehicle_says_so_and_why_below_the_table() -> None:
     assert "alpha: state is 0.62 s old (limit 0.5 s)" in shown.splitlines()[-1]
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@each("width", [60, 80, 120])
 def test_a_narrow_terminal_keeps_whole_what_counts(width: int) -> None:
     lines = text_of(track_table([state(), state("bravo", state="off")], width), width).splitlines()
     assert len(lines) == 3 and all(len(line) <= width for line in lines)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli import fleet_files
 from skygcs.cli.fleet_files import EXTRAS, check
 from skygcs.config.models import FleetConfig
 from support.public_data import ROOT
@@ -147,7 +146,7 @@ def test_a_package_that_a_table_needs_is_noted(
     path = tmp_path / "fleet.toml"
     path.write_text("[metrics]\n")
     assert check(path) == 0 and "not installed" not in capsys.readouterr().out
-    monkeypatch.setattr(fleet_files, "find_spec", lambda module: None)
+    monkeypatch.setattr("skygcs.ext.metrics.find_spec", lambda module: None)
     assert check(path) == 0
     notes = [line for line in capsys.readouterr().out.splitlines() if "not installed" in line]
     assert notes == ["note: metrics: prometheus_client is not installed here: pip install 'skygcs[metrics]'"]

@@ -16,6 +16,9 @@ from typer.testing import CliRunner
 from skygcs.cli.gains import Question
 from skygcs.cli.main import app
 from support.public_data import ROOT
+from support.table import each
+
+COSTS = "step responses of three loops, and matplotlib"
 
 DONE, FAILED, USAGE = 0, 1, 2
 SHORT = ("--duration", "2")
@@ -85,7 +88,7 @@ def test_eq_16_is_reported_row_by_row_and_y_as_unstable() -> None:
         assert word in text
 
 
-@pytest.mark.parametrize("args", [("--xy", "0.95,0.09,0.02"), ("--z", "1,0.2,0.02"), ("--plant-gain", "9.81,1")])
+@each("args", [("--xy", "0.95,0.09,0.02"), ("--z", "1,0.2,0.02"), ("--plant-gain", "9.81,1")])
 def test_eq_16_is_not_reported_of_other_gains(args: tuple[str, str]) -> None:
     assert answer(*args)["utias_eq16"] is None
     assert "Eq. 16" not in run(*args, *SHORT)
@@ -143,7 +146,7 @@ def test_rate_telemetry_and_lag_count_in_what_is_suggested() -> None:
     assert "positions at 4 Hz" in run("--delay", "0.1", "--rate", "20", "--telemetry", "4", *SHORT)
 
 
-@pytest.mark.parametrize("args", [("--lag", "-1"), ("--lag", "3"), ("--telemetry", "0"), ("--telemetry", "nan")])
+@each("args", [("--lag", "-1"), ("--lag", "3"), ("--telemetry", "0"), ("--telemetry", "nan")])
 def test_a_lag_or_a_rate_that_no_vehicle_has_is_no_option(args: tuple[str, str]) -> None:
     run("--delay", "0.1", *args, code=USAGE)
 
@@ -214,7 +217,7 @@ def test_a_law_without_integrator_is_analysed_too() -> None:
     assert "÷∞ to ×∞" in run("--xy", "0.95,0.08,0", *SHORT)
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "word"),
     [
         (("--xy", "1,2"), "3 numbers"),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 
-import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
 from skygcs.core.params.names import SORTS
 from skygcs.core.radio_link.capacity import PROFILES, SETPOINTS
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -30,7 +30,7 @@ def test_what_fits_is_shown_with_its_shares() -> None:
 
 def test_what_does_not_fit_is_reported_with_figures_and_a_proposal() -> None:
     said = run("10", "--setpoints", "position", "--setpoint-rate", "2", code=FAILED)
-    assert "does not fit: up, the ground's slot carries 553 B/s, of which 276 may be planned with; 1,321 are wa" in said
+    assert "does not fit: up, the ground's slot carries 553 B/s, of which 259 may be planned with; 1,321 are wa" in said
     for proposal in ("one goto per vehicle", "4 vehicles instead of 10", "air speed 125 kbit/s for up to 5 vehicles"):
         assert f"would fit: {proposal}" in said
 
@@ -48,7 +48,7 @@ def test_a_profile_of_ones_own_is_the_sum_of_its_messages() -> None:
     assert [one["name"] for one in answer["directions"]] == ["down, ground serial", "up, ground serial"]
 
 
-@pytest.mark.parametrize(
+@each(
     "args",
     [
         ("0",),

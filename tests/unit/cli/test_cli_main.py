@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer
@@ -12,31 +15,76 @@ import typer.main
 from typer.testing import CliRunner
 
 from skygcs.cli.main import COMMANDS, app, command_name
+from skygcs.cli.serve import main as serve
+from skygcs.cli.topics import OF_SKYGCS, TOPICS, all_topics, extension_commands
+from support.table import each
 
-NAMES = [name for _, names in COMMANDS for name in names]
-MODULES = {module: [n for m, names in COMMANDS for n in names if m == module] for module, _ in COMMANDS}
+NAMES = [*(name for _, names in COMMANDS for name in names), *extension_commands()]
+MODULES = {f"skygcs.cli.{module}": [n for m, names in COMMANDS for n in names if m == module] for module, _ in COMMANDS}
+for name, (_, module) in extension_commands().items():
+    MODULES.setdefault(module, []).append(name)
 
 
-@pytest.mark.parametrize("module", MODULES)
+@each("module", MODULES)
 def test_each_module_adds_the_commands_listed_for_it(module: str) -> None:
     made = typer.Typer()
-    importlib.import_module(f"skygcs.cli.{module}").add_to(made)
+    importlib.import_module(module).add_to(made)
     added = [command_name(c) for c in made.registered_commands] + [g.name for g in made.registered_groups]
     assert sorted(map(str, added)) == sorted(MODULES[module])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_each_command_has_help_and_belongs_to_a_panel(name: str) -> None:
-    command = typer.main.get_group(app).commands[name]
-    assert command.name == name and command.help
-    assert getattr(command, "rich_help_panel", None) in ("Show", "Orders", "Set up", "Programming")
-    result = CliRunner().invoke(app, [name, "--help"])
-    assert result.exit_code == 0 and "Usage: skygcs-cli " + name in result.output
+def test_each_command_has_help_and_one_topic() -> None:
+    in_topics = [name for _, commands in all_topics().values() for name in commands]
+    assert sorted(in_topics) == sorted(NAMES)
+    commands = typer.main.get_group(app).commands
+    assert [name for name in NAMES if commands[name].name != name or not commands[name].help] == []
 
 
-def test_help_lists_all_and_a_wrong_name_gets_a_proposal() -> None:
-    text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
-    assert [name for name in NAMES if f" {name} " not in text] == []
+def test_help_fits_on_one_screen_and_lists_all() -> None:
+    lines = CliRunner().invoke(app, ["--help"]).output.splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+    words = set(" ".join(lines).split())
+    assert [name for name in NAMES if name not in words] == []
+
+
+def test_help_shows_a_topic_a_command_or_all() -> None:
+    def shown(*line: str) -> str:
+        return CliRunner().invoke(app, list(line), prog_name="skygcs-cli").output
+
+    assert shown("help") == shown("--help") == shown("-h")
+    for topic, (_, commands) in all_topics().items():
+        page = shown("help", topic).splitlines()
+        assert [c for c in commands if not any(line.startswith(f"  {c} ") for line in page)] == []
+    assert shown("help", "takeoff") == shown("takeoff", "--help")
+    assert set(TOPICS).isdisjoint(NAMES)
+
+
+def test_the_two_programs_point_to_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    here = CliRunner().invoke(app, ["run", "fleet.toml"])
+    assert here.exit_code == 2 and "That is: skygcs run" in here.output
+    with pytest.raises(SystemExit) as ended:
+        serve(["status"])
+    assert ended.value.code == 2 and "skygcs-cli status" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        serve(["--help"])
+    offered = re.search(r"\{(.+?)\}|commands:(.+)", capsys.readouterr().out, re.DOTALL)
+    assert offered is not None
+    assert [name for name in OF_SKYGCS if name not in offered[0]] == []
+
+
+def test_several_targets_with_blanks_get_a_proposal() -> None:
+    error = CliRunner().invoke(app, ["land", "d01", "d02", "d03", "--json"])
+    assert error.exit_code == 2 and "several targets are one word: d01,d02,d03" in json.loads(error.stderr)["error"]
+
+
+@pytest.mark.parametrize("line", ["land x", "land d01 d02", "goto a b", "nonsense", "param set 1"])
+def test_errors_are_json_where_json_is_asked_for(line: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["--socket", str(tmp_path / "no"), *line.split(), "--json"])
+    assert result.exit_code in (2, 3) and result.stdout == ""
+    assert list(json.loads(result.stderr)) == ["error"]
+
+
+def test_a_wrong_name_gets_a_proposal() -> None:
     wrong = CliRunner().invoke(app, ["stat"])
     assert wrong.exit_code == 2 and "Did you mean" in wrong.output and "'status'" in wrong.output
 
@@ -45,7 +93,7 @@ def test_help_shows_square_brackets_as_they_are_written() -> None:
     def text(*line: str) -> str:
         return " ".join(CliRunner().invoke(app, [*line, "--help"], env={"COLUMNS": "200"}).output.split())
 
-    assert "with [federation] those of all sites" in text() and "with [federation] those" in text("status")
+    assert "with [federation] those of all sites" in text("status")
     assert "[default: unchanged]" in text("origin", "set")
 
 

@@ -145,8 +145,8 @@ def test_a_failed_download_writes_nothing(site: Site) -> None:
         (("mission", "start", "alpha", "--first", "3"), ("start_mission", {"first": 3, "arm": True, "force": False})),
         (("mission", "start", "alpha", "--no-arm"), ("start_mission", {"first": 1, "arm": False, "force": False})),
         (("mission", "pause", "alpha"), ("hold", {})),
-        (("mission", "resume", "alpha"), ("resume_mission", {})),
-        (("mission", "current", "alpha", "4"), ("set_mission_item", {"item": 4})),
+        (("mission", "resume", "alpha"), ("resume_mission", {"force": False})),
+        (("mission", "current", "alpha", "4"), ("set_mission_item", {"item": 4, "force": False})),
     ],
 )
 def test_orders_ask_for_what_they_say(site: Site, args: tuple[str, ...], order: tuple[str, dict[str, Any]]) -> None:
@@ -204,7 +204,7 @@ def test_fence_status_shows_what_is_held_and_breaches(site: Site) -> None:
 
 def test_a_fence_is_set_by_what_is_given(site: Site) -> None:
     site.run("fence", "set", "alpha", "--radius", "40", "--action", "return")
-    assert site.asked() == ("set_fence", {"radius_m": 40.0, "height_m": None, "action": "return"})
+    assert site.asked() == ("set_fence", {"radius_m": 40.0, "height_m": None, "action": "return", "force": False})
     assert "give --radius" in site.run("fence", "set", "alpha", code=USAGE)
     site.run("fence", "set", "alpha", "--action", "explode", code=USAGE)
     site.run("fence", "set", "alpha", "--radius", "-1", code=USAGE)

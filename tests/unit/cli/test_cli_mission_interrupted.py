@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from skygcs.cli.missions import held_line
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from support.table import each
 
 
 def waypoints(count: int, first_m: float = 10.0) -> tuple[MissionItem, ...]:
@@ -30,7 +29,7 @@ def line(held: tuple[MissionItem, ...], state: str, sent: tuple[MissionItem, ...
     return held_line(answer, MissionPlan(mission=sent), MissionType.MISSION, "/x/new.plan", "ardupilot")
 
 
-@pytest.mark.parametrize(
+@each(
     ("said", "expected"),
     [
         (line(NEW, "unknown"), "holds the whole mission of new.plan (4 mission items)"),

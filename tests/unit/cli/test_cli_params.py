@@ -21,6 +21,7 @@ from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.param_transfers import Loaded
 from support.fake_daemon import FakeDaemon
+from support.shipped_metadata import shipped_metadata
 
 HELD = (
     Param("COMPASS_OFS_X", 4.5),
@@ -49,7 +50,7 @@ class FakeParams:
             return ParamOutcome(False, "unknown", "it has no such parameter", name)
         return ParamOutcome(True, "accepted", str(param.value), name, param)
 
-    async def set(self, values: Mapping[str, float], *, settle: bool) -> dict[str, ParamOutcome]:
+    async def set(self, values: Mapping[str, float], *, settle: bool, force: bool = False) -> dict[str, ParamOutcome]:
         self.set_calls.append(dict(values))
         outcomes = {}
         for name, value in values.items():
@@ -88,6 +89,7 @@ class Served:
         daemon = FakeDaemon()
         self.alpha = daemon.vehicle("alpha")
         self.params = self.alpha.params = FakeParams()
+        self.alpha.metadata = shipped_metadata("ardupilot")
         self._server = RpcServer(daemon, self.socket, tcp_port=None, token=None)
         asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result(10)
 
@@ -134,6 +136,26 @@ def test_set_takes_several_and_negative_values(served: Served) -> None:
 def test_wrong_usage_of_set_sends_nothing(served: Served, args: tuple[str, ...]) -> None:
     served.run("set", "alpha", *args, code=2)
     assert served.params.set_calls == []
+
+
+def test_a_value_outside_its_range_is_refused_unless_somebody_insists(served: Served) -> None:
+    text = served.run("set", "alpha", "WPNAV_SPEED", "50000", "COMPASS_OFS_X", "3", code=1)
+    assert "FAIL alpha  WPNAV_SPEED       refused: 50000 is outside its range of 10 to 2000 cm/s" in text
+    assert served.params.set_calls == [{"COMPASS_OFS_X": 3}]
+    served.run("set", "alpha", "WPNAV_SPEED", "5", "--force")
+    assert served.params.set_calls[-1] == {"WPNAV_SPEED": 5}
+
+
+def test_show_says_unit_range_meaning_and_reboot(served: Served) -> None:
+    text = served.run("show", "alpha", "wpnav_speed", "FENCE_ENABLE", "SYSID_THISMAV")
+    assert "metadata of ArduPilot" in text and "WPNAV_SPEED       500 cm/s  (range 10 to 2000 cm/s)" in text
+    assert "FENCE_ENABLE      0 = Disabled" in text and "values: 0 Disabled, 1 Enabled" in text
+    assert "Waypoint Horizontal Speed Target" in text and "MAVLink system ID" in text
+    assert "FAIL it has no such parameter" in served.run("show", "alpha", "NO_SUCH", code=1)
+    answer = json.loads(served.run("show", "alpha", "WPNAV_SPEED", "--json"))
+    assert answer["metadata"]["alpha"]["parameters"]["WPNAV_SPEED"]["greatest"] == 2000
+    served.params.held["WPNAV_SPEED"] = replace(served.params.held["WPNAV_SPEED"], value=5000.0)
+    assert "WARNING: 5000 is outside its range" in served.run("show", "alpha", "WPNAV_SPEED")
 
 
 def test_list_with_a_pattern(served: Served) -> None:

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from skygcs.cli.main import hoisted
 from skygcs.cli.parsing import name_or_id, parse_link, parse_number, parse_pairs, parse_unset_number, parse_value
+from support.table import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "value"),
     [
         ("1", 1),
@@ -66,7 +67,7 @@ def test_pairs_make_a_table_and_dots_nest_it() -> None:
     }
 
 
-@pytest.mark.parametrize("pairs", [["x"], ["=1"], ["a=1", "a=2"], ["a=1", "a.b=2"]])
+@each("pairs", [["x"], ["=1"], ["a=1", "a=2"], ["a=1", "a.b=2"]])
 def test_wrong_pairs_are_usage_errors(pairs: list[str]) -> None:
     with pytest.raises(typer.BadParameter):
         parse_pairs(pairs)
@@ -87,7 +88,7 @@ def test_numbers_are_finite_or_named_in_the_error() -> None:
     assert name_or_id("33") == 33 and name_or_id("ATTITUDE") == "ATTITUDE"
 
 
-@pytest.mark.parametrize(
+@each(
     ("given_args", "expected"),
     [
         (["status", "--socket", "/s"], ["--socket", "/s", "status"]),

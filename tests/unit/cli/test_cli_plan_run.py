@@ -31,6 +31,7 @@ STATUS: dict[str, Any] = {
     "step": 0,
     "steps": 0,
     "reason": "",
+    "by": None,
     "mode": None,
     "speed": None,
     "clock": None,
@@ -52,6 +53,8 @@ VEHICLE = {
 FLYING = {**STATUS, "state": "flying", "phase": "cross", "step": 2, "steps": 3, "clock": CLOCK, "vehicles": [VEHICLE]}
 REPORT: dict[str, Any] = {
     "ok": True,
+    "by": "setpoints",
+    "why": "every link carries them",
     "findings": [],
     "certificate": None,
     "way_there": None,
@@ -230,7 +233,8 @@ def test_targets_choose_among_the_plans_vehicles_or_stand_for_them(fleet: Comman
 def test_refused_findings_come_first_and_nothing_is_followed(fleet: Commanded, tmp_path: Path) -> None:
     fake(fleet).report = NO_HEIGHTS
     text = fleet.run("plan", "run", written(tmp_path, "alpha", "bravo"), code=FAILED)
-    assert text.splitlines()[0].startswith("NO   bravo return height: it returns at 15 m") and "set RTL_ALT" in text
+    assert text.splitlines()[0] == "by setpoints: every link carries them"
+    assert text.splitlines()[1].startswith("NO   bravo return height: it returns at 15 m") and "set RTL_ALT" in text
     text = fleet.run("plan", "run", written(tmp_path, "alpha", "bravo"), "--dry-run", code=FAILED)
     assert fake(fleet).asked[-1][0] == "check"
     fake(fleet).report = REPORT

@@ -17,6 +17,7 @@ from skygcs.cli.connection import Exit
 from skygcs.cli.main import app
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
 FIX = {"name": "RTL_ALT", "before": 8000, "value": 3000}
 OUTCOME = {"ok": True, "result": "accepted", "message": "8000 -> 3000", "name": "RTL_ALT"}
@@ -160,7 +161,7 @@ def test_fix_as_json_cannot_ask(served: Served) -> None:
     assert "give --yes" in served.run("alpha", "--fix", "--json", code=Exit.USAGE)
 
 
-@pytest.mark.parametrize("columns", [40, 60, 80])
+@each("columns", [40, 60, 80])
 def test_a_narrow_terminal_is_not_overrun(columns: int) -> None:
     long = finding("home", "fail", "danger", "it has no home position, so it could not return at all", "set it " * 12)
     lines = list(preflight.report_lines({"alpha": report(long)}, columns, everything=True))

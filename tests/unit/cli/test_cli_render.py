@@ -12,6 +12,7 @@ from rich.console import Console
 from skygcs.cli import links, messages, render, status
 from skygcs.cli.demo import Demo
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
 
 def text_of(table: Any, width: int = 250) -> str:
@@ -42,7 +43,7 @@ def test_places_in_the_world_frame_have_a_column_once_there_is_one() -> None:
     assert "x, y, up" not in text_of(status.status_table([state(position={"alt_rel_m": 9.0, "enu_m": None})]))
 
 
-@pytest.mark.parametrize(
+@each(
     ("companion", "word"),
     [
         ({"link": "up", "age_s": 0.2}, "up"),
@@ -59,7 +60,7 @@ def test_the_computer_on_a_vehicle_has_a_column_once_one_has_it(companion: dict[
     assert "companion" not in text_of(status.status_table([state()]))
 
 
-@pytest.mark.parametrize(
+@each(
     ("parts", "word"),
     [
         ({"authority": {"held": True, "commander": "north"}}, "here"),
@@ -77,7 +78,7 @@ def test_a_shared_vehicle_shows_who_commands_it(parts: dict[str, Any], word: str
     assert ("commander" in shown) == bool(word) and (not word or f" {word} " in shown)
 
 
-@pytest.mark.parametrize("width", [80, 100, 140, 200])
+@each("width", [80, 100, 140, 200])
 def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
     states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
     lines = text_of(status.status_table(states, width=width), width).splitlines()
@@ -144,9 +145,7 @@ def test_chosen_fields_are_columns() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(None, "?"), (0.04, "0.0 s"), (9.94, "9.9 s"), (12, "12 s"), (300, "5 min"), (7300, "2 h")]
-)
+@each(("seconds", "text"), [(None, "?"), (0.04, "0.0 s"), (9.94, "9.9 s"), (12, "12 s"), (300, "5 min"), (7300, "2 h")])
 def test_durations_are_short(seconds: float | None, text: str) -> None:
     assert render.duration(seconds) == text
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.cli.setpoint import LARGEST_LINE, LineError, LineReader, SplitLines
+from support.table import each
 
 numbers = st.floats(-1e6, 1e6)
 vectors = st.tuples(numbers, numbers, numbers).map(list)
@@ -47,7 +48,7 @@ def test_nothing_and_remarks_are_passed_over_and_a_system_id_is_a_name() -> None
     assert read("", "# a remark", '{"pos": [1, 2, 3], "vehicle": 7}') == [("7", {"pos_enu_m": [1.0, 2.0, 3.0]})]
 
 
-@pytest.mark.parametrize(
+@each(
     ("lines", "reason"),
     [
         (["bad"], "neither JSON nor a row"),
@@ -126,14 +127,14 @@ RAW_PARAMS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("lines", "expected"), list(zip(RAW, RAW_PARAMS, strict=True)))
+@each(("lines", "expected"), list(zip(RAW, RAW_PARAMS, strict=True)))
 def test_json_and_csv_of_an_own_controller_say_the_same(lines: tuple[str, str, str], expected: dict[str, Any]) -> None:
     as_json, header, row = lines
     assert read(as_json) == [(None, expected)]
     assert read(header, row) == [(None, expected)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("lines", "reason"),
     [
         (['{"att": [5, -3, 90]}'], "need a thrust"),

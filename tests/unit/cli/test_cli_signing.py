@@ -19,6 +19,7 @@ from skygcs.cli.process import configure_logging
 from skygcs.core.protocols.command import Outcome
 from skygcs.errors import KeyFileError
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.fleet import Reports
 from support.fake_daemon import FakeDaemon
 
 CHANNEL = {
@@ -39,7 +40,9 @@ class FakeSetup:
     def __init__(self) -> None:
         self.asked: list[tuple[Any, ...]] = []
 
-    async def setup(self, targets: str, key_file: Path, *, force: bool = False) -> dict[str, Outcome]:
+    async def setup(
+        self, targets: str, key_file: Path, *, force: bool = False, reports: Reports | None = None
+    ) -> dict[str, Outcome]:
         self.asked.append((targets, key_file, force))
         if key_file.name == "open":
             raise KeyFileError(str(key_file), "others can read or change it")
@@ -49,7 +52,7 @@ class FakeSetup:
         self.asked.append((wanted, force))
         return f"the clock of key {wanted} is set back"
 
-    async def off(self, targets: str) -> dict[str, Outcome]:
+    async def off(self, targets: str, *, reports: Reports | None = None) -> dict[str, Outcome]:
         self.asked.append((targets,))
         return {"alpha": Outcome(False, "timeout", "it still signs", 3, 7.5)}
 

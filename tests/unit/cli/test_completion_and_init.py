@@ -20,6 +20,7 @@ from skygcs.config.models import SimulatedLinkConfig
 from skygcs.core.geo import distance_m
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
+from support.table import each
 
 
 def test_every_example_is_a_scenario_with_its_purpose(capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,7 +86,7 @@ def completed(*words: str) -> list[str]:
     assert bash is not None
     typed = " ".join(repr(word) for word in words)
     line = f'COMP_WORDS=({typed}); COMP_CWORD={len(words) - 1}; _skygcs; echo "${{COMPREPLY[@]}}"'
-    text = script(serve._parser(), "bash") + line
+    text = script(serve.new_parser(), "bash") + line
     return subprocess.run([bash], input=text, capture_output=True, text=True, check=True, cwd="/").stdout.split()
 
 
@@ -96,13 +97,13 @@ def test_bash_completes_commands_options_and_choices() -> None:
     assert completed("skygcs", "metrics", "d") == ["dashboard"]
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@each("shell", SHELLS)
 def test_every_command_is_in_every_script(shell: str) -> None:
-    text = script(serve._parser(), shell)
+    text = script(serve.new_parser(), shell)
     assert all(f"{name}" in text for name in ("init", "run", "sitl", "completion"))
 
 
-@pytest.mark.parametrize("words", [[], ["arm"], ["tlog", "csv"], ["link", "plan"], ["log", "get"]], ids=" ".join)
+@each("words", [[], ["arm"], ["tlog", "csv"], ["link", "plan"], ["log", "get"]])
 def test_help_shows_no_type_for_what_is_given_or_not(words: list[str]) -> None:
     for option in ("-h", "--help"):
         result = CliRunner().invoke(app, [*words, option])

@@ -7,14 +7,13 @@ import math
 import re
 from pathlib import Path
 
-import pytest
-
 from skygcs.cli.setpoint import COLUMNS as SETPOINT_COLUMNS
 from skygcs.cli.setpoint import VECTORS, LineReader
 from skygcs.cli.table import read_table
 from skygcs.core.control.trace import COLUMNS, FORMAT
 from skygcs.core.plan.position_table import spots
 from support.public_data import ROOT
+from support.table import each
 
 DOCS = ROOT / "docs"
 
@@ -30,7 +29,7 @@ def test_every_column_and_the_format_of_a_trace_are_described() -> None:
     assert FORMAT in page
 
 
-@pytest.mark.parametrize("language", ["json", "csv"])
+@each("language", ["json", "csv"])
 def test_the_lines_shown_are_setpoints(language: str) -> None:
     (block,) = blocks("howto/fly-setpoints.md", language)
     reader = LineReader()
@@ -50,7 +49,7 @@ def test_the_program_shown_is_one() -> None:
 def test_the_tables_shown_say_the_same_and_can_be_flown(tmp_path: Path) -> None:
     tables = []
     for language in ("csv", "toml"):
-        (block,) = blocks("howto/tables.md", language)
+        (block,) = blocks("howto/fly-several.md", language)
         path = tmp_path / f"t.{language}"
         path.write_text(block, encoding="utf-8")
         tables.append(read_table(path))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import pwd
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -115,3 +117,33 @@ def test_a_fleet_file_with_mistakes_is_not_installed(home: Path) -> None:
     with pytest.raises(SkygcsError, match="telepathy"):
         service.install(home / "fleet.toml", user=True, force=False)
     assert not (home / "config").exists()
+
+
+def test_installing_as_root_gives_nothing_away(home: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A log folder that is made belongs to the user; one that is there keeps its owner, and must be the user's."""
+    given: list[Path] = []
+    monkeypatch.setattr(os, "chown", lambda path, *_, **__: given.append(Path(path)))
+    monkeypatch.setattr(os, "getuid", lambda: 0)
+    nobody = pwd.getpwnam("nobody")
+    service._make_log_dir(tmp_path / "made" / "logs", "nobody")
+    assert sorted(given) == [tmp_path / "made", tmp_path / "made" / "logs"]
+    given.clear()
+    assert tmp_path.stat().st_uid != nobody.pw_uid
+    with pytest.raises(OSError, match="belongs to another user"):
+        service._make_log_dir(tmp_path, "nobody")
+    assert given == []
+
+
+def test_files_of_a_running_program_are_not_for_others(tmp_path: Path) -> None:
+    program = f"""
+import asyncio, os
+from pathlib import Path
+from skygcs.cli.process import run_loop
+async def main():
+    Path({str(tmp_path)!r}, "f").write_text("")
+    return 0
+os.umask(0)
+run_loop(main())
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
+    assert (tmp_path / "f").stat().st_mode & 0o007 == 0

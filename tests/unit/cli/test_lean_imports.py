@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.lean_imports import StandIn, needs_tls
+from support.table import each
 
 PREPARED = "from skygcs.cli.lean_imports import prepare_daemon\nprepare_daemon()\nimport sys\n"
 
@@ -47,7 +48,7 @@ def test_hashes_are_the_same_without_openssl() -> None:
     assert printed(code) == str([hashlib.new(name, b"frame").hexdigest() for name in names])
 
 
-@pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
+@each("loop", ["asyncio", "uvloop"])
 def test_both_loops_serve_sockets_and_refuse_tls(loop: str) -> None:
     code = (
         "import asyncio, uvloop\n"

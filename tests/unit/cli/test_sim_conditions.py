@@ -8,6 +8,7 @@ from skygcs.cli.serve import main
 from skygcs.cli.sim import parse_conditions
 from skygcs.errors import LinkError
 from skygcs.sim.conditions import Conditions, Dynamics
+from support.table import each
 
 
 def parse(wind: str = "0", **words: object) -> Conditions:
@@ -26,9 +27,7 @@ def test_no_options_are_calm_air_and_a_rigid_f450() -> None:
     assert parse() == Conditions()
 
 
-@pytest.mark.parametrize(
-    ("wind", "east", "north", "gust"), [("5", 5, 0, 0), ("5,0", 0, -5, 0), ("4,90,1.5", -4, 0, 1.5)]
-)
+@each(("wind", "east", "north", "gust"), [("5", 5, 0, 0), ("5,0", 0, -5, 0), ("4,90,1.5", -4, 0, 1.5)])
 def test_wind_is_a_speed_a_direction_and_gusts(wind: str, east: float, north: float, gust: float) -> None:
     conditions = parse(wind)
     assert conditions.wind_enu_mps == pytest.approx((east, north, 0), abs=1e-9)
@@ -42,7 +41,7 @@ def test_the_other_options_arrive() -> None:
     assert (conditions.gps_noise_m, conditions.sensor_latency_s) == (0.5, 0.1)
 
 
-@pytest.mark.parametrize("wind", ["", "strong", "1,2,3,4", "40", "nan", "-3", "5,inf", "5,0,-1"])
+@each("wind", ["", "strong", "1,2,3,4", "40", "nan", "-3", "5,inf", "5,0,-1"])
 def test_a_wind_that_is_none_is_refused_in_words(wind: str) -> None:
     with pytest.raises(LinkError, match=r"--wind|wind|gust"):
         parse(wind)

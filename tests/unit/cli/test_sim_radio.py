@@ -20,6 +20,7 @@ from skygcs.links.simulated import emulated
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.tdm import GROUND
 from skygcs.sim.vehicle_group import make_vehicles
+from support.table import each
 
 
 def test_an_air_speed_and_keys_make_a_radio() -> None:
@@ -29,7 +30,7 @@ def test_an_air_speed_and_keys_make_a_radio() -> None:
     )
 
 
-@pytest.mark.parametrize("text", ["", "fast", "64,loss", "64,loss=2", "64,colour=red", "0", "nan"])
+@each("text", ["", "fast", "64,loss", "64,loss=2", "64,colour=red", "0", "nan"])
 def test_what_is_none_is_refused_with_what_was_given(text: str) -> None:
     with pytest.raises(LinkError, match="--radio"):
         parse_radio(text)

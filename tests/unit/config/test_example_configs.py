@@ -6,10 +6,13 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from skygcs.cli.fleet_files import check
+from skygcs.cli.main import app
 from skygcs.config.loader import load_fleet
 from support.public_data import ROOT
+from support.table import each
 
 CONFIGS = sorted((ROOT / "configs").glob("*.toml"))
 
@@ -27,11 +30,18 @@ def test_it_passes_the_check(path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "there is no file" not in out  # what it refers to is in the project
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.stem)
+@each("path", CONFIGS)
 def test_it_says_what_it_is_for_and_how_to_run_it(path: Path) -> None:
     first, *_ = path.read_text().splitlines()
     assert first.startswith("# ")
     assert f"skygcs run configs/{path.name}" in path.read_text()
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_the_survey_is_a_mission_for_each_autopilot(autopilot: str) -> None:
+    line = ["mission", "check", str(ROOT / "configs" / "survey.plan"), "--autopilot", autopilot]
+    checked = CliRunner().invoke(app, line)
+    assert checked.exit_code == 0 and "no problem found" in checked.output, checked.output
 
 
 def test_together_they_show_every_kind_of_link_a_user_has() -> None:

@@ -12,6 +12,7 @@ from skygcs.config.federation import server_address
 from skygcs.config.hub_inventory import HubInventory, inventory_of, load_inventory
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
+from support.table import each
 
 KEYS = ["U" + letter * 55 for letter in "ABCDEFGH"]
 TABLE = 'site = "north"\nservers = ["tls://10.0.0.1:4222"]\nnkey = "n.nk"\n'
@@ -65,7 +66,7 @@ def test_each_mistake_is_said_with_its_key_and_line(text: str, expected: str, tm
     assert any(expected in problem for problem in found), found
 
 
-@pytest.mark.parametrize(
+@each(
     "address",
     [
         *(
@@ -91,7 +92,7 @@ def test_an_address_that_is_not_safe_or_none_is_refused_and_its_secret_is_not_re
     assert "secret" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each(
     ("address", "url"),
     [
         ("nats://127.0.0.1", "nats://127.0.0.1:4222"),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from skygcs.config.loader import load_fleet, parse_link
 from skygcs.config.models import FleetConfig, ReplayLinkConfig, SerialLinkConfig
 from skygcs.errors import ConfigError
+from support.examples import examples
 from support.frames import dialect
 
 SERIAL = '[links.radio]\ntype = "serial"\ndevice = "/dev/ttyUSB0"\n'
@@ -389,7 +390,7 @@ SCRAPS = st.sampled_from(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(st.lists(SCRAPS, max_size=25).map("".join))
 def test_no_text_makes_it_raise_anything_but_a_config_error(
     tmp_path_factory: pytest.TempPathFactory, text: str

@@ -10,12 +10,8 @@ import pytest
 from pydantic import BaseModel
 
 from skygcs.config import (
-    companion,
-    companions,
     control,
     federation,
-    metrics,
-    mocap,
     models,
     preflight,
     separation,
@@ -23,13 +19,15 @@ from skygcs.config import (
 )
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
+from support.extension_parts import extension_tables
 from support.public_data import ROOT
+from support.table import each
 
 PAGE = (ROOT / "docs" / "reference" / "fleet-file.md").read_text()
 LINKS = get_args(models.LinkConfig)
 
 
-@pytest.mark.parametrize(
+@each(
     "model",
     [
         models.DaemonConfig,
@@ -46,23 +44,18 @@ LINKS = get_args(models.LinkConfig)
         control.TrajectorySettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
-        metrics.MetricsConfig,
-        mocap.MocapConfig,
-        mocap.SimulatedMocapConfig,
-        companion.CompanionConfig,
-        companions.CompanionsConfig,
-        companions.CompanionEntry,
+        *extension_tables(),
         federation.FederationConfig,
         federation.SharedVehicle,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,
     ],
-    ids=lambda m: m.__name__,
 )
 def test_every_key_of_the_fleet_file_is_described(model: type[BaseModel]) -> None:
-    keys = {field.alias or key for key, field in model.model_fields.items()} - {"name"}
-    named = set(re.findall(r"`([a-z_0-9]+)`", PAGE)) | set(re.findall(r"\[([a-z]+)[\].]", PAGE)) | {"type"}
+    keys = {field.alias or key for key, field in model.model_fields.items()} - {"name", *models.NO_TABLES}
+    named = set(re.findall(r"`([a-z_0-9]+)`", PAGE)) | {"type"}
+    named |= {word for table in re.findall(r"\[([a-z.]+)", PAGE) for word in table.split(".")}
     assert keys <= named, keys - named
 
 

@@ -13,6 +13,7 @@ from skygcs.config.files import open_regular
 from skygcs.config.param_sets import load_param_set
 from skygcs.config.signing import read_key
 from skygcs.errors import ConfigError, KeyFileError
+from support.table import each
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +44,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         assert file.read() == b"what stands there"
 
 
-@pytest.mark.parametrize("name", ["/dev/zero", "/dev/null", "/"])
+@each("name", ["/dev/zero", "/dev/null", "/"])
 def test_devices_and_folders_are_none(name: str) -> None:
     with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
         open_regular(Path(name))

@@ -13,6 +13,7 @@ from skygcs.config.loader import load_fleet
 from skygcs.config.router_import import import_router
 from skygcs.errors import ConfigError
 from support.public_data import public_file, public_folder
+from support.table import each
 
 
 def links(text: str) -> dict[str, Any]:
@@ -48,7 +49,7 @@ def test_every_configuration_becomes_a_fleet_file_that_loads(
         assert "Traceback" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "device", "last", "port"),
     [
         ("made-companion.conf", "/dev/serial/by-id/usb-Made_FMU-if00", "local5", 14556),
@@ -63,7 +64,7 @@ def test_a_companions_configuration_is_brought_over_link_by_link(name: str, devi
     assert found[last] == {"type": "udp_client", "host": "127.0.0.1", "port": port}
 
 
-@pytest.mark.parametrize(("name", "line"), [("made-eavesdropping.conf", 12), ("apsync-kakute.conf", 112)])
+@each(("name", "line"), [("made-eavesdropping.conf", 12), ("apsync-kakute.conf", 112)])
 def test_a_key_without_counterpart_is_noted_with_its_line_and_stands_in_the_file(name: str, line: int) -> None:
     text = public_file(f"router/{name}").read_text()
     assert f"line {line}: PortLock = 0: no such key" in notes(text)
@@ -124,7 +125,7 @@ def test_recording_is_what_it_was() -> None:
     assert "Log=/var/log/m: the autopilot's own log" in notes("[General]\nLog=/var/log/m")
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "said"),
     [
         ("a = 1", 'line 1: "a" is before the first section'),

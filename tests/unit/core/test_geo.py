@@ -10,6 +10,7 @@ from pymap3d.vincenty import vdist
 
 from skygcs.core import geo
 from skygcs.core.geo import Origin
+from support.table import each
 
 HOME = (43.7806, -79.4653, 180.0)
 TORONTO = Origin(*HOME)
@@ -147,7 +148,7 @@ def test_wrapping_keeps_the_direction_and_stays_in_range(angle: float) -> None:
         assert math.sin(math.radians(wrapped)) == pytest.approx(math.sin(math.radians(angle)), abs=1e-6)
 
 
-@pytest.mark.parametrize(("heading", "yaw"), [(0, 90), (90, 0), (180, -90), (270, -180), (45, 45)])
+@each(("heading", "yaw"), [(0, 90), (90, 0), (180, -90), (270, -180), (45, 45)])
 def test_compass_and_enu_yaw_turn_into_each_other(heading: float, yaw: float) -> None:
     assert geo.yaw_enu_from_heading_deg(heading) == pytest.approx(yaw)
     assert geo.heading_from_yaw_enu_deg(yaw) == pytest.approx(heading)

@@ -152,7 +152,7 @@ async def test_a_stop_for_every_vehicle_of_a_full_site_finds_connections(tmp_pat
     daemon = FakeDaemon(1)
     daemon.vehicle("alpha").delay_s = 0.5
     async with served(daemon, tmp_path / "d.sock") as orders:
-        stops = [orders.order("alpha", "vehicles.stop", {"action": "hold"}, soon()) for _ in range(2 * MAX_ENDING + 70)]
+        stops = [orders.order("alpha", "vehicles.stop", {"action": "hold"}, soon()) for _ in range(2 * MAX_ENDING + 90)]
         carried = await asyncio.gather(*stops)
         done = [one for one in carried if one.status == "done"]
         assert len(done) >= MAX_ENDING

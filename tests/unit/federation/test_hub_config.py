@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import pytest
-
 from skygcs.config.hub_inventory import HubInventory, inventory_of
 from skygcs.federation.hub_config import hub_config, permissions
 from skygcs.federation.server_program import parsed_version, version_warning
+from support.table import each
 
 KEYS = {name: "U" + letter * 55 for name, letter in zip(("north", "south", "boss", "visitor"), "ABCD", strict=True)}
 
@@ -25,10 +24,10 @@ def inventory(**tables: Any) -> HubInventory:
 def test_an_observer_may_ask_and_nothing_else() -> None:
     allowed = permissions(inventory(), "visitor")
     assert allowed.publish == ["here.*", "state.*.full.*"] and not allowed.answers
-    assert not [s for s in allowed.subscribe if s.startswith(("cmd", "lease", "$", "_INBOX_."))]
+    assert not [s for s in allowed.subscribe if s.startswith(("cmd", "stop", "lease", "$", "_INBOX_."))]
 
 
-@pytest.mark.parametrize("name", KEYS)
+@each("name", KEYS)
 def test_nobody_has_what_leads_around_the_lists(name: str) -> None:
     allowed = permissions(inventory(), name)
     for subject in (*allowed.publish, *allowed.subscribe):
@@ -36,7 +35,7 @@ def test_nobody_has_what_leads_around_the_lists(name: str) -> None:
     inboxes = [s for s in allowed.subscribe if s.startswith("_INBOX")]
     assert inboxes == [f"_INBOX_{KEYS[name]}.>"]
     assert not [s for s in allowed.publish if s.startswith("_INBOX")]
-    assert all(subject.endswith(KEYS[name]) for subject in allowed.publish if subject.startswith("cmd."))
+    assert all(subject.endswith(KEYS[name]) for subject in allowed.publish if subject.startswith(("cmd.", "stop.")))
 
 
 def test_a_path_with_quotes_and_dollars_stays_one_text() -> None:
@@ -45,7 +44,7 @@ def test_a_path_with_quotes_and_dollars_stays_one_text() -> None:
     assert "verify: true" in text and 'cert_file: "c"' in text
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "warned"),
     [
         *(("nats-server: v2.9.10", True), ("2.9.22", True), ("2.9.23", False), ("v2.10.1", True), ("2.10.2", False)),

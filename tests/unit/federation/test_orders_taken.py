@@ -11,9 +11,11 @@ import pytest
 
 from skygcs.core.federation.order_gate import STOP_LATE_S
 from skygcs.core.federation.order_messages import STOP, OrderRequest, OutcomeQuestion, vehicle_token
+from skygcs.disk_writer import DiskWriter
 from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import Carried
-from skygcs.federation.orders_taken import ANSWER_S, OrdersTaken, names_stop
+from skygcs.federation.orders_taken import ANSWER_S, DISK_WAIT_S, FLIGHT_END_WAIT_S, OrdersTaken, names_stop
+from support.inline_disk import Inline
 
 pytestmark = pytest.mark.looptime
 
@@ -49,10 +51,13 @@ class Home:
         self.published: list[tuple[str, dict[str, Any]]] = []
         self.held_elsewhere: str | None = None
         self.file = daemon.file = AuditFile(path)
+        self.thread = Inline()
+        self.disk = DiskWriter(self.loop, lambda event: None, self.loop.time, self.thread)
         self.taken = OrdersTaken(
             "north",
             daemon,
             self.file,
+            self.disk,
             lambda subject, data: self.published.append((subject, json.loads(data))),
             lambda _: self.held_elsewhere,
             lambda: self.loop.time() + AHEAD_S,
@@ -122,6 +127,29 @@ async def test_what_ran_when_the_bridge_ended_is_unknown_and_does_not_run_again(
     assert (await again.give(order))["status"] == "unknown"
     assert len(daemon.orders) == 1
     await again.taken.close()
+
+
+async def test_a_stuck_disk_keeps_no_landing_and_the_loop_goes_on(tmp_path: Path) -> None:
+    """The file was written on the loop: a disk that did not answer kept the bridge from every order."""
+    daemon = Daemon()
+    home = Home(tmp_path / "orders.jsonl", daemon)
+    home.thread.stuck = True
+    began, landing, arming = home.loop.time(), home.order(1), home.order(2, "vehicles.arm", in_s=5.0)
+    assert (await home.give(landing))["status"] == "done"
+    assert home.loop.time() - began == pytest.approx(FLIGHT_END_WAIT_S)
+    assert (await home.give(arming))["status"] == "running"
+    await asyncio.sleep(DISK_WAIT_S)
+    refused = await home.ask(arming)
+    assert refused["status"] == "refused" and "cannot record" in refused["text"]
+    assert [method for _, method, _ in daemon.orders] == ["vehicles.land"]
+    home.thread.stuck = False
+    assert (await home.give(home.order(3)))["status"] == "done"
+    await home.taken.close()
+    # all of it is in the file, in its order
+    lines = [json.loads(line) for line in home.file.path.read_bytes().splitlines()]
+    assert [(line["id"][-1], line["status"]) for line in lines] == [
+        *(("1", "running"), ("1", "done"), ("2", "running"), ("2", "refused"), ("3", "running"), ("3", "done"))
+    ]
 
 
 async def test_without_a_record_only_orders_that_end_a_flight_are_carried_out(tmp_path: Path) -> None:

@@ -158,6 +158,20 @@ async def test_each_round_is_one_batch_at_once_and_every_fifth_is_a_slow_one_too
         assert last.origin is not None and last.origin.lat_deg == 48.0
 
 
+async def test_it_ends_although_its_daemon_is_lost_in_the_turn_in_which_it_is_cancelled() -> None:
+    made = Rig(("all",))
+    task = asyncio.create_task(made.publisher.run())
+    await made.rounds(0.5, "alpha")
+    made.client.rounds.put_nowait(None)
+    for _ in range(4):  # the task of the rounds fails; its group is told in the next turn
+        await asyncio.sleep(0)
+        if made.client.rounds.empty():
+            break
+    task.cancel()
+    done, _ = await asyncio.wait({task}, timeout=30)
+    assert done and task.cancelled()
+
+
 async def test_a_daemon_that_stands_still_or_goes_has_states_that_grow_old() -> None:
     async with rig() as made:
         await made.rounds(0.5, "alpha")

@@ -21,6 +21,7 @@ from skygcs.federation.remote_feed import RemoteFeed
 from skygcs.federation.station_methods import station_methods
 from skygcs.federation.station_socket import StationSocket
 from skygcs.rpc.client import Client, connect
+from skygcs.rpc.order_reports import OrderReports
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 from support.hub import until
@@ -44,7 +45,13 @@ class Orders:
         pass
 
     async def give(
-        self, method: str, params: Mapping[str, Any], targets: Mapping[str, Sequence[str]], by: str, own: int = 0
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        targets: Mapping[str, Sequence[str]],
+        by: str,
+        own: int = 0,
+        reports: OrderReports | None = None,
     ) -> dict[str, dict[str, Any]]:
         self.given.append((method, dict(params), {site: tuple(parts) for site, parts in targets.items()}))
         await self.answers.wait()

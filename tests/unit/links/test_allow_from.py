@@ -7,18 +7,18 @@ import socket
 from contextlib import ExitStack
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.config import models
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.routing.peer_places import SILENT_S
+from skygcs.core.routing.peer_places import PEER_SILENT_S
 from skygcs.links.allow_from import MAX_REMEMBERED, MAX_REPORTED, AllowedNetworks
 from skygcs.links.tcp import TcpServerLink
 from skygcs.links.udp import UdpServerLink
 from support.hosts import RecordingHost, common_dialect, heartbeat, until
 from support.loops import on_every_loop
+from support.table import each
 
 
 def gcs_heartbeat(sysid: int = 250) -> bytes:
@@ -185,7 +185,7 @@ async def test_tcp_clients_that_say_nothing_give_way_to_one_that_comes() -> None
         newcomer = tcp_from(stack, "127.0.0.3", link)
         await until(lambda: is_closed(newcomer))
         for channel in link.channels:
-            channel.last_rx_at -= SILENT_S
+            channel.last_rx_at -= PEER_SILENT_S
         link._admission.places.changed()
         newcomer = tcp_from(stack, "127.0.0.3", link)
         newcomer.send(heartbeat(5))
@@ -196,7 +196,7 @@ async def test_tcp_clients_that_say_nothing_give_way_to_one_that_comes() -> None
     await link.close()
 
 
-@pytest.mark.parametrize(
+@each(
     ("host", "networks", "allowed"),
     [
         ("10.0.0.7", ["10.0.0.0/24"], True),

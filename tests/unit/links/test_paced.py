@@ -24,6 +24,7 @@ from support.hosts import RecordingHost, own, until
 from support.pseudo_tty import PtyRadio
 from support.routed import DIALECT
 from support.rtcm import rtcm_frame
+from support.table import each
 
 COMMAND = {"target_system": 7, "target_component": 1, "command": 400, "param1": 1.0, "confirmation": 1}
 
@@ -225,7 +226,7 @@ def test_a_stop_for_all_overtakes_what_was_ordered_of_anyone() -> None:
     assert not names[stop + 1 :]
 
 
-@pytest.mark.parametrize("ours", [True, False])
+@each("ours", [True, False])
 def test_corrections_go_whole_within_their_share_and_after_commands(ours: bool) -> None:
     line = Line()
     sent: list[tuple[float, Outgoing, Priority]] = []

@@ -13,7 +13,10 @@ from typing import Any
 import pytest
 
 from skygcs.config import models
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import LinkError
+from skygcs.links.reading import LARGEST_DATAGRAM_BYTES, TURN_BYTES
 from skygcs.links.udp import UdpBroadcastLink, UdpClientLink, UdpServerLink
 from support.hosts import RecordingHost, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop
@@ -85,14 +88,53 @@ async def test_a_truncated_datagram_does_not_eat_the_next_one_of_anybody() -> No
 
 
 @on_every_loop
-async def test_all_frames_of_the_biggest_datagram_come_in_order() -> None:
+async def test_all_frames_of_the_largest_datagram_come_in_order_and_a_larger_one_is_dropped() -> None:
     host = RecordingHost()
     link = await server(host)
-    frames = [heartbeat(1, n % 256) for n in range(65507 // len(heartbeat(1)))]
+    frames = [heartbeat(1, n % 256) for n in range(LARGEST_DATAGRAM_BYTES // len(heartbeat(1)))]
     with peer() as one:
-        one.sendto(b"".join(frames), ("127.0.0.1", link.bound_port))
+        to = ("127.0.0.1", link.bound_port)
+        for size in (LARGEST_DATAGRAM_BYTES + 1, 65_507):
+            one.sendto((heartbeat(2) * 4000)[:size], to)
+        one.sendto(b"".join(frames), to)
         await until(lambda: len(host.heard) >= len(frames))
     assert host.raws == frames
+    assert link.counters()["too_large_datagrams"] == 2
+    await link.close()
+
+
+@on_every_loop
+async def test_a_storm_of_garbage_takes_a_bounded_part_of_each_wake_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a peer, of strangers, in datagrams of any size; frames between it are heard all the same."""
+    host = RecordingHost()
+    link = await server(host)
+    to = ("127.0.0.1", link.bound_port)
+    searched: list[list[int]] = []
+    feed = FrameParser.feed_datagram
+
+    def counted(parser: FrameParser, data: bytes, *, search: bool = True) -> list[Frame]:
+        if search:
+            searched[-1].append(len(data))
+        return feed(parser, data, search=search)
+
+    monkeypatch.setattr(FrameParser, "feed_datagram", counted)
+    with peer() as known, peer() as other:
+        searched.append([])
+        known.sendto(heartbeat(1), to)
+        await asyncio.sleep(0)
+        link._on_readable()
+        for number in range(60):
+            for sender in (known, other):
+                sender.sendto(bytes((0xFD,)) * (65_000, 12_000, 1_000)[number % 3], to)
+            known.sendto(heartbeat(1, number + 1), to)
+            if number % 10 == 9:
+                searched.append([])
+                link._on_readable()
+        await until(lambda: len(host.heard) == 61)
+    assert max(sum(sizes) for sizes in searched) <= TURN_BYTES + LARGEST_DATAGRAM_BYTES
+    assert sum(sum(sizes) for sizes in searched) < 100_000  # of 1,560,000 that are not too large
+    assert link.counters()["parked_datagrams"] > 30
+    assert [event.kind for event in host.events] == ["warning"]
     await link.close()
 
 
@@ -103,11 +145,11 @@ async def test_noise_makes_no_peer_and_a_good_frame_among_it_does() -> None:
     noise = random.Random(7)
     to = ("127.0.0.1", link.bound_port)
     with peer() as one:
-        for _ in range(200):
+        for _ in range(30):
             one.sendto(noise.randbytes(400), to)
         unknown = bytes((0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xEE, 5, 1, 2))  # no CRC can vouch for an unknown id
         one.sendto(unknown, to)
-        await until(lambda: link.counters()["ignored_datagrams"] == 201)
+        await until(lambda: link.counters()["ignored_datagrams"] == 31)
         assert host.channels == []
         assert host.heard == []
         one.sendto(noise.randbytes(50) + heartbeat(3) + b"\xfd", to)
@@ -152,6 +194,25 @@ async def test_a_silent_peer_expires_and_one_that_talks_stays() -> None:
         await until(lambda: len(host.channels) == 2)
     await until(lambda: not host.channels)
     assert link.counters()["peers_expired"] == 3
+    await link.close()
+
+
+@on_every_loop
+async def test_the_last_way_to_a_vehicle_in_the_air_stays_although_it_is_silent() -> None:
+    host = RecordingHost()
+    link = await server(host, peer_timeout_s=0.1)
+    to = ("127.0.0.1", link.bound_port)
+    with peer() as flying, peer() as other:
+        flying.sendto(heartbeat(1), to)
+        await until(lambda: len(host.channels) == 1)
+        host.flying = {host.channels[0]}
+        other.sendto(heartbeat(2), to)
+        await until(lambda: len(host.detached) == 1)
+        assert host.detached[0][0].peer == f"127.0.0.1:{other.getsockname()[1]}"
+        host.channels[0].send(heartbeat(255))
+        await until(lambda: drain(flying))
+        host.flying = set()
+        await until(lambda: not host.channels)
     await link.close()
 
 

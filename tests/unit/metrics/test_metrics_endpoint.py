@@ -12,9 +12,9 @@ import pytest
 from skygcs.config.metrics import MetricsConfig
 from skygcs.errors import LinkError
 from skygcs.events import Event
+from skygcs.ext.metrics.order_results import MAX_ORDER_RESULTS, OrderResults
 from skygcs.metrics import endpoint as module
 from skygcs.metrics.endpoint import MAX_CONNECTIONS, MetricsEndpoint
-from skygcs.metrics.order_results import MAX_ORDER_RESULTS, OrderResults
 from skygcs.runtime.event_log import EventLog
 
 
@@ -43,7 +43,8 @@ class Bench:
     async def ask(self, request: bytes) -> tuple[bytes, bytes]:
         """Head and body of the answer to these bytes."""
         reader, writer = await self.connect()
-        writer.write(request)
+        assert self.endpoint.address is not None
+        writer.write(request.replace(b"Host: x", b"Host: 127.0.0.1:%d" % self.endpoint.address[1]))
         answer = await reader.read()
         writer.close()
         with contextlib.suppress(OSError):
@@ -65,6 +66,23 @@ async def running(token: str | None = None) -> AsyncIterator[Bench]:
 
 def get(path: str = "/metrics", *headers: str, method: str = "GET") -> bytes:
     return "\r\n".join((f"{method} {path} HTTP/1.1", "Host: x", *headers, "", "")).encode()
+
+
+async def test_only_requests_for_its_own_address_are_answered() -> None:
+    """A page whose name was made to lead to this machine could read the numbers otherwise."""
+    async with running() as bench:
+        assert bench.endpoint.address is not None
+        port = bench.endpoint.address[1]
+        for host, status in (
+            (f"127.0.0.1:{port}", b"200"),
+            (f"localhost:{port}", b"200"),
+            (f"evil.example:{port}", b"421"),
+            ("127.0.0.1:1", b"421"),
+            (f"127.0.0.1:{port}\r\nOrigin: http://evil.example", b"421"),
+        ):
+            head, _ = await bench.ask(f"GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+            assert head.split(b" ")[1] == status, host
+        assert (await bench.ask(b"GET /metrics HTTP/1.1\r\n\r\n"))[0].startswith(b"HTTP/1.1 421")
 
 
 async def test_a_scraper_gets_the_text_format_with_its_length() -> None:

@@ -15,6 +15,7 @@ from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import PlanFileError, SkygcsError, TrajectoryError
 from skygcs.planning.request import WrittenPath, check_request, make_request, paths_request
 from skygcs.planning.worker import answered
+from support.table import each
 
 RULE = MarginRule(fixed_m=2.5)
 LIMITS = MotionLimits()
@@ -106,7 +107,7 @@ def test_the_space_of_a_plan_and_of_the_request_are_both_kept() -> None:
     assert not answer(check_request(plan, RULE, LIMITS, SPACE))["certificate"]["certified"]
 
 
-@pytest.mark.parametrize(
+@each(
     "plan",
     [
         {},

@@ -15,10 +15,11 @@ import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc import client_connection, sessions
-from skygcs.rpc.client_connection import MAX_REQUEST_BYTES, ClientConnection, open_connection
+from skygcs.rpc.client_connection import MAX_REQUEST_BYTES, ClientConnection, _Call, open_connection
 from skygcs.rpc.client_inbox import Encoded
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
 
 async def test_a_request_that_the_daemon_would_not_read_is_refused_here_and_waits_for_nothing(tmp_path: Path) -> None:
@@ -39,19 +40,17 @@ async def test_a_request_that_the_daemon_would_not_read_is_refused_here_and_wait
     await server.close()
 
 
-@pytest.mark.parametrize(
-    "line", [b'{"jsonrpc": "2.0", "id": 1, "result": [1, 2]}', b'{"id":1,"result":[1,2],"jsonrpc":"2.0"}']
-)
+@each("line", [b'{"jsonrpc": "2.0", "id": 1, "result": [1, 2]}', b'{"id":1,"result":[1,2],"jsonrpc":"2.0"}'])
 def test_a_result_that_is_written_otherwise_is_read_as_json(line: bytes) -> None:
     connection = ClientConnection("a socket")
     connection._encoded.add(1)
     answers: list[Any] = []
-    connection._calls[1] = lambda result, error: answers.append(result)
+    connection._calls[1] = _Call(lambda result, error: answers.append(result), "params.list", {})
     connection.data_received(line + b"\n")
     assert answers == [[1, 2]]
 
 
-@pytest.mark.parametrize(
+@each(
     "line",
     [
         b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":{"sysid":1,"name":"a"},"subscription":7}}',

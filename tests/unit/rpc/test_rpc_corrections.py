@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.links import MAX_DATA_CHARS, CorrectionsParams, corrections_send
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
 
 class Session:
@@ -29,7 +30,7 @@ def test_the_bytes_and_whose_they_are_reach_the_daemon() -> None:
     assert session.services.corrections == [("roof", b"\xd3\x00\x13", False), ("rpc", b"", True)]
 
 
-@pytest.mark.parametrize("data", ["0wA", "0w A", "d3 00 13", "0wAT\n", "Ó"])
+@each("data", ["0wA", "0w A", "d3 00 13", "0wAT\n", "Ó"])
 def test_what_is_not_base64_is_refused(data: str) -> None:
     session = Session()
     with pytest.raises(InvalidParams, match="data: is not base64"):
@@ -37,7 +38,7 @@ def test_what_is_not_base64_is_refused(data: str) -> None:
     assert session.services.corrections == []
 
 
-@pytest.mark.parametrize("params", [{"data": "A" * (MAX_DATA_CHARS + 4)}, {"data": "", "source": ""}, {}])
+@each("params", [{"data": "A" * (MAX_DATA_CHARS + 4)}, {"data": "", "source": ""}, {}])
 def test_what_does_not_fit_its_schema_is_refused(params: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         ask(Session(), **params)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections.abc import Coroutine
 from typing import Any
 
 import pytest
@@ -24,6 +25,7 @@ from skygcs.rpc.dispatch import (
     parse,
 )
 from skygcs.rpc.models import MethodParams, NoParams
+from support.table import each
 
 
 class PairParams(MethodParams):
@@ -80,7 +82,7 @@ def request(method: str = "pair", params: Any = None, request_id: Any = 1) -> di
     return {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
 
 
-@pytest.mark.parametrize("method", ["pair", "slow"])
+@each("method", ["pair", "slow"])
 def test_result_comes_with_the_requests_id(method: str) -> None:
     for request_id in (1, "x", 2.5, None, 10**40, "\x00\u2028é"):
         assert ask(request(method, {"first": 3}, request_id)) == {
@@ -90,12 +92,12 @@ def test_result_comes_with_the_requests_id(method: str) -> None:
         }
 
 
-@pytest.mark.parametrize("method", ["pair", "slow"])
+@each("method", ["pair", "slow"])
 def test_parameters_may_be_given_by_position(method: str) -> None:
     assert ask(request(method, [3, 4]))["result"] == [3, 4.0]
 
 
-@pytest.mark.parametrize("method", ["pair", "slow", "nonsense"])
+@each("method", ["pair", "slow", "nonsense"])
 def test_notification_is_carried_out_and_never_answered(method: str) -> None:
     calls = Calls()
     for params in ({"first": 3}, {"wrong": 1}, 7):
@@ -104,7 +106,7 @@ def test_notification_is_carried_out_and_never_answered(method: str) -> None:
     assert len(calls.made) == (method != "nonsense")
 
 
-@pytest.mark.parametrize(
+@each(
     "bad",
     [
         1,
@@ -149,12 +151,12 @@ def test_every_wrong_parameter_is_told_in_words() -> None:
     assert "pydantic" not in json.dumps(answer)
 
 
-@pytest.mark.parametrize("params", [7, "x", True, [1, 2, 3], {"first": "1"}, {"first": True}, {"first": 1.5}])
+@each("params", [7, "x", True, [1, 2, 3], {"first": "1"}, {"first": True}, {"first": 1.5}])
 def test_parameters_of_the_wrong_shape_or_type_are_refused(params: Any) -> None:
     assert ask(request(params=params))["error"]["code"] == -32602
 
 
-@pytest.mark.parametrize(
+@each(
     ("error", "code"),
     [
         (TargetError("no vehicle 7"), -32001),
@@ -177,6 +179,26 @@ def test_a_bug_is_answered_without_its_text_or_traceback() -> None:
     assert "secret" not in json.dumps(answer) and "Traceback" not in json.dumps(answer)
 
 
+async def test_a_request_whose_work_is_cancelled_while_its_client_is_there_gets_an_error() -> None:
+    """As that of params.list, whose vehicle is renumbered; its client's end still ends it."""
+
+    async def list_all(context: Any, params: NoParams) -> Any:
+        await asyncio.shield(work)
+
+    dispatcher = Dispatcher({"params.list": Method("params.list", NoParams, list_all)})
+    for client_ends in (False, True):
+        work = asyncio.get_running_loop().create_future()
+        reply = dispatcher.start(None, request("params.list"))
+        assert isinstance(reply, Coroutine)
+        task = asyncio.create_task(reply)
+        await asyncio.sleep(0)
+        (task if client_ends else work).cancel()
+        await asyncio.wait({task})
+        assert task.cancelled() is client_ends
+        if not client_ends:
+            assert "params.list was cancelled" in json.loads(task.result())["error"]["message"]
+
+
 def test_a_result_that_json_cannot_carry_is_an_internal_error() -> None:
     method = Method[Calls]("odd", NoParams, lambda calls, params: object())
     assert ask(request("odd"), Dispatcher({"odd": method}))["error"]["code"] == -32603
@@ -187,7 +209,7 @@ def test_nan_and_infinity_are_null_in_results() -> None:
     assert ask(request("odd"), Dispatcher({"odd": method}))["result"] == [None, None, None, 1.5]
 
 
-@pytest.mark.parametrize(
+@each(
     "line", [b"", b"{", b'{"a":NaN}', b"[" * 100_000, b"9" * 5000, b"\xff\xfe", b'"\\ud800"', b"[1,]", b"nul", b"{}{}"]
 )
 def test_what_is_not_json_is_a_value_error_with_a_text(line: bytes) -> None:
@@ -195,7 +217,7 @@ def test_what_is_not_json_is_a_value_error_with_a_text(line: bytes) -> None:
         parse(line)
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "key"),
     [
         (b'{"a":1,"b":{"a":2},"c":[{"a":3},{"a":4}]}', None),
@@ -257,8 +279,8 @@ def test_a_request_is_refused_after_its_deadline_only() -> None:
     assert reply["error"]["message"] == "read 2.5 s after its deadline; it was not carried out"
 
 
-@pytest.mark.parametrize("deadline_s", [None, "10", True, [], {}])
-@pytest.mark.parametrize("request_id", [None, True, []])
+@each("deadline_s", [None, "10", True, [], {}])
+@each("request_id", [None, True, []])
 def test_a_deadline_that_is_no_time_is_refused(deadline_s: object, request_id: object) -> None:
     reply = deadline_refusal({"id": request_id, "deadline_s": deadline_s}, 0.0)
     assert reply is not None

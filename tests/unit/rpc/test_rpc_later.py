@@ -104,5 +104,4 @@ def test_every_part_of_the_daemon_is_as_its_table_says() -> None:
         assert tuple(method.name for method in found) == part.names
         assert {method.name for method in found if method.always} == set(part.always)
         assert {method.name for method in found if method.while_stopping} == set(part.while_stopping)
-        if part.module != "skygcs.rpc.relayed_control":  # which a companion imports when it starts
-            assert not any(method.outlives_client for method in found)
+        assert not any(method.outlives_client for method in found)

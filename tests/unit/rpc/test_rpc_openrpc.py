@@ -6,18 +6,18 @@ import inspect
 import json
 from typing import Any
 
-import pytest
 from pydantic import TypeAdapter
 
 from skygcs.core.vehicle.orders import Where
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.rpc import openrpc
 from skygcs.rpc.client import Client
-from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.extension_parts import ALL_METHODS
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
-DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(METHODS.values())))
+DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(ALL_METHODS.values())))
 
 CONTRACT = {
     "daemon": "info",
@@ -39,7 +39,7 @@ def test_every_method_of_the_contract_is_there_and_described() -> None:
     for name, method in described.items():
         assert method["summary"], name
         assert method["result"]["schema"], name
-        assert [p["name"] for p in method["params"]] == list(METHODS[name].params.model_fields)
+        assert [p["name"] for p in method["params"]] == list(ALL_METHODS[name].params.model_fields)
 
 
 def test_required_members_of_openrpc_are_there() -> None:
@@ -97,9 +97,9 @@ OF_PLANS = {"engage"}
 """Given by a plan only: it engages control itself."""
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@each("order", ORDERS)
 def test_the_parameters_of_an_order_are_those_of_the_actors_method(order: str) -> None:
-    given = METHODS[f"vehicles.{order}"].params.model_fields.keys() - CHECKED_BY_THE_FLEET
+    given = ALL_METHODS[f"vehicles.{order}"].params.model_fields.keys() - CHECKED_BY_THE_FLEET
     parameters = inspect.signature(ORDERS[order]).parameters
     if "where" in parameters:
         assert given == Where.__annotations__.keys()
@@ -107,9 +107,9 @@ def test_the_parameters_of_an_order_are_those_of_the_actors_method(order: str) -
         assert given == parameters.keys() - {"self"} - OF_PLANS
 
 
-@pytest.mark.parametrize("order", ["arm", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "mode"])
+@each("order", ["arm", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "mode"])
 def test_the_clients_method_of_an_order_has_its_parameters(order: str) -> None:
-    fields = METHODS[f"vehicles.{order}"].params.model_fields
+    fields = ALL_METHODS[f"vehicles.{order}"].params.model_fields
     parameters = inspect.signature(getattr(Client, order)).parameters
     assert set(parameters) - {"self"} == set(fields)
     for name, field in fields.items():
@@ -124,7 +124,7 @@ def test_a_state_of_the_fake_vehicle_is_one_of_the_described_kind() -> None:
     assert set(state) == set(VehicleState.__annotations__)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@each("name", ALL_METHODS)
 def test_every_handler_says_what_it_does(name: str) -> None:
-    text = inspect.getdoc(METHODS[name].handler)
+    text = inspect.getdoc(ALL_METHODS[name].handler)
     assert text and text[0].isupper() and "." in text

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from skygcs.rpc import openrpc, sessions
-from skygcs.rpc.methods import METHODS
+from support.extension_parts import ALL_METHODS
 from support.rpc_reference import reference
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rpc.md"
 
 
 def test_every_method_and_parameter_is_described_as_it_is() -> None:
-    assert reference(METHODS.values()) in PAGE.read_text(encoding="utf-8")
+    assert reference(ALL_METHODS.values()) in PAGE.read_text(encoding="utf-8")
 
 
 def test_the_limits_are_those_of_the_server() -> None:
@@ -37,4 +37,4 @@ def test_every_error_code_is_explained() -> None:
 
 
 if __name__ == "__main__":
-    print(reference(METHODS.values()))
+    print(reference(ALL_METHODS.values()))

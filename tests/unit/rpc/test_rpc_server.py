@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from skygcs.errors import LinkError
 from skygcs.rpc import sessions
 from skygcs.rpc.server import RpcServer
+from support.examples import examples
 from support.fake_daemon import FakeDaemon, FakeOutcome
 from support.rpc_bench import Bench, Peer, running
 
@@ -41,7 +42,7 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
     orders: list[tuple[str, dict[str, Any], tuple[str, dict[str, Any]]]] = [
         ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
         ("disarm", {}, ("disarm", {"force": False})),
-        ("mode", {"mode": "LAND"}, ("set_mode", {"name": "LAND"})),
+        ("mode", {"mode": "LAND"}, ("set_mode", {"name": "LAND", "force": False})),
         ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True, "wait_s": 0.0, "force": False})),
         ("land", {}, ("land", {})),
         ("rtl", {}, ("rtl", {})),
@@ -374,7 +375,7 @@ async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: p
     assert "result" in answers[0] and answers[-1]["error"]["code"] == -32005
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(chunks=st.lists(st.binary(max_size=200), max_size=10), abrupt=st.booleans())
 async def test_no_bytes_disturb_another_client(bench: Bench, chunks: list[bytes], abrupt: bool) -> None:
     bad, good = await bench.connect(), await bench.connect()

@@ -15,6 +15,7 @@ from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import QUEUED, Feeds, Subscription
 from support.fake_daemon import FakeDaemon
+from support.table import each
 
 
 class Reader:
@@ -344,7 +345,7 @@ async def test_the_rate_of_messages_is_limited_per_name_and_source() -> None:
     assert all(count == 20 for count in counts.values()), counts
 
 
-@pytest.mark.parametrize(
+@each(
     "params",
     [
         {"topic": "nonsense"},

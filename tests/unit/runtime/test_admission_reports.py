@@ -5,8 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-import pytest
-
 from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.radio_link.admission import ThirdPartyRules
@@ -18,6 +16,7 @@ from skygcs.links.paced import AirBudget
 from skygcs.runtime.admission_reports import TEXT_BYTES, AdmissionReports
 from skygcs.runtime.hub import Hub
 from support.routed import DIALECT
+from support.table import each
 
 QGC = 255 << 8 | 190
 
@@ -56,7 +55,7 @@ class Watched:
         self.watch.tick(times / 10)
 
 
-@pytest.mark.parametrize(
+@each(
     ("rules", "name", "values", "sentence", "text"),
     [
         ({}, "REQUEST_DATA_STREAM", {"target_system": 3}, "asks vehicle 3 for streams", "streams are planned here"),

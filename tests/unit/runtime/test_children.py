@@ -13,38 +13,21 @@ from typing import Any
 
 import pytest
 
-from skygcs.cli.serve import _parser
+from skygcs.cli.serve import new_parser
 from skygcs.config.federation import FederationConfig
-from skygcs.config.web import WebConfig, WebMapConfig
 from skygcs.events import Event
-from skygcs.runtime.children import federation_child, page_address, web_arguments
+from skygcs.runtime import supervised_child
+from skygcs.runtime.children import federation_child
 from skygcs.runtime.supervised_child import SupervisedChild
 from support.hub import until
 
 SOCKET = Path("/run/x y.sock")
 
 
-def test_the_page_gets_its_table() -> None:
-    points = ((1.0, 2.0, 43.0, -79.0), (3.0, 4.0, 43.5, -79.5))
-    table = WebConfig(
-        host="10.0.0.1", port=80, names=("field",), tls_cert=Path("c"), map=WebMapConfig(image=Path("i"), points=points)
-    )
-    args = _parser().parse_args(web_arguments(table, SOCKET))
-    assert (args.socket, args.host, args.port, args.name, args.tls_cert) == (
-        str(SOCKET),
-        "10.0.0.1",
-        80,
-        ["field"],
-        Path("c"),
-    )
-    assert args.supervised and len(args.map_point) == 2
-    assert page_address(table) == "https://10.0.0.1:80/"
-
-
 async def test_the_bridge_gets_its_fleet_file_and_the_daemons_socket() -> None:
     table = FederationConfig(site="north", servers=("tls://h",), nkey=Path("n.nk"))
     child = federation_child(table, "/etc/fleet.toml", SOCKET, asyncio.get_running_loop(), lambda event: None)
-    args = _parser().parse_args(child._line[3:])
+    args = new_parser().parse_args(child._line[3:])
     assert (args.file, args.socket, args.supervised, args.no_daemon) == (
         Path("/etc/fleet.toml"),
         str(SOCKET),
@@ -57,7 +40,11 @@ async def test_the_bridge_gets_its_fleet_file_and_the_daemons_socket() -> None:
     }
 
 
-async def test_a_child_that_ends_again_and_again_is_reported_once_and_ends_with_its_parent() -> None:
+async def test_a_child_that_ends_again_and_again_is_reported_once_and_ends_with_its_parent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for pause in ("FIRST_PAUSE_S", "LOOK_S"):
+        monkeypatch.setattr(supervised_child, pause, 0.01)
     events: list[Event] = []
     command = [sys.executable, "-c", "raise SystemExit(3)"]
     child = SupervisedChild("the thing", "thing", [], asyncio.get_running_loop(), events.append, command=command)

@@ -12,6 +12,7 @@ import pytest
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.protocols.command import RETRY_TIMERS_S, SETTLE_S, Ack, CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import Clearance
 from skygcs.runtime.command_client import LATE_ACK_S, CommandClient
 from support.vehicles import flight_dialect
 
@@ -38,7 +39,7 @@ class BadRadio:
         priority: Priority,
         *,
         everywhere: bool = False,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         self.sent += 1
         self._through(self._vehicle, dict(values))

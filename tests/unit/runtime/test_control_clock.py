@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from skygcs.runtime.control_clock import KEPT, LATE_S, ControlClock
+from skygcs.runtime.control_clock import LATE_S, TICKS_KEPT, ControlClock
+from support.table import each
 
 
 class Deadlines:
@@ -68,7 +69,7 @@ def test_the_first_tick_comes_at_once_and_the_rest_a_period_apart() -> None:
     assert ticked.clock.as_dict() == {"ticks": 4, "late": 0, "skipped": 0, "lateness_p99_s": 0.0}
 
 
-@pytest.mark.parametrize(("period_s", "first_s"), [(0.02, 0.01), (0.2, 0.025)])
+@each(("period_s", "first_s"), [(0.02, 0.01), (0.2, 0.025)])
 def test_clocks_started_together_are_spread_over_a_short_while(period_s: float, first_s: float) -> None:
     ticked = Ticked(period_s)
     clock = ControlClock(ticked.loop, ticked._tick, lambda: period_s, phase=0.5)  # type: ignore[arg-type]  # all it uses
@@ -79,7 +80,7 @@ def test_clocks_started_together_are_spread_over_a_short_while(period_s: float, 
     assert (clock.late, clock.skipped) == (0, 0)
 
 
-@pytest.mark.parametrize(("period_s", "first_s"), [(0.02, 0.005), (0.2, 0.0125)])
+@each(("period_s", "first_s"), [(0.02, 0.005), (0.2, 0.0125)])
 def test_clocks_of_other_phases_tick_one_after_the_other(period_s: float, first_s: float) -> None:
     ticked = Ticked(period_s, phase=0.25)
     ticked.clock.start()
@@ -240,10 +241,10 @@ def test_of_the_last_ticks_the_99th_percentile_of_lateness_is_told() -> None:
     ticked = Ticked()
     assert ticked.clock.lateness_p99_s() is None and ticked.clock.as_dict()["lateness_p99_s"] is None
     ticked.clock.start()
-    for i in range(KEPT):
+    for i in range(TICKS_KEPT):
         ticked.loop.run(late_s=0.003 if i % 50 == 0 else 0.0)
     assert ticked.clock.lateness_p99_s() == pytest.approx(0.003)
-    for _ in range(KEPT):
+    for _ in range(TICKS_KEPT):
         ticked.loop.run()
     assert ticked.clock.lateness_p99_s() == pytest.approx(0.0)
 

@@ -29,7 +29,9 @@ class FakeHub:
         assert (sysid, compid) == (0, 0)
         return (1,)
 
-    def send(self, info: Any, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
+    def send(
+        self, info: Any, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority, *, clearance: Any
+    ) -> bool:
         assert (info.name, sysid, compid, priority) == ("GPS_RTCM_DATA", 0, 0, Priority.CORRECTION)
         info.pack(values)
         self.sent.append(values)

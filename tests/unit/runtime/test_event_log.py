@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import structlog
+
 from skygcs.events import Event
 from skygcs.runtime.event_log import MAX_EVENTS, EventLog
 
@@ -36,3 +40,28 @@ def test_the_oldest_of_one_kind_make_room() -> None:
         clock.now += 10.0
         events.publish(Event("mode", "alpha", 1, f"event {n}", {}))
     assert [e["text"] for e in events.recent] == [f"event {n}" for n in range(5, MAX_EVENTS + 5)]
+
+
+def test_what_raises_an_alarm_is_logged_as_a_warning_and_its_end_is_not() -> None:
+    """A lost vehicle was logged at level info."""
+    began_and_ended: list[tuple[str, dict[str, Any], str, dict[str, Any]]] = [
+        ("vehicle_lost", {"age_s": 3.0}, "vehicle_back", {}),
+        ("vehicle_lost", {"age_s": 3.0}, "vehicle_lost", {"forgotten": True}),
+        ("failsafe", {"failsafe": True}, "failsafe", {"failsafe": False}),
+        ("fence", {"outside": True}, "fence", {"outside": False}),
+        ("control", {"state": "held"}, "control", {"state": "flying"}),
+        ("plan", {"state": "stopped"}, "plan", {"state": "flying"}),
+        ("command", {"order": "stop", "ok": False}, "command", {"order": "stop", "ok": True}),
+        ("separation", {"level": "warning", "with": "b"}, "separation", {"level": None, "with": "b"}),
+        ("duplicate", {"change": "duplicate"}, "duplicate", {"change": "duplicate_over"}),
+        ("uplink_lost", {}, "uplink_back", {}),
+        ("fault", {}, "mode", {}),
+    ]
+    for kind, data, other, over in began_and_ended:
+        with structlog.testing.capture_logs() as logged:
+            events = EventLog(Clock())
+            events.publish(Event(kind, "a", 1, "begins", data))
+            events.publish(Event(other, "a", 1, "is over", over))
+            events.flush()
+        levels = {entry["event"]: entry["log_level"] for entry in logged}
+        assert levels["begins"] == "warning" and levels.get("is over") != "warning", (kind, levels)

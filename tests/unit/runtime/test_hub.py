@@ -8,6 +8,7 @@ from pathlib import Path
 from skygcs.config.models import ReplayLinkConfig
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.hub import MAX_CHANNEL_ID
+from support.clearances import cleared
 from support.plain_hub import HubBench
 from support.routed import DIALECT, heartbeat, message
 
@@ -58,10 +59,12 @@ async def test_a_message_of_ours_goes_where_its_target_was_heard_and_is_recorded
     for channel in (a, b, gcs):
         channel.got.clear()
     info = DIALECT.find("COMMAND_LONG")
-    assert bench.hub.send(info, {"target_system": 8, "command": 400}, 8, 1, Priority.COMMAND)
+    assert bench.hub.send(
+        info, {"target_system": 8, "command": 400}, 8, 1, Priority.COMMAND, clearance=cleared("disarm")
+    )
     assert (len(a.got), len(b.got), len(gcs.got)) == (0, 1, 0)
-    assert not bench.hub.send(info, {"target_system": 99}, 99, 1, Priority.COMMAND)
-    assert bench.hub.send(info, {"command": 400}, 0, 0, Priority.EMERGENCY)
+    assert not bench.hub.send(info, {"target_system": 99, "command": 21}, 99, 1, Priority.COMMAND)
+    assert bench.hub.send(info, {"command": 400}, 0, 0, Priority.EMERGENCY, clearance=cleared("disarm"))
     assert (len(a.got), len(b.got), len(gcs.got)) == (1, 2, 0), "our broadcast orders are for vehicles"
     assert len(bench.recorded) == 2
     assert [raw[4] for raw in b.got] == [0, 1], "each channel counts its own sequence"
@@ -120,7 +123,9 @@ async def test_what_a_recording_orders_reaches_nobody_but_a_ground_station() -> 
     assert radio.got == peer.got == []
     assert order not in gcs.got
     assert gcs_heartbeat in gcs.got
-    assert not bench.hub.send(DIALECT.find("COMMAND_LONG"), {"target_system": 255}, 255, 190, Priority.COMMAND)
+    assert not bench.hub.send(
+        DIALECT.find("COMMAND_LONG"), {"target_system": 255, "command": 21}, 255, 190, Priority.COMMAND
+    )
     assert recording.got == []
 
 

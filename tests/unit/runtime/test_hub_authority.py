@@ -19,6 +19,7 @@ from skygcs.links.stream import StreamChannel
 from skygcs.links.udp import UdpServerLink
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.loop_clock import boot_clock
+from support.clearances import cleared
 from support.hosts import until
 from support.plain_hub import PlainLink
 from support.routed import DIALECT, heartbeat, message
@@ -84,6 +85,7 @@ class Bench:
         assert self.gate.grant("alpha", self.now + valid_s, self.now, token=1) == "granted"
 
     def command(self, sysid: int = ALPHA, priority: Priority = Priority.COMMAND, **more: Any) -> bool:
+        more.setdefault("clearance", cleared("disarm"))
         return self.hub.send(LONG, {"target_system": sysid, "command": 400}, sysid, 1, priority, **more)
 
     def beat(self) -> None:
@@ -115,7 +117,7 @@ async def test_our_messages_reach_a_gated_vehicle_only_while_it_is_held(bench: B
 async def test_only_the_emergency_stop_is_exempt_and_not_the_priority_of_an_emergency(bench: Bench) -> None:
     air = bench.wire("air", ALPHA)
     assert not bench.command(priority=Priority.EMERGENCY)
-    assert bench.command(priority=Priority.EMERGENCY, exempt=True)
+    assert bench.command(priority=Priority.EMERGENCY, clearance=cleared("stop"))
     assert air.got() == ["COMMAND_LONG"]
 
 
@@ -133,8 +135,9 @@ async def test_a_broadcast_order_does_not_reach_it_among_others_and_a_heartbeat_
 async def test_a_message_without_a_target_field_goes_by_the_vehicle_it_is_sent_to(bench: Bench) -> None:
     air = bench.wire("air", ALPHA, OWN)
     info = DIALECT.find("ATT_POS_MOCAP")
-    assert not bench.hub.send(info, {}, ALPHA, 1, Priority.POSE)
-    assert bench.hub.send(info, {}, OWN, 1, Priority.POSE)
+    poses = cleared("poses")
+    assert not bench.hub.send(info, {}, ALPHA, 1, Priority.POSE, clearance=poses)
+    assert bench.hub.send(info, {}, OWN, 1, Priority.POSE, clearance=poses)
     assert air.got() == ["ATT_POS_MOCAP"]
 
 

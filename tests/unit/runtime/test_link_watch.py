@@ -11,6 +11,7 @@ from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.msgids import RADIO_STATUS
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.runtime.link_view import LinkWatch
+from support.table import each
 from support.vehicles import flight_dialect
 
 KEY = 1 << 8 | 1
@@ -62,7 +63,7 @@ def test_the_worse_end_of_a_radio_counts_while_it_is_fresh() -> None:
     assert watching.of(KEY, 30.0)["radio"].margin_db is None
 
 
-@pytest.mark.parametrize("fields", [{}, {"rssi": 255, "noise": 255, "remrssi": 255, "remnoise": 255}])
+@each("fields", [{}, {"rssi": 255, "noise": 255, "remrssi": 255, "remnoise": 255}])
 def test_a_radio_that_says_nothing(fields: dict[str, int]) -> None:
     hub = FakeHub()
     watching = watch(hub)

@@ -357,15 +357,18 @@ async def test_the_mission_that_flies_is_told_item_by_item() -> None:
         await asyncio.sleep(0.2)
         storing.current(2, state=5)
         await asyncio.sleep(0.2)
+        storing.current(2, state=1)
+        await asyncio.sleep(0.2)
         told = [e.text for e in ground.events if e.kind == "mission"]
         assert told == [
             "goes on with item 2",
             "reached item 2 of 4",
             "goes on with item 3",
-            "the mission is complete",
+            "its mission is complete",
+            "it has no mission",  # it was "the mission is no mission"
         ]
         status: dict[str, Any] = actor.missions.status()
-        assert (status["item"], status["reached"], status["state"]) == (3, 2, "complete")
+        assert (status["item"], status["reached"], status["state"]) == (3, 2, "no mission")
 
 
 async def test_a_fence_whose_items_make_none_is_no_plan() -> None:

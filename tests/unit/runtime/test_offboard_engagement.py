@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Hashable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,14 +21,18 @@ from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.trajectory import hover
 from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.flight_lock import OriginChange
+from skygcs.core.vehicle.gate import Clearance
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.offboard_engagement import NEW_STREAM_S, OffboardEngagement
+from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.stream_requester import StreamRequester
 from support.services import KnownLinks, services
 from support.vehicles import HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
@@ -62,6 +67,7 @@ class FakeCommander:
         values: Mapping[str, Any],
         priority: Priority = Priority.COMMAND,
         key: Hashable | None = None,
+        clearance: Clearance | None = None,
     ) -> bool:
         if self.fails is not None and message in SETPOINTS:
             raise self.fails
@@ -100,6 +106,8 @@ class Field:
         self.telling = True
         self.links = KnownLinks()
         commands: Any = self.commands  # all that is used of one
+        shared = services(flight_dialect(), None, self.loop, self.events.append, links=self.links, log_dir=log_dir)
+        self.locks = shared.locks
         runner: Any = SimpleNamespace(execute=self.execute, attempt_in_control=self.attempt)
         self.runner = runner
         self.offboard = OffboardEngagement(
@@ -110,7 +118,7 @@ class Field:
             commands,
             runner,
             StreamRequester(self.vehicle, commands, flight_dialect(), {}),
-            services(flight_dialect(), None, self.loop, self.events.append, links=self.links, log_dir=log_dir),
+            shared,
         )
         self.beat()
         self.vehicle.on_frame(self.voice.landed(2), self.loop.time())
@@ -361,6 +369,7 @@ async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) ->
 async def test_a_vehicle_somebody_takes_away_is_given_no_order(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         await f.offboard.engage(ControlMode.VELOCITY)
+        await asyncio.sleep(0)  # what it does when this station dies is read beside
         f.mode = PX4_RTL
         orders = len(f.orders)
         await asyncio.sleep(1)
@@ -408,19 +417,23 @@ async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the
         assert "up 40.0" in f.offboard.follow(Setpoint(place(0, 0, 40), free_xy=True), 0.5).message
 
 
-async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
+async def test_it_holds_the_lock_of_what_it_was_entered_with_until_it_ends(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
+        other = OriginChange(replace(ORIGIN, x_heading_deg=270.0))
+        assert f.locks.refusal(other) is None
         await f.offboard.engage(ControlMode.VELOCITY)
-        f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5)
-        f.offboard.origin_changed()
-        assert not f.offboard.controller.streaming and "the origin changed" in f.texts()
-        assert "origin changed under this stream" in f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5).message
-        await asyncio.sleep(NEW_STREAM_S + 0.01)
-        assert f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5).ok
-        f.events.clear()
-        await asyncio.sleep(1.0)
-        f.offboard.origin_changed()  # nobody leads it now
-        assert "the origin changed" not in f.texts()
+        assert f.locks.refusal(other) is not None and f.locks.refusal(OriginChange(ORIGIN)) is None
+        f.vehicle.origin = other.origin  # whatever the fleet's is by now: its fence and its trajectories do not turn
+        lock = f.offboard.lock
+        assert lock is not None and lock.origin == ORIGIN and lock.members[0].fence.origin == ORIGIN
+        straight = LoadedTrajectory(hover((3.0, 0.0, 10.0), 2.0))
+        assert "it is 3.0 m from the first point" in str(f.offboard.trajectory_refusal(straight, 1.0, lock))
+        clock = common_clock([straight], 1.0, 1.0)
+        clock.start(f.loop.time(), f.loop.time())
+        flight = f.offboard.follow_trajectory(straight, clock, lock)
+        assert flight.reference(f.loop.time(), 0.0).pos_enu_m == pytest.approx((3.0, 0.0, 0.0), abs=0.01)
+        f.offboard.release("the test")
+        assert f.locks.refusal(other) is None and f.locks.held() == []
 
 
 async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_path: Path) -> None:

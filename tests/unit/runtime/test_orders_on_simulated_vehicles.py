@@ -14,6 +14,8 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from support.sim_field import SimField
 from support.vehicles import HOME
 
+COSTS = "simulated vehicles fly their orders to the end"
+
 pytestmark = pytest.mark.looptime
 
 

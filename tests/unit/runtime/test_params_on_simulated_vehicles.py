@@ -18,6 +18,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.compare import plan
 from skygcs.core.params.param_file import of_vehicle, parse, write
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.gate import Clearance
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.param_cache import ParamCache
@@ -48,7 +49,7 @@ async def field(cache: Path) -> AsyncIterator[tuple[Fleet, list[str]]]:
         /,
         *,
         everywhere: bool = False,
-        exempt: bool = False,
+        clearance: Clearance | None = None,
     ) -> bool:
         sent.append(info.name)
         for frame in up.feed_datagram(encode(info, values, sysid=255, compid=25, seq=0)):

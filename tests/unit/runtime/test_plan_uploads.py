@@ -7,6 +7,7 @@ import pytest
 from skygcs.core.plan.file_reading import MAX_FILE_BYTES
 from skygcs.errors import RefusedError
 from skygcs.runtime.plan_uploads import KEPT_S, MAX_PART_CHARS, MAX_UPLOADS, PlanUploads
+from support.table import each
 
 
 def test_parts_are_put_together_and_used_up() -> None:
@@ -46,7 +47,7 @@ def test_one_that_grows_too_large_is_dropped() -> None:
     assert len(uploads) == 0
 
 
-@pytest.mark.parametrize("number", [0, -1, 99])
+@each("number", [0, -1, 99])
 def test_an_unknown_number_is_refused_for_parts_and_for_plans(number: int) -> None:
     uploads = PlanUploads()
     with pytest.raises(RefusedError, match=f"no upload {number}"):

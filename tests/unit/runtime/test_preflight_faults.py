@@ -11,8 +11,6 @@ import pytest
 
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.sim import protocol as m
-from skygcs.sim.ardupilot import CopterVehicle
-from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import Home
 from support.preflight_field import PreflightField
 
@@ -72,14 +70,6 @@ def stop(f: PreflightField) -> None:
     f.vehicle("papa").faults.mute = True
 
 
-def in_mode(name: str) -> Callable[[PreflightField], None]:
-    def how(f: PreflightField) -> None:
-        copter = f.vehicle("echo")
-        assert isinstance(copter, CopterVehicle) and copter.try_mode(CopterMode[name], f.loop.time())
-
-    return how
-
-
 def heard(**facts: Any) -> Callable[[PreflightField], None]:
     return lambda f: f.heard.update(radio=LinkFacts(**facts))
 
@@ -97,9 +87,6 @@ FAULTS = {
         "echo", "sensors", "absolute_pressure", unhealthy_sensors=m.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     ),
     "refuses to arm": vehicle("echo", "arming checks", "its own arming checks fail", refuse_arming="Throttle too high"),
-    "held by BRAKE": Fault("echo", ("mode",), "would not arm in BRAKE", in_mode("BRAKE")),
-    "left in LAND": Fault("echo", ("mode",), "would not arm in LAND", in_mode("LAND")),
-    "left in AUTO": Fault("echo", ("mode",), "AUTO_OPTIONS has no bit 0", in_mode("AUTO")),
     "gps lost": vehicle("papa", "gps fix, estimator, sensors", "GPS fix no fix (at least 3D)", gps_lost=True),
     "gps lost, copter": vehicle("echo", "gps fix, estimator, sensors", "GPS fix no fix", gps_lost=True),
     "few satellites": vehicle("echo", "satellites", "5 satellites (at least 6)", satellites=5),

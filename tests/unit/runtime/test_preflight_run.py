@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.protocols.command import Outcome
 from support.preflight_field import PreflightField
 
 pytestmark = pytest.mark.looptime
@@ -31,7 +32,22 @@ async def test_only_what_is_needed_is_read() -> None:
         await field.complaints("papa")
         assert set(field.names_asked()) == {
             "MAV_SYS_ID", "RTL_RETURN_ALT", "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST",
+            "MPC_XY_CRUISE", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_TILTMAX_AIR",
+            "MPC_LAND_SPEED",
         }  # fmt: skip
+
+
+async def test_a_value_outside_the_range_of_its_metadata_is_a_fault_unless_the_file_asks_for_it() -> None:
+    """MPC_XY_CRUISE 500 passed."""
+    values = {"MPC_XY_VEL_MAX": 600.0, "MPC_XY_CRUISE": 500.0}
+    async with PreflightField() as field:
+        await field.fleet.resolve("papa")[0].params.set(values)
+        found = (await field.complaints("papa"))["parameter ranges"]
+        assert "MPC_XY_CRUISE: 500 is outside its range of 3 to 20 m/s" in found
+    meant = {"preflight": {"params": {name: {"max": 1000} for name in values}}}
+    async with PreflightField(defaults=meant) as field:
+        await field.fleet.resolve("papa")[0].params.set(values)
+        assert "parameter ranges" not in await field.complaints("papa")
 
 
 async def test_a_message_that_does_not_come_is_asked_for() -> None:
@@ -42,6 +58,24 @@ async def test_a_message_that_does_not_come_is_asked_for() -> None:
         await asyncio.sleep(30)
         assert field.actor("papa").vehicle.slot("ESTIMATOR_STATUS") is not None
         assert await field.complaints("papa") == {}
+
+
+async def test_a_message_that_was_lost_on_the_radio_is_asked_for_once_more() -> None:
+    async with PreflightField(defaults={"streams": {}}) as field:
+        field.vehicle("papa").streams.set_interval("ESTIMATOR_STATUS", float("inf"), field.loop.time())
+        await asyncio.sleep(30)
+        preflight = field.actor("papa").preflight
+        ask, asked = preflight._request, []
+
+        async def lossy(message: str) -> Outcome:
+            asked.append(message)
+            if asked.count(message) == 1:
+                return Outcome(False, "timeout", f"timeout: accepted, but no {message} came")
+            return await ask(message)
+
+        preflight._request = lossy
+        assert await field.complaints("papa") == {}
+        assert asked and {asked.count(message) for message in asked} == {2}
 
 
 async def test_a_name_it_has_not_is_asked_for_once_if_it_may_be_so() -> None:

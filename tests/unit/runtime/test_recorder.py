@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import io
+import os
 import shutil
+import stat
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
@@ -158,6 +160,21 @@ async def test_closing_writes_what_waits(tmp_path: Path) -> None:
         0,
     )
     await bench.recorder.close()
+
+
+async def test_a_tlog_and_its_folder_are_nobody_elses_to_read(tmp_path: Path) -> None:
+    """Outside of systemd, whose UMask takes it, everybody could read them."""
+    before = os.umask(0)
+    try:
+        bench = Bench(tmp_path / "logs")  # with a file of its own, as in the daemon
+        bench.recorder = Recorder(bench.folder, max_bytes=1_000_000, max_age_s=3600.0, on_event=bench.events.append)
+        async with at_work(bench):
+            bench.offer()
+            await bench.recorder.close()
+    finally:
+        os.umask(before)
+    (file,) = (tmp_path / "logs").iterdir()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o640 and not (tmp_path / "logs").stat().st_mode & 0o007
 
 
 async def test_nothing_offered_leaves_no_file(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ async def test_another_mode_takes_the_place_of_a_stop_that_nobody_heard_yet() ->
         stop = asyncio.create_task(actor.stop("hold"))
         await asyncio.sleep(0.6)
         vehicle.script = accept_everything
-        assert (await actor.set_mode("POSCTL")).ok
+        assert (await actor.set_mode("POSCTL", force=True)).ok
         assert (await stop).result == "cancelled"
         await asyncio.sleep(5)
         assert vehicle.mode == PX4_POSCTL

@@ -22,7 +22,7 @@ def written(trace: TraceFile, count: int, first_s: float = 0.0) -> None:
         estimate, reference = Estimate((0.1 * i, 0.0, 0.0), (1.0, 0.0, 0.0)), Reference((5.0, 0.0, 1.0))
         row = TraceRow(first_s + 0.02 * i, 0.02, "attitude", True, reference, estimate, 0.01)
         output, after = step(LAW, memory, estimate, reference, 0.02, following=True)
-        trace.write(row.with_output(output, after), LAW, memory, after)
+        trace.write(trace.encode(row.with_output(output, after), LAW, memory, after))
         memory = after
 
 
@@ -40,6 +40,8 @@ def test_what_was_written_can_be_run_again_bit_for_bit(tmp_path: Path) -> None:
 def test_two_of_one_second_are_two_files_named_after_the_vehicle(tmp_path: Path) -> None:
     head = TraceHead("../quad nr.1", 47.4, 8.5, 488.0)
     traces = [TraceFile(tmp_path, head) for _ in range(3)]
+    for trace in traces:
+        written(trace, 1)
     assert len({trace.path for trace in traces}) == 3
     for trace in traces:
         assert trace.path.parent == tmp_path and trace.path.name.startswith("control-___quad_nr_1-2")
@@ -66,4 +68,4 @@ def test_it_ends_at_its_largest_size_and_says_so(tmp_path: Path, monkeypatch: py
 def test_a_disk_that_cannot_be_written_is_an_oserror(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file, no folder")
     with pytest.raises(OSError):
-        TraceFile(tmp_path / "logs", HEAD)
+        written(TraceFile(tmp_path / "logs", HEAD), 1)

@@ -8,12 +8,17 @@ from typing import Any, cast
 
 import pytest
 
+from skygcs.config.control import ControlSettings
 from skygcs.config.separation import MonitorConfig
+from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.runtime import trajectories
+from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.trajectories import LARGE_PIECES, MAX_PIECES, Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
+
+ORIGIN = Origin(43.7806, -79.4653, 180.0)
 
 
 class Fake(SimpleNamespace):
@@ -26,7 +31,16 @@ def actor(name: str) -> VehicleActor:
     made = Fake(
         name=name,
         sysid=1,
-        vehicle=SimpleNamespace(replayed=False),
+        vehicle=SimpleNamespace(
+            replayed=False,
+            origin=ORIGIN,
+            name=name,
+            key=257,
+            family="px4",
+            mode="OFFBOARD",
+            telemetry=lambda group: None,
+        ),
+        config=SimpleNamespace(control=ControlSettings()),
         authority_refusal=lambda: None,
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
     )
@@ -43,7 +57,7 @@ def unwatched() -> SeparationMonitor:
 
 
 def keeping(*actors: VehicleActor) -> Trajectories:
-    return Trajectories(lambda: actors, asyncio.get_running_loop(), lambda event: None, unwatched())
+    return Trajectories(lambda: actors, asyncio.get_running_loop(), lambda event: None, unwatched(), FlightLocks())
 
 
 async def test_a_large_one_leaves_the_loop_to_the_ticks_and_is_refused_if_it_flies_by_then() -> None:
@@ -75,7 +89,7 @@ async def test_what_all_keep_together_is_bounded(monkeypatch: Any) -> None:
 async def test_a_vehicle_that_was_forgotten_keeps_nothing() -> None:
     alpha = actor("alpha")
     there = [alpha]
-    kept = Trajectories(lambda: there, asyncio.get_running_loop(), lambda event: None, unwatched())
+    kept = Trajectories(lambda: there, asyncio.get_running_loop(), lambda event: None, unwatched(), FlightLocks())
     assert (await kept.load(alpha, line(2), "a")).ok and len(kept.status([alpha])) == 1
     there.clear()
     kept.tick(0.0)
@@ -87,8 +101,7 @@ async def test_a_start_in_the_past_or_never_starts_nothing() -> None:
     alpha = actor("alpha")
     kept = keeping(alpha)
     await kept.load(alpha, line(2), "a")
-    cast(Any, alpha.offboard).trajectory_refusal = lambda loaded, factor, placed: None
-    cast(Any, alpha.offboard).trajectory_limits = lambda: SimpleNamespace(brake_mps2=1.0)
+    cast(Any, alpha.offboard).trajectory_refusal = lambda loaded, factor, lock, tube: None
     now = asyncio.get_running_loop().time()
     for at_s in (now - 1.0, now + 1e6, float("inf"), float("nan")):
         outcome = kept.start([alpha], at_s, 1.0)["alpha"]

@@ -231,7 +231,7 @@ async def test_silence_is_a_timeout_after_all_repeats() -> None:
 
 async def test_a_vehicle_lost_in_the_middle_ends_its_orders() -> None:
     async with Ground() as ground:
-        vehicle, actor = await one(ground)
+        vehicle, actor = await flying(ground)
         vehicle.script = lambda v, sent: None
         vehicle.silent = True
         await asyncio.sleep(4)
@@ -321,7 +321,7 @@ async def test_repeats_and_orders_that_end_a_flight_go_over_every_link() -> None
     async with Ground() as ground:
         vehicle, actor = await flying(ground)
         vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.confirmation == 1 else None
-        assert (await actor.command("DO_SET_SERVO", [1.0])).ok
+        assert (await actor.command("DO_SET_SERVO", [1.0], force=True)).ok
         assert [s.everywhere for s in vehicle.got] == [False, True]
         vehicle.script = accept_everything
         vehicle.got.clear()
@@ -731,6 +731,9 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         (target,) = [s for s in vehicle.got if s.name == "SET_POSITION_TARGET_GLOBAL_INT"]
         assert (target.type_mask, target.coordinate_frame, target.alt) == (0xDF8, 6, 25.0)
         assert (target.lat_int, target.lon_int) == (round(NEAR["lat_deg"] * 1e7), round(NEAR["lon_deg"] * 1e7))
+        # what it has said that it lacks is not tried a second time
+        assert (await actor.goto(**NEAR, height_m=26.0)).ok
+        assert [s.name for s in vehicle.got].count("COMMAND_INT") == 1
 
 
 @pytest.mark.parametrize(
@@ -739,7 +742,8 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         ({"lat_deg": 0.0, "lon_deg": 0.0, "height_m": 1}, "zero coordinate"),
         ({"lat_deg": HOME[0], "lon_deg": 0.0}, "zero coordinate"),
         ({"lat_deg": 0.0, "lon_deg": HOME[1]}, "zero coordinate"),
-        ({"lat_deg": 1.8e-6, "lon_deg": 2.2e-5, "height_m": 1}, "limit is 1000 m"),
+        ({"lat_deg": 1.8e-6, "lon_deg": 2.2e-5, "height_m": 1}, "beyond what any vehicle can reach"),
+        ({"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1], "height_m": 1}, "limit is 1000 m"),
         ({"lat_deg": 91.0, "lon_deg": 8.0}, "not a position on earth"),
         ({"lat_deg": HOME[0], "lon_deg": 181.0}, "not a position on earth"),
         ({"lat_deg": math.nan, "lon_deg": HOME[1]}, "not a position on earth"),
@@ -803,7 +807,7 @@ async def test_a_reboot_whose_ack_was_lost_is_known_by_the_reboot_itself() -> No
         outcome = await actor.reboot()
         assert outcome.ok, outcome.message
         await asyncio.sleep(10)
-        outcome = await actor.land()
+        outcome = await actor.set_home()
         assert (outcome.result, outcome.message) == ("lost", "the vehicle rebooted")
 
 
@@ -823,7 +827,7 @@ async def test_a_home_farther_than_the_limit_is_refused_unless_insisted_on() -> 
     """A return to launch would fly there."""
     async with Ground() as ground:
         vehicle, actor = await one(ground)
-        far = {"lat_deg": HOME[0] + 1.0, "lon_deg": HOME[1]}
+        far = {"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1]}
         outcome = await actor.set_home(**far)
         assert outcome.result == "refused"
         assert "it would return there" in outcome.message and "--force" in outcome.message
@@ -849,13 +853,13 @@ async def test_a_refusal_without_a_reason_says_what_was_refused() -> None:
         messages = [
             (await actor.set_message_interval("EKF_STATUS_REPORT", 1)).message,
             (await actor.request_message("EKF_STATUS_REPORT")).message,
-            (await actor.land()).message,
+            (await actor.set_home()).message,
             (await actor.takeoff(5)).message,
         ]
         assert messages == [
             "denied: PX4 does not stream EKF_STATUS_REPORT",
             "denied: PX4 does not send EKF_STATUS_REPORT on request",
-            "denied: PX4 gave no reason (land)",
+            "denied: PX4 gave no reason (set home)",
             "arm: denied: PX4 gave no reason (arm)",
         ]
 

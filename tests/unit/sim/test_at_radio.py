@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.sim.at_modem import BOOT_S, AtRadio, Kind
+from support.table import each
 
 
 def at_command_line(kind: Kind = Kind.SIK) -> AtRadio:
@@ -18,7 +17,7 @@ def reported(radio: AtRadio, command: bytes, now: float = 0.0) -> bytes:
     return radio.take_output(57600)
 
 
-@pytest.mark.parametrize(
+@each(
     ("before_s", "data", "after_s", "entered"),
     [
         (1.0, b"+++", 1.0, True),

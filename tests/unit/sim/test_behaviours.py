@@ -12,10 +12,16 @@ from support.behaviour_checks import CHECKS, fly
 from support.behaviour_flights import get_ready
 from support.behaviour_rig import SimRig
 from support.behaviour_table import table
+from support.examples import thinned
+
+FLIGHTS = [
+    (firmware, name)
+    for number, name in enumerate(CHECKS)
+    for firmware in (("px4", "ardupilot") if number % 2 else ("ardupilot", "px4"))
+]
 
 
-@pytest.mark.parametrize("name", list(CHECKS))
-@pytest.mark.parametrize("firmware", ["px4", "ardupilot"])
+@pytest.mark.parametrize(("firmware", "name"), thinned(FLIGHTS, len(CHECKS)))
 def test_the_simulator_does_what_the_table_says(firmware: str, name: str) -> None:
     rig = SimRig(firmware)
     get_ready(rig, 20.0)

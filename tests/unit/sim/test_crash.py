@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.sim.conditions import Conditions, Dynamics
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
@@ -92,3 +93,20 @@ def test_without_forces_it_crashes_too() -> None:
     pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)
     pilot.run(6)
     assert vehicle.motion.on_ground and vehicle.motion.crashed
+
+
+@BOTH
+def test_one_that_has_crashed_is_set_up_by_a_restart_and_flies_again(make: type[SimVehicle]) -> None:
+    """It said "Arm: Leaning" for ever, and nothing cured it."""
+    vehicle = make()
+    pilot = falling(vehicle, 3.5)
+    pilot.run(10)
+    assert vehicle.motion.crashed and not vehicle.armed
+    assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) != mav.MAV_RESULT_ACCEPTED
+    todo = todo_for(pilot.texts(), "alpha")
+    assert todo is not None and "skygcs-cli reboot alpha" in todo
+    assert pilot.command(mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == mav.MAV_RESULT_ACCEPTED
+    assert not vehicle.motion.crashed
+    pilot.run(40)
+    pilot.hovering(14.0)
+    assert vehicle.armed and vehicle.motion.up_m > 10.0

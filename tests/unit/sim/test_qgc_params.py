@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.sim.firmware_params import copter_params, px4_params
 from skygcs.sim.param_table import INTEGER_RANGE, Param
+from support.table import each
 
 PX4_PAGES = """
     SYS_AUTOSTART SYS_HITL SYS_HAS_MAG SYS_VEHICLE_RESP CAL_MAG0_ID CAL_MAG1_ID CAL_MAG2_ID CAL_MAG0_ROT
@@ -32,13 +31,13 @@ COPTER_PAGES = """
 """Left out, because ArduCopter 4.6.3 has none of that name: FS_BATT_*, THR_MID, RATE_*, CH7_OPT, COMPASS_PRIMARY."""
 
 
-@pytest.mark.parametrize(("params", "pages"), [(px4_params(1), PX4_PAGES), (copter_params(1), COPTER_PAGES)])
+@each(("params", "pages"), [(px4_params(1), PX4_PAGES), (copter_params(1), COPTER_PAGES)])
 def test_what_qgroundcontrol_asks_for_by_name_is_there(params: list[Param], pages: str) -> None:
     names = {p.name for p in params}
     assert not set(pages.split()) - names
 
 
-@pytest.mark.parametrize("params", [px4_params(1), copter_params(1)])
+@each("params", [px4_params(1), copter_params(1)])
 def test_no_parameter_is_there_twice_and_its_type_holds_its_value(params: list[Param]) -> None:
     names = [p.name for p in params]
     assert len(names) == len(set(names)) and all(0 < len(name) <= 16 for name in names)

@@ -15,6 +15,7 @@ from skygcs.sim.attitude_targets import copter_attitude, px4_attitude
 from skygcs.sim.body import AttitudeSetpoint, quaternion_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter, int_param, px4, px4_mode
+from support.table import each
 
 ATTITUDE_AND_THRUST = 0b111
 LEVEL = [1.0, 0.0, 0.0, 0.0]
@@ -92,7 +93,7 @@ def test_no_target_from_outside_is_anything_but_a_unit_attitude_with_a_bounded_t
 # -- both
 
 
-@pytest.mark.parametrize("start", [offboard, guided_with_thrust])
+@each("start", [offboard, guided_with_thrust])
 def test_thrust_is_thrust_and_a_lean_moves_it(start: Callable[[], Pilot]) -> None:
     pilot = start()
     motion = pilot.vehicles[0].motion
@@ -140,7 +141,7 @@ def rates(roll: float, pitch: float, yaw: float, thrust: float, mask: int = RATE
     return mav.MAVLink_set_attitude_target_message(0, 1, 1, mask, LEVEL, roll, pitch, yaw, thrust)
 
 
-@pytest.mark.parametrize("start", [offboard, guided_with_thrust, guided])
+@each("start", [offboard, guided_with_thrust, guided])
 def test_rates_without_an_attitude_turn_it_and_what_they_have_turned_stays(start: Callable[[], Pilot]) -> None:
     pilot = start()
     motion = pilot.vehicles[0].motion
@@ -198,7 +199,7 @@ def test_an_attitude_turns_on_with_its_rates_on_a_copter_and_not_on_a_px4() -> N
         assert pilot.vehicles[0].motion.yaw_rad == pytest.approx(turned, abs=0.12), start.__name__
 
 
-@pytest.mark.parametrize("start", [offboard, guided])
+@each("start", [offboard, guided])
 def test_an_attitude_with_its_yaw_rate_is_followed_without_lag(start: Callable[[], Pilot]) -> None:
     pilot = start()
     thrust = 0.5 if start is guided else hover_thrust(pilot)
@@ -241,7 +242,7 @@ def test_px4_holds_when_the_stream_ends() -> None:
     assert pilot.vehicles[0].motion.groundspeed_mps < 0.05
 
 
-@pytest.mark.parametrize("q", [[nan] * 4, [0.0] * 4], ids=["NaN", "zero"])
+@each("q", [[nan] * 4, [0.0] * 4])
 def test_nothing_controls_the_attitude_of_a_px4_that_is_given_no_rotation(q: list[float]) -> None:
     """As flown with 1.16.1: it stays in OFFBOARD and drifts with the lean and the turn that it has."""
     pilot = offboard()
@@ -300,7 +301,7 @@ def test_without_the_option_the_thrust_is_a_climb_rate() -> None:
     assert motion.vel_u_mps == pytest.approx(0.0, abs=0.1), "leaning costs no height"
 
 
-@pytest.mark.parametrize("options", [0, 8])
+@each("options", [0, 8])
 def test_up_to_4_0_an_attitude_nobody_renews_for_a_second_ends_level_and_without_climb(options: int) -> None:
     pilot = guided(options)
     vehicle = pilot.vehicles[0]
@@ -326,14 +327,13 @@ def test_from_4_1_on_the_timeout_is_that_of_guid_timeout() -> None:
     assert vehicle.motion.pitch_rad == pytest.approx(0.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
+@each(
     "bad",
     [
         target(0.8, mask=ATTITUDE_AND_THRUST | 64),
         raw_target([1.01, 0.0, 0.0, 0.0], 0.8),
         raw_target([nan, 0.0, 0.0, 0.0], 0.8),
     ],
-    ids=["thrust ignored", "no unit quaternion", "NaN"],
 )
 def test_a_target_that_4_6_passes_over_leaves_the_last_attitude_until_guid_timeout(bad: Message) -> None:
     """From 4.7 on it stops at once (mode_guided.init)."""
@@ -395,7 +395,7 @@ def test_an_attitude_with_a_climb_lifts_it_off_the_ground() -> None:
     assert pilot.vehicles[0].motion.up_m > 1.0
 
 
-@pytest.mark.parametrize(("boost", "thrust"), [(True, 0.6), (False, 0.3)])
+@each(("boost", "thrust"), [(True, 0.6), (False, 0.3)])
 def test_a_copter_divides_thrust_by_the_cosine_of_the_tilt_unless_told_not_to(boost: bool, thrust: float) -> None:
     rates = {"body_roll_rate": 0.0, "body_pitch_rate": 0.0, "body_yaw_rate": 0.0}
     fields = {"q": list(quaternion_of(radians(60), 0.0, 0.0)), "thrust": 0.3, "type_mask": ATTITUDE_AND_THRUST, **rates}

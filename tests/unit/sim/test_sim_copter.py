@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.sim.ardupilot import FORCE, CopterVehicle
 from skygcs.sim.firmware_modes import CopterMode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter
+from support.table import each
 
 ACCEPTED, DENIED, FAILED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED, mav.MAV_RESULT_FAILED
 RELATIVE = mav.MAV_FRAME_GLOBAL_RELATIVE_ALT
@@ -75,7 +76,7 @@ def test_failing_checks_are_told_every_thirty_seconds_until_they_pass() -> None:
     assert pilot.texts()[-1] == "PreArm: Compass not calibrated"
 
 
-@pytest.mark.parametrize("mode", ["AUTO", "RTL", "LAND", "BRAKE", "CIRCLE", "SMART_RTL"])
+@each("mode", ["AUTO", "RTL", "LAND", "BRAKE", "CIRCLE", "SMART_RTL"])
 def test_modes_that_are_not_for_arming_refuse_it(mode: str) -> None:
     pilot = Pilot(copter())
     pilot.get_ready()

@@ -13,6 +13,7 @@ from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.rng import Rng
 from support.sim_pilot import FIELD, Pilot, copter, px4, px4_mode, sim_dialect
+from support.table import each
 
 VELOCITY_ONLY = 0xDC7
 
@@ -61,9 +62,7 @@ def test_an_alarm_goes_off_once_after_its_time_and_again_after_an_end() -> None:
 # -- ground station
 
 
-@pytest.mark.parametrize(
-    ("action", "mode"), [(0, Px4Mode.LOITER), (1, Px4Mode.LOITER), (2, Px4Mode.RTL), (3, Px4Mode.LAND)]
-)
+@each(("action", "mode"), [(0, Px4Mode.LOITER), (1, Px4Mode.LOITER), (2, Px4Mode.RTL), (3, Px4Mode.LAND)])
 def test_px4_misses_any_ground_station_after_com_dl_loss_t(action: int, mode: Px4Mode) -> None:
     pilot = Pilot(px4())
     set_param(pilot, "NAV_DLL_ACT", action)
@@ -101,9 +100,7 @@ def test_copter_misses_only_its_own_ground_station() -> None:
 # -- fence
 
 
-@pytest.mark.parametrize(
-    ("action", "mode"), [(1, Px4Mode.OFFBOARD), (2, Px4Mode.LOITER), (3, Px4Mode.RTL), (5, Px4Mode.LAND)]
-)
+@each(("action", "mode"), [(1, Px4Mode.OFFBOARD), (2, Px4Mode.LOITER), (3, Px4Mode.RTL), (5, Px4Mode.LAND)])
 def test_px4_stops_at_its_fence(action: int, mode: Px4Mode) -> None:
     pilot = Pilot(px4())
     set_param(pilot, "GF_ACTION", action)
@@ -165,7 +162,7 @@ def test_the_heights_fence_too() -> None:
 # -- battery
 
 
-@pytest.mark.parametrize(
+@each(
     ("action", "critical", "emergency"),
     [
         (0, Px4Mode.LOITER, Px4Mode.LOITER),
@@ -184,7 +181,7 @@ def test_px4_acts_on_its_battery_in_steps(action: int, critical: Px4Mode, emerge
     assert pilot.texts().count("Low battery level, return advised") == 1
 
 
-@pytest.mark.parametrize(("action", "mode"), [(0, CopterMode.GUIDED), (1, CopterMode.LAND), (2, CopterMode.RTL)])
+@each(("action", "mode"), [(0, CopterMode.GUIDED), (1, CopterMode.LAND), (2, CopterMode.RTL)])
 def test_copter_acts_on_its_battery(action: int, mode: CopterMode) -> None:
     pilot = Pilot(copter())
     set_param(pilot, "BATT_FS_LOW_ACT", action)
@@ -233,7 +230,7 @@ def test_px4_that_lands_does_not_miss_its_ground_station() -> None:
 # -- offboard, position, power
 
 
-@pytest.mark.parametrize(
+@each(
     ("action", "mode"),
     [
         (0, Px4Mode.POSCTL),
@@ -271,7 +268,7 @@ def windy_px4(dynamics: Dynamics = Dynamics.RIGID) -> Px4Vehicle:
     return Px4Vehicle(sim_dialect(), 1, FIELD, rng=Rng(1), conditions=conditions)
 
 
-@pytest.mark.parametrize("dynamics", list(Dynamics))
+@each("dynamics", list(Dynamics))
 def test_without_gps_it_comes_down_and_drifts_with_the_wind(dynamics: Dynamics) -> None:
     pilot = Pilot(windy_px4(dynamics))
     pilot.hovering()
@@ -301,7 +298,7 @@ def test_px4_under_attitudes_needs_no_position_until_they_end() -> None:
     assert px4_mode(pilot) == Px4Mode.LAND, "it cannot hold without a position"
 
 
-@pytest.mark.parametrize("vehicle", [px4(), copter()], ids=["px4", "copter"])
+@each("vehicle", [px4(), copter()])
 def test_a_reboot_in_flight_stops_the_motors_and_it_falls_on(vehicle: Px4Vehicle) -> None:
     pilot = Pilot(vehicle)
     pilot.hovering()
@@ -318,7 +315,7 @@ def test_a_reboot_in_flight_stops_the_motors_and_it_falls_on(vehicle: Px4Vehicle
     assert vehicle.home is not None
 
 
-@pytest.mark.parametrize("vehicle", [px4(), copter()], ids=["px4", "copter"])
+@each("vehicle", [px4(), copter()])
 def test_refused_modes_and_a_cut_link(vehicle: Px4Vehicle) -> None:
     pilot = Pilot(vehicle)
     pilot.hovering()

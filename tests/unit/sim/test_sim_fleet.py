@@ -15,6 +15,7 @@ from skygcs.sim.radio_status import SimRadio
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, sim_dialect
+from support.table import each
 
 
 def test_px4s_come_first_and_sysids_count_up() -> None:
@@ -33,7 +34,7 @@ def test_no_two_stand_closer_than_five_metres() -> None:
     assert spots[0] == pytest.approx((0, 0), abs=1e-6)
 
 
-@pytest.mark.parametrize(("first", "count"), [(0, 1), (250, 7)])
+@each(("first", "count"), [(0, 1), (250, 7)])
 def test_system_ids_beyond_the_protocol_are_refused(first: int, count: int) -> None:
     with pytest.raises(ValueError, match=r"do not fit in 1\.\.255"):
         make_vehicles(sim_dialect(), px4=count, ardupilot=0, first_sysid=first, home=FIELD)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.sim.kinematics import TERMINAL_MPS, Limits, LocalFrame, Motion, Setpoint, wrap_pi
+from support.table import each
 
 LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
 DT = 0.02
@@ -21,7 +22,7 @@ def in_air(up_m: float = 20.0) -> Motion:
     return motion
 
 
-@pytest.mark.parametrize(("east", "north", "up"), [(30, 40, 25), (-0.5, 0.2, 20), (0, 0, 60), (-200, 5, 2)])
+@each(("east", "north", "up"), [(30, 40, 25), (-0.5, 0.2, 20), (0, 0, 60), (-200, 5, 2)])
 def test_it_arrives_without_overshoot(east: float, north: float, up: float) -> None:
     motion = in_air()
     start = hypot(east, north)

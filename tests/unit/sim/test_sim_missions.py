@@ -12,6 +12,7 @@ from skygcs.core.mission.item import MissionType
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.vehicle import SimVehicle
 from support.sim_pilot import COPTER_GUIDED, FIELD, Pilot, copter, px4
+from support.table import each
 
 BOTH = pytest.mark.parametrize("make", [px4, copter])
 REL, MISSION, GLOBAL = 3, 2, 0
@@ -178,7 +179,7 @@ def test_an_ardupilot_keeps_its_own_home_and_what_it_has_a_use_for() -> None:
     assert speed.frame == GLOBAL
 
 
-@pytest.mark.parametrize(
+@each(
     ("make", "items", "kind", "result"),
     [
         (px4, [at(22, 0, 0, 10)] * 501, 0, mav.MAV_MISSION_NO_SPACE),
@@ -328,7 +329,7 @@ def fence_flags(pilot: Uploader) -> tuple[bool, bool, bool]:
     return present, enabled, healthy
 
 
-@pytest.mark.parametrize(
+@each(
     ("parameters", "flags"),
     [
         ({}, (True, False, True)),  # without the last one MAVProxy reports a breach
@@ -507,7 +508,7 @@ def test_px4_asks_as_its_partner_answers() -> None:
     assert pilot.send(float_message(1, SQUARE[1]))[-1].get_type() == "MISSION_REQUEST"
 
 
-@pytest.mark.parametrize("as_float", [True, False])
+@each("as_float", [True, False])
 def test_an_arducopter_in_guided_flies_to_an_item_that_is_no_part_of_a_mission(as_float: bool) -> None:
     """`current` = 2, what DroneKit's simple_goto sends."""
     pilot = Uploader(copter())

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from skygcs.sim.onboard_logs import SIZES_BYTES, OnboardLogs
+from support.table import each
 
 
 class Wire:
@@ -45,7 +44,7 @@ def test_an_armed_arducopter_says_so_once_and_sends_nothing() -> None:
     assert len(wire.take()) == len(SIZES_BYTES)
 
 
-@pytest.mark.parametrize("px4", [True, False])
+@each("px4", [True, False])
 def test_numbers_begin_where_the_firmware_counts_from(px4: bool) -> None:
     logs, wire = vehicle(px4)
     ask(logs, "LOG_REQUEST_LIST", start=2, end=2)
@@ -63,7 +62,7 @@ def test_only_px4_wants_a_list_first() -> None:
     assert wire.take() == [("LOG_DATA", (1, 0, 90))]
 
 
-@pytest.mark.parametrize("px4", [True, False])
+@each("px4", [True, False])
 def test_a_request_while_it_sends(px4: bool) -> None:
     logs, wire = vehicle(px4)
     first = 0 if px4 else 1
@@ -75,7 +74,7 @@ def test_a_request_while_it_sends(px4: bool) -> None:
     assert offsets == ([*range(0, 1800, 90), 9000] if px4 else list(range(0, 45_000, 90)))
 
 
-@pytest.mark.parametrize("px4", [True, False])
+@each("px4", [True, False])
 def test_behind_the_end(px4: bool) -> None:
     logs, wire = vehicle(px4)
     ask(logs, "LOG_REQUEST_LIST", start=0, end=0xFFFF)

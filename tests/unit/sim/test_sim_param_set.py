@@ -12,6 +12,7 @@ from skygcs.sim.param_set import param_set
 from skygcs.sim.vehicle_group import make_vehicles
 from support.public_data import present, public_file
 from support.sim_pilot import FIELD, Pilot, sim_dialect
+from support.table import each
 
 FILES = [
     ("made-px4.params", "px4", 1000),
@@ -25,7 +26,7 @@ FILES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "family", "at_least"), [f for f in FILES if present("params", f[:1])])
+@each(("name", "family", "at_least"), [f for f in FILES if present("params", f[:1])])
 def test_a_file_is_taken_in_by_the_vehicles_of_its_firmware(name: str, family: str, at_least: int) -> None:
     text = public_file(f"params/{name}").read_text()
     taken = param_set(parse(text, name), name)
@@ -40,7 +41,7 @@ def test_a_file_is_taken_in_by_the_vehicles_of_its_firmware(name: str, family: s
     assert second.params["MPC_XY_CRUISE"] != 9.0, "each has its own"
 
 
-@pytest.mark.parametrize("name", present("params", ["made-px4.params", "px4-amovlab-f410-v1.15.4.params"]))
+@each("name", present("params", ["made-px4.params", "px4-amovlab-f410-v1.15.4.params"]))
 def test_a_taken_in_vehicle_lists_and_flies(name: str) -> None:
     text = public_file(f"params/{name}").read_text()
     taken = param_set(parse(text, "f410"), "f410")

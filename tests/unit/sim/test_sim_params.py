@@ -9,6 +9,7 @@ import pytest
 from skygcs.sim.battery import Battery
 from skygcs.sim.param_table import Param, Params
 from skygcs.sim.rng import Rng
+from support.table import each
 
 INT32, INT8, FLOAT = 6, 2, 9
 
@@ -31,7 +32,7 @@ def test_px4_sends_an_integers_bytes_and_ardupilot_its_value() -> None:
     assert make(False).encode(found[1]) == 7
 
 
-@pytest.mark.parametrize("bytewise", [True, False])
+@each("bytewise", [True, False])
 def test_what_is_set_is_what_is_read(bytewise: bool) -> None:
     params = make(bytewise)
     for name, value in (("B_INT", -123456), ("C_BYTE", 100), ("A_FLOAT", -0.25)):
@@ -41,7 +42,7 @@ def test_what_is_set_is_what_is_read(bytewise: bool) -> None:
         assert struct.pack("<f", params.encode(param)) == struct.pack("<f", wire)
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 300.0])
+@each("bad", [float("nan"), float("inf"), 300.0])
 def test_a_value_the_type_cannot_hold_changes_nothing(bad: float) -> None:
     params = make(False)
     assert params.set("C_BYTE", bad) is not None

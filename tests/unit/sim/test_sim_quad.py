@@ -17,6 +17,8 @@ from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, quaternion_of, wrap_
 from skygcs.sim.kinematics import Limits
 from skygcs.sim.quad import F450, IDEAL, Airframe, Quad, level
 from skygcs.sim.wind import Wind
+from support.examples import examples
+from support.table import each
 
 LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
 DT = 0.02
@@ -70,7 +72,7 @@ def mirrored(output: Output, yaw_rad: float) -> tuple[float, float, float, float
 # -- signs
 
 
-@pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
+@each("heading", [0.0, 90.0, 200.0])
 def test_nose_down_flies_to_where_the_nose_points(heading: float) -> None:
     quad = in_air(yaw_rad=radians(heading))
     fly(quad, 2.0, pitch=-0.1, yaw=radians(heading))
@@ -79,7 +81,7 @@ def test_nose_down_flies_to_where_the_nose_points(heading: float) -> None:
     assert hypot(quad.east_m, quad.north_m) == pytest.approx(ahead), "and nowhere else"
 
 
-@pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
+@each("heading", [0.0, 90.0, 200.0])
 def test_right_side_down_flies_to_the_right(heading: float) -> None:
     quad = in_air(yaw_rad=radians(heading))
     fly(quad, 2.0, roll=0.1, yaw=radians(heading))
@@ -96,8 +98,8 @@ def test_a_turn_to_the_right_makes_the_heading_grow() -> None:
     assert quad.yaw_rate_radps == pytest.approx(F450.yaw_rate_max_radps)
 
 
-@pytest.mark.parametrize(("axis", "yaw"), [(0, 0.0), (1, 0.0), (2, 0.0), (0, 2.0), (1, -2.5), (2, 1.0)])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each(("axis", "yaw"), [(0, 0.0), (1, 0.0), (2, 0.0), (0, 2.0), (1, -2.5), (2, 1.0)])
+@each("sign", [1.0, -1.0])
 def test_a_step_along_each_axis_reaches_the_reference_and_moves_no_other(axis: int, yaw: float, sign: float) -> None:
     target = [0.0, 0.0, 20.0]
     target[axis] += 3.0 * sign
@@ -109,7 +111,7 @@ def test_a_step_along_each_axis_reaches_the_reference_and_moves_no_other(axis: i
         assert away < (0.1 if yaw == 0.0 else 0.8), "turning while leaning pushes it aside a little"
 
 
-@pytest.mark.parametrize("yaw_enu", [0.0, pi / 2, -2.0, 3.0])
+@each("yaw_enu", [0.0, pi / 2, -2.0, 3.0])
 def test_the_yaw_reference_is_reached(yaw_enu: float) -> None:
     quad, memory = in_air(F450), Memory()
     for _ in range(500):
@@ -135,7 +137,7 @@ def test_the_seeds_y_row_taken_literally_runs_away_with_its_unstable_pole() -> N
 # -- figures
 
 
-@pytest.mark.parametrize(("delay_s", "percent"), [(0.0, 8.0), (0.2, 12.0), (0.3, 20.0), (0.4, 38.0)])
+@each(("delay_s", "percent"), [(0.0, 8.0), (0.2, 12.0), (0.3, 20.0), (0.4, 38.0)])
 def test_an_ideal_attitude_overshoots_as_the_analysis_says(delay_s: float, percent: float) -> None:
     track = flown(IDEAL, Reference((3.0, 0.0, 20.0)), 12.0, delay_s=delay_s)
     assert (max(p[0] for p in track) / 3.0 - 1.0) * 100 == pytest.approx(percent, abs=0.5)
@@ -253,7 +255,7 @@ def test_gusts_have_the_strength_asked_for_and_the_same_seed_the_same_gusts() ->
     assert (sum((e - mean) ** 2 for e in east) / len(east)) ** 0.5 == pytest.approx(1.5, rel=0.1)
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(
     attitudes=st.lists(
         st.tuples(st.floats(-pi, pi), st.floats(-1.5, 1.5), st.floats(-pi, pi), st.floats(-1.0, 2.0)), max_size=30

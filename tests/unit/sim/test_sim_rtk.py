@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.radio_link.rtcm import fragments_of
 from skygcs.sim.rtk import BASE_S, CONVERGENCE_S, OBSERVATIONS_S, RtkReceiver
 from support.rtcm import STANDARD_1005, rtcm_frame
+from support.table import each
 
 FIX_3D, FLOAT, FIXED = 3, 5, 6
 
@@ -17,7 +16,7 @@ def tell(receiver: RtkReceiver, message: bytes, now: float, sequence: int = 0, *
             receiver.on_message(values, now)
 
 
-@pytest.mark.parametrize("whole_messages", [True, False])
+@each("whole_messages", [True, False])
 def test_the_base_and_its_observations_make_a_float_and_then_a_fixed_solution(whole_messages: bool) -> None:
     receiver = RtkReceiver(whole_messages=whole_messages)
     fixes = []
@@ -52,8 +51,8 @@ def test_observations_alone_are_of_no_use() -> None:
     assert fixes[-2:] == [FIXED, FIX_3D]
 
 
-@pytest.mark.parametrize("whole_messages", [True, False])
-@pytest.mark.parametrize("lost", [0, 1, 2])
+@each("whole_messages", [True, False])
+@each("lost", [0, 1, 2])
 def test_a_message_without_one_of_its_fragments_does_not_count(whole_messages: bool, lost: int) -> None:
     receiver = RtkReceiver(whole_messages=whole_messages)
     tell(receiver, rtcm_frame(1077, body_bytes=500), 0.0, 1, lost=lost)

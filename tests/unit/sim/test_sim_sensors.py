@@ -14,6 +14,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.sensors import Sensors
 from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, px4, sim_dialect
+from support.table import each
 
 DT = 0.02
 LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
@@ -98,7 +99,7 @@ def test_the_same_seed_gives_the_same_flight_to_the_byte_and_another_seed_anothe
     assert flight(5) != flight(6)
 
 
-@pytest.mark.parametrize(("from_deg", "east", "north"), [(270, 5, 0), (0, 0, -5), (90, -5, 0), (180, 0, 5)])
+@each(("from_deg", "east", "north"), [(270, 5, 0), (0, 0, -5), (90, -5, 0), (180, 0, 5)])
 def test_wind_is_named_by_where_it_comes_from(from_deg: float, east: float, north: float) -> None:
     assert wind_enu(5.0, from_deg) == pytest.approx((east, north, 0.0), abs=1e-9)
 
@@ -109,7 +110,7 @@ def test_the_words_of_a_fleet_file_become_conditions() -> None:
     assert (ideal.attitude_lag_s, ideal.thrust_lag_s, ideal.battery_sag) == (0.2, 0.0, False)
 
 
-@pytest.mark.parametrize(
+@each(
     ("word", "value"),
     [
         ("wind_mps", 31.0),

@@ -12,6 +12,8 @@ from skygcs.sim.body import AttitudeSetpoint, wrap_pi
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.quad import F450, Quad
 from skygcs.sim.wind import Wind
+from support.examples import examples
+from support.table import each
 
 LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
 DT = 0.02
@@ -25,10 +27,9 @@ def run(quad: Quad, seconds: float, setpoint: Setpoint | AttitudeSetpoint | None
     return track
 
 
-@pytest.mark.parametrize(
+@each(
     ("wind", "off_m"),
     [(Wind(), 0.01), (Wind((5.0, 0.0, 0.0)), 0.01), (Wind((-6.0, 8.0, 0.0), gust_mps=1.0), 0.5)],
-    ids=["calm", "5 m/s", "10 m/s with gusts"],
 )
 def test_it_takes_off_arrives_and_lands(wind: Wind, off_m: float) -> None:
     quad = Quad(wind=wind)
@@ -88,7 +89,7 @@ def test_a_thrown_vehicle_catches_itself() -> None:
     assert min(up for _, _, up in track) > 45.0
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.floats(-pi, pi), st.floats(-pi, pi))
 def test_it_turns_to_a_yaw_by_the_short_way_and_stays_where_it_is(start: float, target: float) -> None:
     quad = Quad(yaw_rad=start)

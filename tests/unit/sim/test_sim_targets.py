@@ -23,8 +23,10 @@ from skygcs.sim.position_control import NO_AXES, PositionTarget
 from skygcs.sim.px4_position_control import Px4PositionControl
 from skygcs.sim.vehicle import SimVehicle
 from support.behaviour_flights import get_ready
+from support.examples import examples, thinned
 from support.followed_targets import WAYS, follow, rms, simulated
 from support.sim_pilot import Pilot, copter, px4
+from support.table import each
 
 REAL_CIRCLE_M = {
     "px4": {
@@ -43,11 +45,11 @@ REAL_CIRCLE_M = {
 """RMS of the distance from a circle of 5 m at 2 m/s."""
 
 
-@pytest.mark.parametrize("firmware", sorted(REAL_CIRCLE_M))
+@each("firmware", sorted(REAL_CIRCLE_M))
 def test_a_circle_is_followed_as_closely_as_by_the_real_firmware(firmware: str) -> None:
     rig = simulated(firmware)
     get_ready(rig)
-    for name, real_m in REAL_CIRCLE_M[firmware].items():
+    for name, real_m in thinned(REAL_CIRCLE_M[firmware].items(), 1, turn=1):
         flown_m = rms(follow(rig, WAYS[name]))
         assert 0.85 * real_m < flown_m < 1.2 * real_m, f"{name}: {flown_m:.2f} m, the firmware {real_m} m"
 
@@ -221,7 +223,7 @@ def test_an_arducopter_drops_the_acceleration_of_a_global_target_with_a_velocity
     assert peaks[False] > 0.2 > 0.05 > abs(peaks[True])
 
 
-@pytest.mark.parametrize("bad", [{"vx": nan}, {"vx": 1001.0}])
+@each("bad", [{"vx": nan}, {"vx": 1001.0}])
 def test_an_arducopter_stops_at_a_velocity_that_is_none(bad: dict[str, float]) -> None:
     f = flight("ardupilot")
     f.stream(3.0, VELOCITY, vx=2.0)
@@ -333,7 +335,7 @@ def groups() -> st.SearchStrategy[tuple[float | None, float | None, float | None
     targets=st.lists(st.tuples(groups(), groups(), groups(), WILD, WILD), min_size=1, max_size=4),
     begin=st.tuples(*[st.floats(-30, 30)] * 6),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_whatever_a_px4_is_given_its_acceleration_stays_within_lean_and_thrust(
     targets: list[Any], begin: tuple[float, ...]
 ) -> None:
@@ -351,7 +353,7 @@ def test_whatever_a_px4_is_given_its_acceleration_stays_within_lean_and_thrust(
     targets=st.lists(st.tuples(st.integers(1, 7), groups(), groups(), groups(), WILD, WILD), min_size=1, max_size=4),
     begin=st.tuples(*[st.floats(-30, 30)] * 6),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_whatever_an_arducopter_is_given_its_acceleration_stays_within_lean_and_thrust(
     targets: list[Any], begin: tuple[float, ...]
 ) -> None:

@@ -12,7 +12,9 @@ from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.conditions import Conditions, conditions_of
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.rng import Rng
+from support.examples import thinned
 from support.sim_pilot import FIELD, Pilot, sim_dialect
+from support.table import each
 
 DT = 0.02
 LOCAL_POSITION_NED = 32
@@ -60,8 +62,10 @@ def fly(pilot: Pilot, seconds: float) -> list[tuple[float, float, float]]:
     return track
 
 
-@pytest.mark.parametrize("kind", [Px4Vehicle, CopterVehicle])
-@pytest.mark.parametrize("conditions", [STILL, WINDY, IDEAL_AIR], ids=["still", "5 m/s", "ideal"])
+@each(
+    ("kind", "conditions"),
+    thinned([(kind, air) for air in (WINDY, STILL, IDEAL_AIR) for kind in (Px4Vehicle, CopterVehicle)], 2),
+)
 def test_the_law_brings_it_to_the_reference(
     kind: type[Px4Vehicle] | type[CopterVehicle], conditions: Conditions
 ) -> None:

@@ -19,6 +19,7 @@ from skygcs.sim.sitl import (
     px4_launch,
     refused_params,
 )
+from support.table import each
 
 HOME = Home(43.7806, -79.4653, 180.0, 90.0)
 PREARM = 1 << 28
@@ -33,7 +34,7 @@ def test_homes_stand_side_by_side_to_the_east() -> None:
     assert {p.heading_deg for p in places} == {90.0}
 
 
-@pytest.mark.parametrize("spacing_m", [4.9, 0.0, -5.0, math.nan])
+@each("spacing_m", [4.9, 0.0, -5.0, math.nan])
 def test_homes_nearer_than_the_grid_of_a_float_are_refused(spacing_m: float) -> None:
     with pytest.raises(ValueError, match="at least 5 m apart"):
         homes(HOME, 2, spacing_m)

@@ -14,6 +14,7 @@ from skygcs.sim.radio_fleet import RadioFleet, slow_down
 from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import GROUND, RX_BUFFER_BYTES, TX_BUFFER_BYTES, TdmConfig, TdmNetwork
 from skygcs.sim.vehicle_group import make_vehicles
+from support.table import each
 
 DIALECT = load_dialect("ardupilotmega")
 FIELD = LocalFrame(43.78, -79.46, 180.0)
@@ -40,7 +41,7 @@ def run(air: TdmNetwork, until: float, start: float = 0.0) -> list[tuple[float, 
     return out
 
 
-@pytest.mark.parametrize(("air_kbps", "nodes"), [(64.0, 2), (64.0, 11), (125.0, 11), (250.0, 16)])
+@each(("air_kbps", "nodes"), [(64.0, 2), (64.0, 11), (125.0, 11), (250.0, 16)])
 def test_a_round_lasts_as_long_as_the_plan_says(air_kbps: float, nodes: int) -> None:
     assert TdmConfig(nodes, air_kbps).round_s == pytest.approx(round_s(air_kbps, nodes))
 
@@ -128,7 +129,7 @@ def test_the_serial_port_is_the_narrow_place_where_it_is_slower_than_the_air() -
     assert sent <= 20 * 960 + SLOT_BYTES
 
 
-@pytest.mark.parametrize(("config", "least", "most"), [({"loss": 0.2}, 0.1, 0.3), ({"burst_loss": 0.2}, 0.05, 0.4)])
+@each(("config", "least", "most"), [({"loss": 0.2}, 0.1, 0.3), ({"burst_loss": 0.2}, 0.05, 0.4)])
 def test_so_many_packets_are_lost(config: dict[str, float], least: float, most: float) -> None:
     air = network(nodes=2, **config)
     for n in range(20_000):
@@ -210,7 +211,7 @@ def test_it_tells_how_much_of_its_buffer_is_free() -> None:
     assert told[-1][1] < 40
 
 
-@pytest.mark.parametrize("bad", [{"nodes": 1}, {"air_kbps": 0.0}, {"baud": 0}])
+@each("bad", [{"nodes": 1}, {"air_kbps": 0.0}, {"baud": 0}])
 def test_a_network_that_cannot_be_is_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"nodes|rates"):
         network(**{"nodes": 2, **bad})  # type: ignore[arg-type]
@@ -221,7 +222,7 @@ def vehicles(px4: int, ardupilot: int, spare: int = 0) -> RadioFleet:
     return RadioFleet(sims, network(nodes=len(sims) + 1 + spare), DIALECT)
 
 
-@pytest.mark.parametrize("spare", [0, 3])
+@each("spare", [0, 3])
 def test_vehicles_are_commanded_and_heard_over_their_radios(spare: int) -> None:
     fleet = vehicles(1, 1, spare)
     parser, acks = FrameParser(DIALECT), set()

@@ -11,6 +11,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle_group import make_vehicles
 from skygcs.sim.xbee_mesh import FIRST_SERIAL, GROUND_BUFFERS, MAC_RETRIES, MeshConfig, XBeeMesh
 from support.hosts import heartbeat
+from support.table import each
 from support.vehicles import flight_dialect
 
 
@@ -25,7 +26,7 @@ def request(frame_id: int, address: int, payload: bytes) -> bytes:
     return api.encode(api.transmit_request(frame_id, address, payload), escaped=False)
 
 
-@pytest.mark.parametrize(("rf_kbps", "measured_kbps"), [(200.0, 105.5), (10.0, 8.8)])
+@each(("rf_kbps", "measured_kbps"), [(200.0, 105.5), (10.0, 8.8)])
 def test_one_hop_carries_what_digi_measured(rf_kbps: float, measured_kbps: float) -> None:
     config = MeshConfig(rf_kbps=rf_kbps)
     assert 256 * 8 / config.packet_s(256) / 1000 == pytest.approx(measured_kbps, rel=0.01)

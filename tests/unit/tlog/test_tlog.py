@@ -14,6 +14,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.tlog.format import LogEntry, encode_record, sniff
 from skygcs.tlog.reading import LogReader
 from skygcs.tlog.timeline import CLOCK_STEP_US
+from support.examples import examples, thinned
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, public_file
 
@@ -34,7 +35,7 @@ def verdicts(records: list[LogEntry]) -> list[str]:
     return [r.verdict for r in records]
 
 
-@pytest.mark.parametrize("name", captures("tlog"))
+@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=0))
 def test_counts_of_a_tlog_are_exact(name: str) -> None:
     data, expected = capture(name)
     status = expected["status"]
@@ -185,7 +186,7 @@ def test_framing_vector_with_years_between_its_records() -> None:
         assert skipped == 0
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.lists(st.binary(max_size=80) | st.sampled_from([log(heartbeat(1)), log(unknown_frame()), heartbeat(2)])))
 def test_nothing_raises_and_every_byte_is_accounted_for(pieces: list[bytes]) -> None:
     data = b"".join(pieces)
@@ -223,7 +224,7 @@ def test_a_file_need_not_be_in_memory() -> None:
 # -- what kind of file
 
 
-@pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
+@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=1))
 def test_captures_are_told_apart_without_their_names(name: str) -> None:
     data, expected = capture(name)
     assert sniff(data, offline()) == expected["kind"]

@@ -14,6 +14,8 @@ from skygcs.core.plan.plan_files import read_plan
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
 from skygcs.web.file_checks import CHECKS
+from support.examples import examples
+from support.table import each
 
 ORIGIN = {"lat_deg": 47.4, "lon_deg": 8.5, "alt_amsl_m": 440.0, "x_heading_deg": 90.0}
 TURNED = {**ORIGIN, "x_heading_deg": 30.0}
@@ -37,7 +39,7 @@ def mission(**keys: object) -> dict:
 # --- missions ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("origin", [ORIGIN, TURNED])
+@each("origin", [ORIGIN, TURNED])
 def test_items_of_a_file_are_placed_in_the_world_of_the_page(origin):
     text = wpl((22, 0, 0, 10), (16, *place(30, -40, origin), 12), (20, 0, 0, 0))
 
@@ -70,8 +72,8 @@ def test_a_waypoint_far_from_the_vehicle_is_an_error_of_its_item():
     assert [(f["severity"], f["item"]) for f in answer["findings"] if f["item"] == 2] == [("error", 2)]
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-@pytest.mark.parametrize("end", ["return", "land", "hold"])
+@each("autopilot", ["px4", "ardupilot"])
+@each("end", ["return", "land", "hold"])
 def test_a_drawn_mission_becomes_a_plan_that_both_firmwares_accept(autopilot, end):
     drawn = {"waypoints": [[20, 0, 15], [20, 30, 15]], "takeoff_height_m": 10.0, "end": end}
 
@@ -229,8 +231,8 @@ def test_a_value_that_the_type_cannot_hold_is_a_problem():
 # --- what a hostile page sends ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", CHECKS)
-@pytest.mark.parametrize(
+@each("method", CHECKS)
+@each(
     "params",
     [
         {},
@@ -258,7 +260,7 @@ JSON = st.recursive(
 KEYS = ("file", "files", "drawn", "task", "origin", "params", "sysid", "standing", "fence", "limits", "autopilot")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.sampled_from(sorted(CHECKS)), st.dictionaries(st.sampled_from(KEYS), JSON, max_size=4))
 def test_any_json_is_answered_or_refused(method, params):
     try:
@@ -268,7 +270,7 @@ def test_any_json_is_answered_or_refused(method, params):
     json.dumps(answer, allow_nan=False)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.sampled_from(["a.plan", "a.json", "a.csv", "a.skyc", "a.waypoints"]), st.binary(max_size=200))
 def test_any_file_is_answered_or_refused(name, content):
     file = {"name": name, "base64": base64.b64encode(content).decode()}
@@ -309,9 +311,7 @@ def test_a_table_of_positions_is_read_as_the_command_line_reads_it(tmp_path):
     assert answer["vehicles"] == {"a": {"initial": None, "final": [1.0, 2.0, 3.0]}} and answer["headings"] is False
 
 
-@pytest.mark.parametrize(
-    "text", ["", "x,y\n1,2\n", "vehicle,final_x\na,nan\n", "vehicle,final_x,final_y,final_z\na,1e9,0,0\n"]
-)
+@each("text", ["", "x,y\n1,2\n", "vehicle,final_x\na,nan\n", "vehicle,final_x,final_y,final_z\na,1e9,0,0\n"])
 def test_a_bad_table_is_refused_with_its_name(text):
     with pytest.raises(SkygcsError, match=r"t\.csv"):
         CHECKS["web.positions.check"]({"file": {"name": "t.csv", "text": text}})

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from skygcs.errors import RpcError
 from skygcs.web.fleet_digest import (
     MAX_NAMES,
-    SILENT_S,
+    VEHICLE_SILENT_S,
     Digest,
     View,
     count_sites,
     digest_of,
     view_of,
 )
+from support.table import each
 
 
 def digest(name: str = "south/alpha", at: float = 0.0, **more: Any) -> Digest:
@@ -48,7 +49,7 @@ def test_a_brief_says_who_it_is_where_and_whether_all_is_well() -> None:
     assert json.loads(placed.row)[8:] == [None, None, None, None, 0.0, 43.5, -79.5]
 
 
-@pytest.mark.parametrize(
+@each(
     ("search", "found"),
     [
         ("south", True),
@@ -67,11 +68,11 @@ def test_a_search_finds_what_has_all_of_its_words(search: str, found: bool) -> N
 
 
 def test_silence_is_a_problem_that_comes_with_time() -> None:
-    assert not digest().matches(["problem"], SILENT_S - 0.3)
-    assert digest().matches(["problem", "silent"], SILENT_S)
+    assert not digest().matches(["problem"], VEHICLE_SILENT_S - 0.3)
+    assert digest().matches(["problem", "silent"], VEHICLE_SILENT_S)
 
 
-@pytest.mark.parametrize(
+@each(
     "more",
     [
         {"failsafe": True},
@@ -103,7 +104,7 @@ def test_sites_are_counted_and_what_is_not_heard_is_neither_armed_nor_in_the_air
     assert count_sites([digest(links={}, last_heartbeat_age_s=None)], 0.0)[0]["oldest_age_s"] is None
 
 
-@pytest.mark.parametrize(
+@each(
     "params",
     [
         {"sites": "north"},

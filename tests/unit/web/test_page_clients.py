@@ -9,7 +9,16 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.web.page_clients import EVENTS_WAITING, MANY_RATE_HZ, MANY_VEHICLES, STUCK_S, PageClient, PageClients
+from skygcs.rpc.client_connection import OnReport
+from skygcs.web.page_clients import (
+    EVENTS_WAITING,
+    MANY_RATE_HZ,
+    MANY_VEHICLES,
+    REPORTS_WAITING,
+    STUCK_S,
+    PageClient,
+    PageClients,
+)
 from skygcs.web.request_limits import MAX_ENDING_WAITING, MAX_REFUSED, MAX_WAITING
 from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates
@@ -28,12 +37,16 @@ class FakeSource:
         self.note = self.site = None
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.deadlines: list[float | None] = []
+        self.reports: list[OnReport | None] = []
         self.active = 0
         self.held: asyncio.Event | None = None
 
-    async def call(self, method: str, params: dict[str, Any], deadline_s: float | None = None) -> bytes:
+    async def call(
+        self, method: str, params: dict[str, Any], deadline_s: float | None = None, on_report: OnReport | None = None
+    ) -> bytes:
         self.calls.append((method, params))
         self.deadlines.append(deadline_s)
+        self.reports.append(on_report)
         if self.held is not None:
             await self.held.wait()
         if method == "vehicles.get":
@@ -123,6 +136,34 @@ async def test_an_order_is_passed_on_with_its_deadline_and_a_question_without(be
     page.on_message(request("vehicles.list", 3, deadline_s="of no use"))
     await asyncio.sleep(0.01)
     assert bench.source.deadlines == [deadline_s, deadline_s, None]
+
+
+async def test_reports_of_an_order_reach_its_page_with_the_pages_own_id(bench: Bench) -> None:
+    page, socket = bench.page()
+    _, other = bench.page()
+    bench.source.held = asyncio.Event()
+    page.on_message(request("vehicles.stop", "s", deadline_s=soon(), report=True))
+    page.on_message(request("vehicles.stop", 2, deadline_s=soon()))
+    page.on_message(request("vehicles.list", 3, report=True))
+    await asyncio.sleep(0.01)
+    report, *others = bench.source.reports
+    assert report is not None and others == [None, None]
+    report("order.begun", {"request": 77, "vehicles": ["a", "b"]})
+    report("order.outcome", {"request": 77, "vehicle": "a", "outcome": {"ok": True}})
+    await asyncio.sleep(0.01)
+    assert [(sent["method"], sent["params"]["request"]) for sent in socket.sent] == [
+        ("order.begun", "s"),
+        ("order.outcome", "s"),
+    ]
+    # a page that takes nothing gets the rest with the reply
+    socket.reads.clear()
+    for n in range(3000):
+        report("order.outcome", {"request": 77, "vehicle": str(n), "outcome": {"ok": True}})
+    assert len(page._replies) <= REPORTS_WAITING
+    socket.reads.set()
+    bench.source.held.set()
+    await asyncio.sleep(0.05)
+    assert {sent.get("id") for sent in socket.sent} >= {"s", 2, 3} and other.sent == []
 
 
 async def test_a_slow_daemon_is_shown_and_orders_go_on(bench: Bench) -> None:

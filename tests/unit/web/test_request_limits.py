@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import pytest
-
 from skygcs.web.request_limits import (
     DEADLINE_MAX_S,
     MAX_ENDING_WAITING,
@@ -18,6 +16,7 @@ from skygcs.web.request_limits import (
     PageLimits,
     deadline_problem,
 )
+from support.table import each
 
 
 def test_a_flood_is_refused_and_stop_is_not_behind_it() -> None:
@@ -44,12 +43,12 @@ def test_only_so_many_may_wait_for_their_answer() -> None:
     assert limits.begin(0.0, ends_flight=False) is None
 
 
-@pytest.mark.parametrize("deadline", [100.0, 100, 103.5, 100.0 + DEADLINE_MAX_S])
+@each("deadline", [100.0, 100, 103.5, 100.0 + DEADLINE_MAX_S])
 def test_an_order_in_time_is_carried_out(deadline: float) -> None:
     assert deadline_problem(deadline, 100.0) is None
 
 
-@pytest.mark.parametrize(
+@each(
     "deadline",
     [
         None,

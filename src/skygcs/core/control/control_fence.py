@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 
 from skygcs.core.geo import EnuFrame, Origin, Vector, world_from_enu
 from skygcs.errors import ConfigError
+from skygcs.number_text import rounded
 
 Span = tuple[float, float]
 
@@ -131,4 +132,4 @@ class Fence:
     def _text(self, what: str, axis: str, value_m: float, low_m: float, high_m: float, reference: bool) -> str:
         less = f" less {self.margin_m:g} m of margin" if reference else ""
         shown_m = round(value_m, 1) + 0.0  # not -0.0
-        return f"{what} is at {axis} {shown_m:.1f} m (limit {low_m:g}..{high_m:g} m, the fence{less})"
+        return f"{what} is at {axis} {shown_m:.1f} m (limit {rounded(low_m)}..{rounded(high_m)} m, the fence{less})"

@@ -73,6 +73,11 @@ class DeadMan:
         """Control of a vehicle began, by an order or by the fleet file: restart the timer."""
         self._watch(now)
 
+    def slept(self, seconds: float) -> None:
+        """The clock stood still for so long, in which nobody was active."""
+        if self._since is not None:
+            self._since -= seconds
+
     def check(self, now: float) -> Fired | None:
         """The action, at the first call after the silence has become too long; else None."""
         if self.timeout_s is None or self._since is None or self._fired:

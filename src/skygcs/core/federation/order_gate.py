@@ -25,10 +25,11 @@ only by the site that commands the vehicle. Pure; times are seconds of the home 
 A refusal is final: the key of a refused order is kept as well, so that a copy that comes later is not carried out after
 the sender has received the refusal. "never came" is final for the same reason.
 
-A key is kept at least until its order's deadline is over; a copy that comes after the deadline is late anyway. If all
-places are taken by younger keys, an order is refused and its key is not kept. Then every unknown order whose deadline
-is not after that of the refused one is refused, too, since it may be a copy. Emergency stops have STOP_KEYS further
-places.
+A key is kept at least until its order's deadline is over; a copy that comes after the deadline is late anyway. If a
+station's share of the places is taken by younger keys, an order of it is refused and its key is not kept. Then every
+unknown order of that station whose deadline is not after that of the refused one is refused, too, since it may be a
+copy. Emergency stops have places of their own. Places are shared among stations (`fair_share`): one that sends without
+end keeps no other one's orders out.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from skygcs.core.federation.fair_share import FairShare
 from skygcs.core.federation.order_messages import (
     ENDS_FLIGHT,
     METHODS,
@@ -62,25 +64,30 @@ one would stop a vehicle that has been started again since."""
 KEEP_S = 3600.0
 """How long the outcome of an order can be asked for."""
 
-MAX_KEYS = 4096
-"""Keys that are kept, some 4 MB. A key may not be forgotten for 16 s (MAX_AHEAD_S + STOP_LATE_S and 1 s): 256 orders a
-second fill the places."""
+MAX_KEYS, KEYS_FACTOR = 5120, 4.0
+"""Keys that are kept, some 5 MB, and how many times the free ones a station may have: 4,096 if it is alone. A key may
+not be forgotten for 16 s (MAX_AHEAD_S + STOP_LATE_S and 1 s): 256 orders a second fill them."""
 
-STOP_KEYS = 512
-"""Further keys, for emergency stops only."""
+STOP_KEYS = 2048
+"""Further keys, for emergency stops only; a station may have as many as are free: 1,024 if it is alone."""
+
+RUNNING_FACTOR = 4.0
+"""Of the places for orders that are carried out a station may have four times the free ones: four of five, if alone."""
 
 MAX_RUNNING = 60
-"""Orders carried out at the same time; a daemon takes 64 requests of one client."""
+"""Orders carried out at the same time, 48 of one station; a daemon takes 64 requests of one client."""
 
-MAX_ENDING = 320
-"""The same limit for orders that end a flight: one for each vehicle that a daemon can have, and some to spare."""
+MAX_ENDING = 400
+"""The same limit for orders that end a flight, 320 of one station: one for each vehicle that a daemon can have, and
+some to spare."""
 
-MAX_STOPS = 320
+MAX_STOPS = 400
 """The same limit for emergency stops, which no other order may keep out."""
 
-_Kind = Literal["stop", "ending", "other"]
+ASKED = "questions"
+"""The sender of questions for orders that never came: they share one share."""
 
-_MOST_RUNNING: dict[_Kind, int] = {"stop": MAX_STOPS, "ending": MAX_ENDING, "other": MAX_RUNNING}
+_Kind = Literal["stop", "ending", "other"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +133,7 @@ class _Known:
     """The earliest time at which the key may be forgotten."""
     noted_s: float
     kind: _Kind = "other"
+    sender: str = ""
 
 
 class OrderGate:
@@ -139,12 +147,18 @@ class OrderGate:
         self._site = site
         self._known: OrderedDict[str, _Known] = OrderedDict()
         self._no_order_before_s = no_order_before_s
-        self._unrecorded_until_s = {True: -math.inf, False: -math.inf}
-        """Latest deadline of an order that was refused without keeping its key: True for stops, False for others."""
+        self._unrecorded_until_s: OrderedDict[tuple[str, bool], float] = OrderedDict()
+        """By sender, and True for stops: latest deadline of an order that was refused without keeping its key."""
         self._remembers_since_s = now_s
         self._newest = _NewestOrders()
-        self._running: Counter[_Kind] = Counter()
-        """Number of orders being carried out."""
+        self._keys = {False: FairShare(MAX_KEYS, KEYS_FACTOR), True: FairShare(STOP_KEYS)}
+        """The places of keys: True for stops, False for others."""
+        self._running: dict[_Kind, FairShare] = {
+            "stop": FairShare(MAX_STOPS, RUNNING_FACTOR),
+            "ending": FairShare(MAX_ENDING, RUNNING_FACTOR),
+            "other": FairShare(MAX_RUNNING, RUNNING_FACTOR),
+        }
+        """The places of orders that are carried out."""
 
     def __len__(self) -> int:
         return len(self._known)
@@ -160,8 +174,8 @@ class OrderGate:
                 text = f"{self._site} restarted while it was carried out; look at the vehicle"
                 reply = OrderReply(reply.key, "unknown", text)
                 self._newest.note((record.sender, record.run, record.vehicle), record.seq)
-            self._known.pop(reply.key, None)
-            self._known[reply.key] = _Known(reply, record.deadline_s + STOP_LATE_S, record.noted_s)
+            self._pop(reply.key)
+            self._keep(reply.key, _Known(reply, record.deadline_s + STOP_LATE_S, record.noted_s, sender=record.sender))
             if len(self._known) > MAX_KEYS:
                 self._forget(next(iter(self._known)))
         self.counters["restored"] = len(self._known)
@@ -188,13 +202,13 @@ class OrderGate:
         reply = OrderReply(request.key, status, why)
         is_stop, kind = request.method == STOP, _kind(request.method)
         deadline_s = min(request.deadline_s, now_s + MAX_AHEAD_S)
-        if not self._has_room(now_s, stop=is_stop):
-            self._unrecorded_until_s[is_stop] = max(self._unrecorded_until_s[is_stop], deadline_s)
+        if not self._has_room(now_s, request.sender, stop=is_stop):
+            self._note_unrecorded(request.sender, is_stop, deadline_s)
             return Refuse(reply)
-        self._known[request.key] = _Known(reply, deadline_s + STOP_LATE_S, now_s, kind)
+        self._keep(request.key, _Known(reply, deadline_s + STOP_LATE_S, now_s, kind, request.sender))
         if status != "running":
             return Refuse(reply)
-        self._running[kind] += 1
+        self._running[kind].take(request.sender)
         self._newest.note(_series(request), request.seq)
         return Begin()
 
@@ -204,7 +218,7 @@ class OrderGate:
         if known is None or known.reply.status != "running":
             return
         known.reply, known.noted_s = reply, now_s
-        self._running[known.kind] -= 1
+        self._running[known.kind].give_back(known.sender)
         self.counters[reply.status] += 1
 
     def asked(self, question: OutcomeQuestion, now_s: float) -> OrderReply:
@@ -214,7 +228,7 @@ class OrderGate:
         known = self._known.get(key)
         if known is not None:
             return known.reply
-        if not self._has_room(now_s):
+        if not self._has_room(now_s, ASKED):
             return OrderReply(key, "unknown", f"{self._site} has too many orders to say; ask again")
         memory_s = now_s - self._remembers_since_s
         if question.deadline_s is not None and question.deadline_s - MAX_AHEAD_S <= self._remembers_since_s:
@@ -222,7 +236,7 @@ class OrderGate:
         reach = f" in the last {memory_s:.0f} s" if math.isfinite(memory_s) else ""
         text = f"no such order has come to {self._site}{reach}; it is refused if it comes now"
         reply = OrderReply(key, "never came", text)
-        self._known[key] = _Known(reply, now_s + MAX_AHEAD_S + STOP_LATE_S, now_s)
+        self._keep(key, _Known(reply, now_s + MAX_AHEAD_S + STOP_LATE_S, now_s, sender=ASKED))
         return reply
 
     def known(self, key: str) -> OrderReply | None:
@@ -257,35 +271,61 @@ class OrderGate:
     def _full(self, request: OrderRequest, now_s: float) -> tuple[Status, str] | None:
         """Why the limits do not permit a further order; None if they do."""
         kind = _kind(request.method)
-        most = _MOST_RUNNING[kind]
-        if self._running[kind] >= most:
-            return "refused", f"{most} orders are being carried out at {self._site}"
+        running, sender = self._running[kind], request.sender
+        if not running.has_room(sender):
+            own = running.of(sender)
+            return "refused", f"{len(running)} orders are being carried out at {self._site}, {own} of this station"
         is_stop = request.method == STOP
-        if not self._has_room(now_s, stop=is_stop) or request.deadline_s <= self._unrecorded_until_s[is_stop]:
-            return "refused", f"{self._site} has had too many orders in the last seconds"
+        unrecorded_until_s = self._unrecorded_until_s.get((sender, is_stop), -math.inf)
+        if not self._has_room(now_s, sender, stop=is_stop) or request.deadline_s <= unrecorded_until_s:
+            return "refused", f"{self._site} has had too many orders of this station in the last seconds"
         return None
 
-    def _has_room(self, now_s: float, *, stop: bool = False) -> bool:
-        """Forget keys that are over; True if there is room for one more."""
+    def _note_unrecorded(self, sender: str, stop: bool, deadline_s: float) -> None:
+        """Bounded: of more stations than there are keys the one noted first is forgotten, whose orders are late."""
+        before_s = self._unrecorded_until_s.pop((sender, stop), -math.inf)
+        self._unrecorded_until_s[sender, stop] = max(before_s, deadline_s)
+        if len(self._unrecorded_until_s) > MAX_KEYS:
+            self._unrecorded_until_s.popitem(last=False)
+
+    def _keep(self, key: str, known: _Known) -> None:
+        self._known[key] = known
+        self._keys[known.kind == "stop"].take(known.sender)
+
+    def _pop(self, key: str) -> _Known | None:
+        known = self._known.pop(key, None)
+        if known is not None:
+            self._keys[known.kind == "stop"].give_back(known.sender)
+        return known
+
+    def _has_room(self, now_s: float, sender: str, *, stop: bool = False) -> bool:
+        """Forget keys that are over; True if there is room for one more of this sender."""
         while self._known:
             key, known = next(iter(self._known.items()))
             if known.reply.status == "running" or now_s - known.noted_s < KEEP_S:
                 break
             self._forget(key)
-        if len(self._known) < MAX_KEYS:
+        places = self._keys[stop]
+        if places.has_room(sender):
             return True
-        # the oldest that may be forgotten; those before it are running or young, and running ones are few
+        # the oldest that may be forgotten; those before them are running or young, and running ones are few
+        over: list[str] = []
         for key, known in self._known.items():
-            if known.reply.status == "running":
+            if known.reply.status == "running" or (known.kind == "stop") is not stop:
                 continue
             if now_s <= known.forget_after_s:
                 break
+            over.append(key)
+        for key in over:
             self._forget(key)
-            return True
-        return stop and len(self._known) < MAX_KEYS + STOP_KEYS
+            if places.has_room(sender):
+                return True
+        return False
 
     def _forget(self, key: str) -> None:
-        self._remembers_since_s = max(self._remembers_since_s, self._known.pop(key).noted_s)
+        known = self._pop(key)
+        assert known is not None
+        self._remembers_since_s = max(self._remembers_since_s, known.noted_s)
         self.counters["forgotten"] += 1
 
 

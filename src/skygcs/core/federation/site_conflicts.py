@@ -25,7 +25,7 @@ are those of the monitor.
     --------------------------------------------   --------------------------------------------------------------------
     flies                                          watched against all vehicles of the other side
     is on the ground                               an obstacle at rest for those that fly
-    has no position, or one older than `SILENT_S`  not watched: it may be anywhere
+    has no position, or one older than `TRACK_SILENT_S`  not watched: it may be anywhere
     is shared, and has the name of the other       the same vehicle, heard by two sites: no pair
 """
 
@@ -49,7 +49,7 @@ from skygcs.core.monitor.conflict_levels import (
     Level,
     believed_velocity,
 )
-from skygcs.core.monitor.tracks import HIGHEST_M, SILENT_S
+from skygcs.core.monitor.tracks import HIGHEST_M, TRACK_SILENT_S
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.events import Event
 
@@ -304,7 +304,7 @@ def _watched(vehicle: SiteVehicle) -> bool:
         return False
     lat_deg, lon_deg, alt_m = (number or 0.0 for number in numbers)
     possible = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M
-    return possible and not (vehicle.flying and not 0.0 <= vehicle.age_s <= SILENT_S)
+    return possible and not (vehicle.flying and not 0.0 <= vehicle.age_s <= TRACK_SILENT_S)
 
 
 def _place(ours: list[SiteVehicle], others: list[SiteVehicle], boxes: list[_Box]) -> Iterator[None]:

@@ -87,7 +87,8 @@ CHANGED_S = 1.5
 state comes that neither sender had, the vehicle has changed its state."""
 
 MAX_STATES = 8
-"""States remembered as left. A sender that shows more states within ALTERNATION_S is recognised by these alone."""
+"""States remembered, the present one among them. A sender that shows more states within ALTERNATION_S is recognised by
+these alone."""
 
 MAX_SOURCES = 1024
 """Sources whose heartbeats are distinguished in one log; four times as many as there can be vehicles."""
@@ -227,14 +228,17 @@ class HeartbeatCheck:
         if state == self._kept:
             self._kept_at = now
             return True
-        if len(self._left) >= MAX_STATES and self._kept not in self._left:
-            del self._left[next(iter(self._left))]
-        left_at, returns = self._left.get(state, (float("-inf"), []))
+        # Note the return, the states of now last: the one that was left longest ago goes first
+        left_at, returns = self._left.pop(state, (float("-inf"), []))
         returns = [at for at in returns if now - at <= ALTERNATION_S]
         if now - left_at <= ALTERNATION_S and now > self._expected_until:
             returns.append(now)
-        self._left[self._kept] = now, self._left.get(self._kept, (now, []))[1]
+        self._left[self._kept] = now, self._left.pop(self._kept, (now, []))[1]
         self._left[state] = left_at, returns
+        while len(self._left) > MAX_STATES:
+            del self._left[next(iter(self._left))]
+
+        # Two senders?
         if now - self._since >= SETTLED_S:
             self._settled_armed = self._kept[0]
         before = self._kept

@@ -103,6 +103,12 @@ COPTER_NOT_ARMABLE = frozenset(
 """Modes in which ArduCopter refuses every unforced arming by a ground station ("… mode not armable"), whatever its
 pre-arm checks say: `allows_arming` of ArduCopter/mode.h and mode_auto.cpp, the same in 4.6.3 and 4.7-dev."""
 
+PX4_NOT_ARMABLE = frozenset(
+    {"AUTO.RTL", "AUTO.LAND", "AUTO.PRECLAND", "AUTO.FOLLOW_TARGET", "POSCTL.ORBIT", "TERMINATION"}
+)
+"""Modes in which PX4 refuses arming (mode_req_prevent_arming of commander/ModeUtil/mode_requirements.cpp, 1.16): its
+bit of the arming checks is clear in them, whatever the checks say."""
+
 COPTER_AUTO_ARMABLE = 1
 """Bit of AUTO_OPTIONS: only with it ArduCopter arms in AUTO (ModeAuto::allows_arming, since 4.1)."""
 
@@ -171,8 +177,8 @@ _TRACKER = {0: "MANUAL", 1: "STOP", 2: "SCAN", 3: "SERVO_TEST", 4: "GUIDED", 10:
 
 _BLIMP = {0: "LAND", 1: "MANUAL", 2: "VELOCITY", 3: "LOITER", 4: "RTL", 5: "AUTO", 6: "HOLD"}
 
-_COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29, 35, 43})
-_PLANE_TYPES = frozenset({1, 16, 17, 19, 20, 21, 22, 23, 24, 25, 28, 47})
+COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29, 35, 43})
+PLANE_TYPES = frozenset({1, 16, 17, 19, 20, 21, 22, 23, 24, 25, 28, 47})
 
 
 def family(autopilot: int) -> Family:
@@ -182,11 +188,6 @@ def family(autopilot: int) -> Family:
     if autopilot == AUTOPILOT_ARDUPILOT:
         return "ardupilot"
     return "generic"
-
-
-def is_copter(vehicle_type: int) -> bool:
-    """True if ArduPilot's copter firmware flies this MAV_TYPE."""
-    return vehicle_type in _COPTER_TYPES
 
 
 def mode_name(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
@@ -254,7 +255,7 @@ def copter_mode_number(name: str) -> int:
 
 
 def _ardupilot_table(vehicle_type: int) -> dict[int, str]:
-    if vehicle_type in _PLANE_TYPES:
+    if vehicle_type in PLANE_TYPES:
         return _PLANE
     if vehicle_type in (10, 11):
         return _ROVER

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -33,6 +34,18 @@ from skygcs.core.mavlink.header import (
 )
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
+
+_START = re.compile(rb"\xfe|\xfd(?:.[\x00\x01]|.?\Z)", re.DOTALL)
+"""Where a frame may begin: in MAVLink 2 the incompatibility flags, two bytes on, are 0 or 1 (`INCOMPAT_SIGNED`). So a
+run of 0xFD costs 0.04 µs a byte, not 0.6."""
+
+VAIN_CHECKS, BYTES_PER_VAIN_CHECK = 1024, 4
+"""Checksums that may fail within the bytes of one call, and one more for so many bytes; then the rest is skipped. In
+8 kB of a stream that is 5 ms. Noise of that length has 60 bytes that look like a start; bytes that are made to cost
+have one in two, and each of them may hold 40 more."""
+
+VAIN_CHECKS_IN_DATAGRAM = 1024
+"""The same for a datagram of any length: 2 ms. One with frames has hardly any."""
 
 _LAST_STEPS = frozenset((x << 8 ^ x << 3 ^ x >> 4) & 0xFFFF for x in range(256))
 """What the last byte that goes into a CRC-16/MCRF4XX, which is CRC_EXTRA, can add to the state before it."""
@@ -64,11 +77,13 @@ class FrameParser:
     ``pass_bad_crc`` accepts a known id with a bad CRC from a verified source, as an unknown one (info None).
     """
 
-    __slots__ = ("_buffer", "_messages", "_pass_bad_crc", "stats", "verified")
+    __slots__ = ("_buffer", "_messages", "_pass_bad_crc", "_v1_lengths", "_vain_checks", "stats", "verified")
 
     def __init__(self, dialect: Dialect, *, pass_bad_crc: bool = False) -> None:
         self._messages = dialect.messages
         self._pass_bad_crc = pass_bad_crc
+        self._v1_lengths = _v1_lengths(dialect)
+        self._vain_checks = 0
         self._buffer = b""
         self.verified: set[int] = set()
         self.stats = ParserStats()
@@ -85,10 +100,16 @@ class FrameParser:
         self._buffer = buffer[self._scan(buffer, frames, final=False) :]
         return frames
 
-    def feed_datagram(self, data: bytes) -> list[Frame]:
-        """Frames of one whole datagram. What is incomplete at its end is skipped: it never meets the next one."""
+    def feed_datagram(self, data: bytes, *, search: bool = True) -> list[Frame]:
+        """Frames of one whole datagram. What is incomplete at its end is skipped: it never meets the next one.
+
+        Without ``search``: only those that it begins with; all from the first byte that begins no frame is skipped.
+        """
         frames: list[Frame] = []
-        self._scan(data, frames, final=True)
+        if search:
+            self._scan(data, frames, final=True, vain_checks=VAIN_CHECKS_IN_DATAGRAM)
+        else:
+            self._take_leading(data, frames)
         return frames
 
     def finish(self) -> list[Frame]:
@@ -123,16 +144,17 @@ class FrameParser:
         frame, _ = self._frame_at(buffer, 0, len(buffer), final=True, count=False)
         return 0 if frame is not None else self._good_from(buffer, 1)
 
-    def _scan(self, buffer: bytes, frames: list[Frame], *, final: bool) -> int:
-        """Append the frames of ``buffer``; return where the incomplete rest begins (its end if ``final``)."""
+    def _scan(self, buffer: bytes, frames: list[Frame], *, final: bool, vain_checks: int | None = None) -> int:
+        """Append the frames of ``buffer``; return where the incomplete rest begins (its end if ``final``).
+        ``vain_checks``: how many may fail; None: as many as are usual for its length."""
         at = 0
         end = len(buffer)
         stats = self.stats
+        self._vain_checks = -(VAIN_CHECKS + end // BYTES_PER_VAIN_CHECK if vain_checks is None else vain_checks)
         while at < end:
             magic = buffer[at]
             if magic != MAGIC_V2 and magic != MAGIC_V1:
-                found = _MAGIC.search(buffer, at)
-                start = found.start() if found is not None else end
+                start = self._next_start(buffer, at, end)
                 stats.skipped_bytes += start - at
                 at = start
                 continue
@@ -143,8 +165,40 @@ class FrameParser:
             elif size == NEED_MORE and not final:
                 return at
             else:
-                stats.skipped_bytes += 1
+                after = end if self._vain_checks > 0 else self._next_start(buffer, at + 1, end)
+                stats.skipped_bytes += after - at
+                at = after
+        return end
+
+    def _take_leading(self, data: bytes, frames: list[Frame]) -> None:
+        """Append the frames with which ``data`` begins; what follows them is skipped unread."""
+        at = 0
+        end = len(data)
+        while at < end and data[at] in (MAGIC_V2, MAGIC_V1):
+            frame, size = self._frame_at(data, at, end, final=True, count=True)
+            if frame is None:
+                break
+            frames.append(frame)
+            at += size
+        self.stats.skipped_bytes += end - at
+
+    def _next_start(self, buffer: bytes, at: int, end: int) -> int:
+        """Place of the next byte that may begin a frame by its first bytes; ``end`` without one. HOT for garbage."""
+        lengths = self._v1_lengths
+        while (found := _START.search(buffer, at)) is not None:
+            at = found.start()
+            # a run of 0xFE, byte by byte: what `_frame_at` would say of its length and message
+            while at + HEADER_V1_BYTES <= end and buffer[at] == MAGIC_V1:
+                known = lengths[buffer[at + 5]]
+                if known is None:
+                    if buffer[at + 3] << 8 | buffer[at + 4] in self.verified:
+                        return at
+                    self.stats.unverified += 1
+                elif buffer[at + 1] in known:
+                    return at
                 at += 1
+            if at >= end or buffer[at] == MAGIC_V1 or _START.match(buffer, at):
+                return at
         return end
 
     def _frame_at(self, buffer: bytes, at: int, end: int, *, final: bool, count: bool) -> tuple[Frame | None, int]:
@@ -186,6 +240,7 @@ class FrameParser:
                 self.stats.bad_crc += count
             return frame, step
         self.stats.bad_crc += count
+        self._vain_checks += 1
         return None, NOT_A_FRAME
 
     def _unknown_at(
@@ -210,10 +265,18 @@ class FrameParser:
             start = found.start()
             size = frame_size(buffer, start)
             if size and start + size <= len(buffer):
+                self._vain_checks += 1
                 _, verdict = check(buffer[start : start + size], self._messages)
                 if verdict == "ok":
                     return start
         return -1
+
+
+@lru_cache(maxsize=8)  # dialects of a daemon: a flood opens channels, each with a parser, faster than it is made
+def _v1_lengths(dialect: Dialect) -> tuple[range | None, ...]:
+    """By message id below 256: the lengths that it may have in MAVLink 1; None for an id that is not known."""
+    found = (dialect.messages.get(msgid) for msgid in range(256))
+    return tuple(None if info is None else range(info.min_length, info.length + 1) for info in found)
 
 
 def _some_extra_fits(raw: bytes) -> bool:

@@ -24,6 +24,8 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.core.reach import swapped_hint
+from skygcs.number_text import rounded
 
 MAX_HEIGHT_M = 500.0
 """Default limit of the height above home; as for takeoff heights."""
@@ -190,7 +192,7 @@ def _place(item: MissionItem, family: Family | None) -> Iterator[tuple[bool, str
         if item.position is not None:
             lat, lon = item.position
             if not (abs(lat) <= 90 and abs(lon) <= 180):
-                yield True, f"{lat}, {lon} is not a position on earth"
+                yield True, f"{lat}, {lon} is not a position on earth{swapped_hint(lat, lon, None, 0.0)}"
         elif item.command in NEEDS_PLACE:
             zero = (item.x, item.y) == (0, 0)
             if family == "px4" or not zero:
@@ -217,13 +219,16 @@ def _altitude(item: MissionItem, limits: CheckLimits, home: PlannedHome | None) 
     if height_m is None:
         return
     if height_m > limits.max_height_m:
-        yield True, f"the altitude is {height_m:g} m {above}, over the limit of {limits.max_height_m:g} m"
+        yield True, f"the altitude is {rounded(height_m)} m {above}, over the limit of {limits.max_height_m:g} m"
     elif height_m < 0:
-        yield False, f"the altitude is {-height_m:g} m below {above.removeprefix('above ')}"
+        yield False, f"the altitude is {rounded(-height_m)} m below {above.removeprefix('above ')}"
     elif height_m < MIN_FLIGHT_HEIGHT_M and item.command in TAKEOFFS:
-        yield True, f"a take-off to {height_m:g} m"
+        yield True, f"a take-off to {rounded(height_m)} m"
     elif height_m < MIN_FLIGHT_HEIGHT_M:
-        yield False, f"the altitude is {height_m:g} m {above}: on the ground (an ArduPilot keeps its height for 0)"
+        yield (
+            False,
+            f"the altitude is {rounded(height_m)} m {above}: on the ground (an ArduPilot keeps its height for 0)",
+        )
 
 
 def _jump(item: MissionItem, number: int, count: int, tags: set[float | None]) -> Iterator[tuple[bool, str]]:
@@ -245,7 +250,8 @@ def _far(item: MissionItem, reference: LatLon | None, what: str, limits: CheckLi
         return
     off_m = distance_m(*reference, *item.position)
     if off_m > limits.max_distance_m:
-        yield True, f"is {off_m:,.0f} m from {what}, over the limit of {limits.max_distance_m:,.0f} m"
+        hint = swapped_hint(*item.position, reference, limits.max_distance_m)
+        yield True, f"is {off_m:,.0f} m from {what}, over the limit of {limits.max_distance_m:,.0f} m{hint}"
 
 
 def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[Finding]:
@@ -287,6 +293,7 @@ def _rally(plan: MissionPlan, limits: CheckLimits, vehicle: LatLon | None) -> It
         off_m = distance_m(*reference, *item.position)
         if off_m > limits.max_distance_m:
             text = f"is {off_m:,.0f} m from {what}, over the limit of {limits.max_distance_m:,.0f} m"
+            text += swapped_hint(*item.position, reference, limits.max_distance_m)
             yield Finding(True, MissionType.RALLY, number, text)
 
 

@@ -67,6 +67,13 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
         yield True, f"encloses {abs(_area_m2(points)):.2g} m²: its corners lie in one line"
 
 
+NEAR_STEP_M = 0.25
+"""Of the places of a way that are compared with a fence that is near."""
+
+MOST_DISTANCES = 300_000
+"""From places of a way to sides of a fence: 0.2 s of work."""
+
+
 class FenceArea:
     """The permitted area. ``any_inclusion``: a position inside one of several inclusion shapes is permitted, as for a
     PX4; else it must be inside all of them, as for an ArduPilot by default."""
@@ -98,6 +105,57 @@ class FenceArea:
         if outside and not (self._any and len(outside) < len(inclusions)):
             return f"is outside the inclusion {', '.join(outside)}"
         return None
+
+    @property
+    def edges(self) -> int:
+        """Sides of polygons, and circles."""
+        return sum(len(corners) for _, _, corners in self._polygons) + len(self._circles)
+
+    def room_m(self, place: Corner) -> tuple[float, str]:
+        """How far a position is from the nearest place that is not permitted, and whose; negative: it is itself not."""
+        return self._room_m(self._plane.xy(place))
+
+    def narrowest(self, path: Sequence[Corner], room_m: float) -> tuple[float, str] | None:
+        """The narrowest place on the way along straight lines between these positions: its room, and beside which
+        shape; None: there is ``room_m`` everywhere.
+
+        Nothing between the places that are looked at is missed: the room changes by no more than the way, so the next
+        one is as far on as there is room. Where there is hardly any, places are `NEAR_STEP_M` apart, or farther on a
+        long way along a large fence, and half of that is asked for in addition.
+        """
+        points = [self._plane.xy(place) for place in path]
+        length_m = math.fsum(map(math.dist, points, points[1:]))
+        step_m = max(NEAR_STEP_M, length_m * self.edges / MOST_DISTANCES)
+        skip_m, least_m, beside = 0.0, room_m + step_m / 2, ""
+        for a, b in zip(points, points[1:] or points, strict=False):
+            leg_m = math.dist(a, b)
+            at_m = skip_m
+            while at_m <= leg_m:
+                part = at_m / leg_m if leg_m else 0.0
+                here = (a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]))
+                found_m, shape = self._room_m(here)
+                if found_m < least_m:
+                    least_m, beside = found_m, shape
+                at_m += max(step_m, found_m - least_m)
+            skip_m = at_m - leg_m
+        return (least_m, beside) if beside else None
+
+    def _room_m(self, point: Point) -> tuple[float, str]:
+        inclusions: list[tuple[float, str]] = []
+        exclusions: list[tuple[float, str]] = []
+        for name, inclusion, corners in self._polygons:
+            away_m = min(
+                _distance_to_segment(point, a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
+            )
+            within_m = away_m if inside_polygon(point, corners) else -away_m
+            (inclusions if inclusion else exclusions).append((within_m, name))
+        for name, inclusion, center, radius_m in self._circles:
+            (inclusions if inclusion else exclusions).append((radius_m - math.dist(point, center), name))
+        rooms = [(-within_m, f"the exclusion {name}") for within_m, name in exclusions]
+        if inclusions:
+            within_m, name = (max if self._any else min)(inclusions)
+            rooms.append((within_m, f"the inclusion {name}"))
+        return min(rooms, default=(math.inf, ""))
 
     def crossed(self, a: Corner, b: Corner) -> str | None:
         """The shape that the straight path between two permitted positions crosses; None for none."""

@@ -88,7 +88,11 @@ class _File:
         return value
 
     def place(self, value: Any, where: str) -> tuple[float, float]:
-        lat, lon = (self.given(v, where) for v in self.array(value, where)[:2])
+        """Latitude and longitude; what follows them, as a height, is not read."""
+        values = self.array(value, where)
+        if len(values) < 2:
+            raise self.error(where, f"must hold a latitude and a longitude, not {_short(value)}")
+        lat, lon = (self.given(v, where) for v in values[:2])
         return lat, lon
 
 

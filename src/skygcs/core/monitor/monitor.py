@@ -8,6 +8,7 @@ yields every fraction of a millisecond, so that a control tick never waits for t
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 from skygcs.core.monitor.conflict_levels import HORIZON_S, HYSTERESIS, Conflict, Level, Pair, find_conflict, rank
 from skygcs.core.monitor.tracks import Member, Track, TrackTable
 from skygcs.core.monitor.yielding import is_ranked_above, who_holds, why_not_yield
+from skygcs.core.separation import pair_margin, separation_m
 from skygcs.events import Event
 
 MAX_CONFLICTS = 8
@@ -38,6 +40,9 @@ RETRY_S = 1.0
 
 BLIND_S = 3.0
 """A flying vehicle that cannot be watched is reported after so long: it may just have been found."""
+
+NEAR_LOST_M = 5.0
+"""Beyond the margin: a vehicle that holds drifts by some metres, and others that come so near are warned."""
 
 KIND = "separation"
 
@@ -114,6 +119,8 @@ class Monitor:
         self._held: dict[PairKey, _Held] = {}
         self._blind: dict[int, tuple[str, str, float, bool]] = {}
         """Flying vehicles that are not watched, by key: name, why, since when, and whether that was reported."""
+        self._near_lost: set[PairKey] = set()
+        """Pairs of which one flies near the place where the other was lost, that were reported."""
 
     # -- one evaluation
 
@@ -125,6 +132,7 @@ class Monitor:
         yield from self._sweep(found, dropped)
         yield from self._advance(found, dropped, now)
         self._watch_blind(now)
+        self._watch_lost()
         self.counters.evaluations += 1
 
     def _sweep(self, found: dict[PairKey, Conflict], dropped: set[PairKey]) -> Iterator[None]:
@@ -297,6 +305,27 @@ class Monitor:
                 self.events.append(Event(KIND, name, key >> 8, text, {"watched": False, "reason": why}))
                 reported = True
             self._blind[key] = (name, why, since, reported)
+
+    def _watch_lost(self) -> None:
+        """Warn, once, of a vehicle that flies where another was last heard in the air: that may be there still. Nobody
+        is held for it: by then it may be anywhere."""
+        frame, near = self.tracks.frame, set[PairKey]()
+        if frame is None:
+            return
+        for lost, track in itertools.product(self.tracks.lost.values(), self.tracks.tracks.values()):
+            margin, key = pair_margin(lost.footprint, track.footprint), _pair_key(lost, track)
+            (x, y, z), (u, v, w) = frame.from_ecef(lost.ecef_m), track.place_m
+            away_m = separation_m(u - x, v - y, w - z, margin.downwash_ratio)
+            reported = key in self._near_lost
+            if track.parked or away_m > margin.total_m + NEAR_LOST_M * (HYSTERESIS if reported else 1.0):
+                continue
+            near.add(key)
+            if not reported:
+                text = f"{track.name} is {away_m:.1f} m from where {lost.name} was lost in the air"
+                data = {"level": "warning", "lost": lost.name, "vehicles": [track.name, lost.name]}
+                self.counters.warnings += 1
+                self.events.append(Event(KIND, track.name, track.vehicle.sysid, text, data))
+        self._near_lost = near
 
     @staticmethod
     def _is_recording(why: str) -> bool:

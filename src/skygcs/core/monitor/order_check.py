@@ -15,7 +15,7 @@ from typing import NamedTuple
 from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.monitor.approach import Piece, Vector, closest_on_paths
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
-from skygcs.core.monitor.tracks import Place, Track
+from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
 from skygcs.core.monitor.yielding import scaled, scaled_pieces
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 
@@ -32,6 +32,9 @@ NEARER_M = 0.2
 
 FRESH_S = 1.0
 """The ball of a vehicle grows from this age on: an order must not depend on when the last position came."""
+
+FORGET = "; once you know that it is not there: skygcs-cli forget {name} --force"
+"""To a person, of a vehicle that was lost in the air."""
 
 OLD_S = 2.0
 """A position older than this is named as a reason."""
@@ -115,7 +118,8 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
             continue
         margin = pair_margin(mover.footprint, track.footprint)
         ratio = margin.downwash_ratio
-        age_s = 0.0 if track.parked else max(0.0, now - track.at)
+        silence_s = 0.0 if track.parked else max(0.0, now - track.at)
+        age_s = min(silence_s, TRACK_SILENT_S)  # the space of a lost one grows no more
         radius_m = margin.total_m + track.footprint.ball_m(max(0.0, age_s - FRESH_S))
         # too far away to be reached by either of them
         theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * (path.duration_s + path.ahead_s + age_s)
@@ -132,7 +136,7 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
             continue
         if worst is None or near.separation_m < worst[0]:
-            worst = (near.separation_m, _text(mover, track, near.separation_m, radius_m, age_s))
+            worst = (near.separation_m, _text(mover, track, near.separation_m, radius_m, silence_s))
     return None if worst is None else worst[1]
 
 
@@ -146,6 +150,8 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
     u, v, w = track.reported_mps
     here = (reported[0] + u * age_s, reported[1] + v * age_s, reported[2] + w * age_s)
     speed_mps = math.hypot(u, v, w)
+    if track.lost:
+        return here, (), horizon_s
     if other.destination is not None and path.ahead_s > 0.0:
         end = frame.from_geodetic(*other.destination)
         way = _straight((end[0] - here[0], end[1] - here[1], end[2] - here[2]), max(speed_mps, GOTO_MPS), 0.0)
@@ -157,9 +163,9 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
 
 def _text(mover: Mover, track: Track, separation: float, radius_m: float, age_s: float) -> str:
     ratio = pair_margin(mover.footprint, track.footprint).downwash_ratio
-    where = "parked" if track.parked else "in the air"
+    where = "parked" if track.parked else "lost in the air" if track.lost else "in the air"
     old = f", whose position is {age_s:.1f} s old" if age_s > OLD_S else ""
     return (
         f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "
-        f"heights divided by {ratio:g}"
+        f"heights divided by {ratio:g}" + (FORGET.format(name=track.name) if track.lost else "")
     )

@@ -6,10 +6,12 @@
     is disarmed but shows signs of flight               flying
     is disarmed, or armed on the ground                 parked: an obstacle at rest for what flies, not for one another
     reports no position, or an impossible one           not watched
-    flies and has been silent for `SILENT_S`            not watched any more: it may be anywhere
+    flies and has been silent for `TRACK_SILENT_S`            lost: not watched any more, an obstacle for orders
     shares its system id on one link, is a recording    not watched: where it is is not known
 
-A parked vehicle stays an obstacle where it was last heard until it is forgotten.
+A parked vehicle stays an obstacle where it was last heard until it is forgotten, and so does a lost one, with the space
+that it may have reached in `TRACK_SILENT_S`: an order to go there waits for a person, who knows where it is or forgets
+it. It makes no conflict: by then it may be anywhere, and all others would be held.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.order_plan import CLIMBED_M
 from skygcs.core.vehicle.vehicle import Vehicle
 
-SILENT_S = 10.0
+TRACK_SILENT_S = 10.0
 """The monitor looks so far ahead; a vehicle whose position is older may be 150 m from where it was seen."""
 
 HISTORY_S = 2.0
@@ -79,6 +81,8 @@ class Track:
     reported_mps: Vector = REST
     """True east, north, up."""
     parked: bool = True
+    lost: bool = False
+    """It flew, and no position has come for `TRACK_SILENT_S`."""
     history: deque[Sample] = field(default_factory=lambda: deque(maxlen=MAX_HISTORY))
     age_s: float = 0.0
     ball_m: float = 0.0
@@ -142,6 +146,8 @@ class TrackTable:
 
     def __init__(self) -> None:
         self.tracks: dict[int, Track] = {}
+        self.lost: dict[int, Track] = {}
+        """Vehicles that were last heard in the air, where they were then."""
         self.unwatched: dict[int, tuple[str, str, bool]] = {}
         """By key: name, why it is not watched, and whether it flies."""
         self.frame: EnuFrame | None = None
@@ -150,11 +156,12 @@ class TrackTable:
         """Read every vehicle and place it; yields after each, so that nobody waits for all of them. Complete only when
         it has ended."""
         tracks: dict[int, Track] = {}
+        lost: dict[int, Track] = {}
         wanted: dict[int, Member] = {}
         unwatched: dict[int, tuple[str, str, bool]] = {}
         for member in members:
             vehicle = member.vehicle
-            track = self.tracks.get(vehicle.key)
+            track = self.tracks.get(vehicle.key) or self.lost.get(vehicle.key)
             if track is None or track.vehicle is not vehicle:
                 track = Track(vehicle, member.footprint, member.priority)
             track.footprint, track.priority = member.footprint, member.priority
@@ -164,9 +171,11 @@ class TrackTable:
                 wanted[vehicle.key] = member
             else:
                 unwatched[vehicle.key] = (vehicle.name, why, is_flying(vehicle, now))
+                if track.lost:
+                    lost[vehicle.key] = track
             yield
         yield from self._place(tracks, wanted, now)
-        self.tracks, self.unwatched = tracks, unwatched
+        self.tracks, self.lost, self.unwatched = tracks, lost, unwatched
 
     def _place(self, tracks: dict[int, Track], wanted: dict[int, Member], now: float) -> Iterator[None]:
         """Carry every position on to ``now``, in a frame about the middle of all."""
@@ -248,6 +257,7 @@ def is_flying(vehicle: Vehicle, now: float) -> bool:
 def _read(track: Track, now: float) -> str | None:
     """Take in its newest position. Returns why it cannot be watched, or None."""
     vehicle = track.vehicle
+    track.lost = False
     if vehicle.replayed:
         return "it is heard in a recording only"
     if vehicle.duplicate_beside:
@@ -259,8 +269,6 @@ def _read(track: Track, now: float) -> str | None:
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M):
         return "the position that it reports is not on earth"
     track.parked = not is_flying(vehicle, now)
-    if not track.parked and now - at > SILENT_S:
-        return f"no position for {SILENT_S:g} s: it may be anywhere"
     if at != track.at:
         east, north, up = position["vel_enu_mps"]
         track.at, track.reported_mps = at, (east, north, up)
@@ -268,4 +276,5 @@ def _read(track: Track, now: float) -> str | None:
         track.history.append(Sample(at, track.reported_mps))
         while track.history[0].at < at - HISTORY_S:
             track.history.popleft()
-    return None
+    track.lost = not track.parked and now - at > TRACK_SILENT_S
+    return f"no position for {TRACK_SILENT_S:g} s: it may be anywhere" if track.lost else None

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from skygcs.core.geo import EnuFrame, world_from_enu
 from skygcs.core.monitor.approach import Vector, closest_approach
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
-from skygcs.core.monitor.order_check import FRESH_S, GOTO_MPS, NEARER_M
-from skygcs.core.monitor.tracks import Place, Track
+from skygcs.core.monitor.order_check import FORGET, FRESH_S, GOTO_MPS, NEARER_M
+from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
@@ -94,11 +94,14 @@ def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: floa
     reported = frame.from_ecef(track.ecef_m)
     if track.parked:
         return Course(track.key, track.name, track.footprint, lambda _: reported, 0.0, doing="parked")
-    age_s = max(0.0, now - track.at)
+    age_s = min(max(0.0, now - track.at), TRACK_SILENT_S)
     ball_m = track.footprint.ball_m(max(0.0, age_s - FRESH_S))
     velocity = world_from_enu(track.reported_mps, frame.origin)
     speed_mps = math.hypot(*velocity)
     here = _moved(reported, velocity, age_s)
+    if track.lost:
+        doing = "lost in the air" + FORGET.format(name=track.name)
+        return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m, doing=doing)
     if destination is not None:
         end = frame.from_geodetic(*destination)
         away_m, flown_mps = math.dist(here, end), max(speed_mps, GOTO_MPS)

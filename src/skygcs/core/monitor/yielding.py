@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.monitor.approach import Piece, Vector, closest_on_paths
 from skygcs.core.monitor.tracks import Track
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -21,7 +21,7 @@ REACT_S = 1.5
 BRAKE_MPS2 = 2.0
 """What a hold brakes with: PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
 
-SILENT_S = 2.0
+YIELDER_SILENT_S = 2.0
 """A vehicle that was not heard for so long is not counted on: the order may not reach it."""
 
 HELPS_M = 0.25
@@ -46,13 +46,13 @@ def why_not_yield(track: Track, now: float) -> str | None:
     vehicle = track.vehicle
     if track.parked:
         return "it is on the ground"
-    if not vehicle.connected or now - track.at > SILENT_S:
+    if not vehicle.connected or now - track.at > YIELDER_SILENT_S:
         return "it is silent"
     if vehicle.duplicate:
         return "two vehicles have its system id"
     if vehicle.failsafe:
         return "its failsafe is active"
-    if not modes.is_copter(vehicle.type):
+    if vehicle.kind is not VehicleClass.COPTER:
         return "it cannot stop in the air"
     if vehicle.mode in COMING_HOME:
         return f"it is in {vehicle.mode}"

@@ -43,6 +43,9 @@ MAX_CHARS = 4_000_000
 MAX_PROBLEMS = 20
 """Problems reported at once; a file of another kind has one in each line."""
 
+MAX_NUMBER_CHARS = 80
+"""Of a number: the largest float with QGroundControl's 18 decimals has 58."""
+
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _HEX = re.compile(r"0[xX][0-9a-fA-F]{1,8}", re.ASCII)
 _PLAIN = re.compile(r"([^\s,=]+)\s*[\s,=]\s*([^\s,#]+)\s*(.*)")
@@ -225,6 +228,8 @@ def _number(text: str) -> Value:
         return int(text, 16)
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"{_clip(text)} is not a number")
+    if len(text) > MAX_NUMBER_CHARS:
+        raise ValueError(f"{_clip(text)} has more digits than any parameter")
     if not any(c in text for c in ".eE"):
         return int(text)
     value = float(text)

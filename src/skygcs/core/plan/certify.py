@@ -49,7 +49,7 @@ def certify(
         raise RefusedError(f"{min(both)} takes part in the plan and is said to stand")
     if isinstance(plan, TimedPlan):
         return _certify_timed(plan, rule, space, limits, progress)
-    return _certify_phased(plan, rule, space)
+    return _certify_phased(plan, rule, space, progress)
 
 
 # --- timed ------------------------------------------------------------------------------------------------------------
@@ -155,20 +155,23 @@ def _problem(names: Sequence[str], half: Sequence[float], breach: Breach, phase:
 # --- phased -----------------------------------------------------------------------------------------------------------
 
 
-def _certify_phased(plan: PhasedPlan, rule: MarginRule, space: FlightSpace) -> Certificate:
+def _certify_phased(plan: PhasedPlan, rule: MarginRule, space: FlightSpace, progress: Progress | None) -> Certificate:
     names = [*plan.starts, *space.standing]
     half = [rule.half_m(name) for name in names]
     worst: Approach | None = None
     too_close: list[Approach] = []
     problems: list[SpaceProblem] = []
-    for phase, legs in plan.legs():
+    for number, (phase, legs) in enumerate(plan.legs()):
+        if progress is not None:
+            progress(number, len(plan.phases))
         flown = dict(legs) | {name: (place, place) for name, place in space.standing.items()}
-        for approach in _approaches(phase, names, flown, half, rule, len(plan.starts)):
+        least_m = np.inf if worst is None else worst.clearance_m
+        for approach in _approaches(phase, names, flown, half, rule, len(plan.starts), least_m):
             if worst is None or approach.clearance_m < worst.clearance_m:
                 worst = approach
             if approach.clearance_m < SLACK_M and len(too_close) < MAX_NAMED:
                 too_close.append(approach)
-        if len(problems) < MAX_NAMED:
+        if space.has_walls and len(problems) < MAX_NAMED:
             curves = [_line(*legs[name]) for name in plan.starts]
             problems += [
                 _problem(names, half, breach, phase) for breach in breaches(curves, half[: len(curves)], space)
@@ -191,8 +194,9 @@ def _approaches(
     half: Sequence[float],
     rule: MarginRule,
     moving: int,
+    least_m: float,
 ) -> list[Approach]:
-    """The pair with the least clearance, and all pairs within the margin."""
+    """The pair with the least clearance, if that is below ``least_m``, and all pairs within the margin."""
     first, second = np.triu_indices(len(names), 1)
     keep = first < moving  # two that stand are not compared
     first, second = first[keep], second[keep]
@@ -200,8 +204,17 @@ def _approaches(
         return []
     begins = scaled([legs[name][0] for name in names], rule.downwash_ratio)
     ends = scaled([legs[name][1] for name in names], rule.downwash_ratio)
-    distance, part_1, part_2 = segment_segment(begins[first], ends[first], begins[second], ends[second])
     margins = np.asarray(half)
+    # by their balls and their begins most pairs cannot be the nearest one
+    middles, radii = (begins + ends) / 2.0, np.sqrt(((ends - begins) ** 2).sum(axis=1)) / 2.0 + margins
+    at_least = np.sqrt(((middles[first] - middles[second]) ** 2).sum(axis=1)) - radii[first] - radii[second]
+    at_begin = np.sqrt(((begins[first] - begins[second]) ** 2).sum(axis=1)) - margins[first] - margins[second]
+    near = at_least - SLACK_M < max(2.0 * SLACK_M, min(least_m, float(at_begin.min())))
+    first, second = first[near], second[near]
+    if not len(first):
+        return []
+    # the others by the exact distance
+    distance, part_1, part_2 = segment_segment(begins[first], ends[first], begins[second], ends[second])
     clearance = distance - margins[first] - margins[second]
     order = np.argsort(clearance)
     found = []

@@ -18,6 +18,7 @@ mode.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -149,17 +150,19 @@ class _Search:
     def candidates(self, vehicle: int) -> list[tuple[Indices, Indices]]:
         """Pairs of a piece of this vehicle and one of a later vehicle that overlap in time and are near."""
         p = self._p
-        own = np.arange(p.first[vehicle], p.first[vehicle + 1])
-        others = np.arange(p.first[vehicle + 1], p.first[-1])
+        own, others = slice(p.first[vehicle], p.first[vehicle + 1]), np.arange(p.first[vehicle + 1], p.first[-1])
+        # the own pieces follow each other in time: those that overlap with another one are neighbours
+        earliest = np.searchsorted(p.end_s[own], p.begin_s[others], "right")
+        counts = np.maximum(np.searchsorted(p.begin_s[own], p.end_s[others], "left") - earliest, 0)
+        pairs = np.cumsum(counts)
+        ends = np.searchsorted(pairs, np.arange(4 * BATCH, (pairs[-1] if len(pairs) else 0) + 4 * BATCH, 4 * BATCH)) + 1
         found = []
-        step = max(1, (4 * BATCH) // max(len(others), 1))
-        for begin in range(0, len(own), step):
-            part = own[begin : begin + step]
-            overlap = np.maximum(p.begin_s[part][:, None], p.begin_s[others][None]) < np.minimum(
-                p.end_s[part][:, None], p.end_s[others][None]
-            )
-            a, b = np.nonzero(overlap)
-            a, b = part[a], others[b]
+        for begin, end in itertools.pairwise((0, *ends.tolist())):
+            number = counts[begin:end]
+            total = int(number.sum())
+            within = np.arange(total) - np.repeat(np.cumsum(number) - number, number)
+            a = p.first[vehicle] + np.repeat(earliest[begin:end], number) + within
+            b = np.repeat(others[begin:end], number)
             gap = np.maximum(np.maximum(self._low[:, a] - self._high[:, b], self._low[:, b] - self._high[:, a]), 0.0)
             bound = np.sqrt((gap * gap).sum(axis=0)) * (1.0 - 8 * UNIT) - 2.0 * (p.error_m[a] + p.error_m[b])
             bound -= self._half[p.vehicle[a]] + self._half[p.vehicle[b]]

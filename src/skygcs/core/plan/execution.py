@@ -6,7 +6,8 @@
                                                                      forgotten → aborted (disarm)
     takeoff      they climb vertically, each to its layer            all there → engaging; one is not, is lost or
                                                                      forgotten → stopped, who still stands is disarmed
-    engaging     each is taken under control and stands at its place all there → to_starts, returning or flying
+    engaging     each is taken under control (by goto: sent to its   all there → to_starts, returning or flying
+                 place) and stands at its place
     to_starts    way there, step by step                             the last barrier → flying
     returning    way back after a stop                               the barrier → the interrupted step
     flying       the steps of the plan                               the last barrier → finished
@@ -20,15 +21,22 @@
     aborted      each was ordered to hold, or is on the ground       land
     landed       all are on the ground                               –
 
+Before a vehicle is under control, from the arming on, it stays where it was certified to begin: within its part of the
+margins of its measured place, or of the way of its take-off. One that was moved is not sent on: everything stops.
+
 In a step that flies (to_starts, returning, flying) and while it is paused:
 
     a vehicle                                                        is in trouble
     --------------------------------------------------------------   -------------------------------------------
     is farther from its reference (or straight way) than its tube,   for `LATE_S`, or at twice the tube at once
     heights divided by the downwash ratio as in the certificate
-    has sent no position                                             for `SILENT_S`
+    has sent no position                                             for `POSITION_SILENT_S`
     does not follow any more: guard, pilot, an order, lost           at once
     has not come to its place at the barrier                         for `BARRIER_S`
+
+By goto (`core.plan.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are shown as one.
+A vehicle may then be silent for `GOTO_SILENT_S`, and is in trouble as well when it has denied its leg (`Left`) or has
+not come to its place in the leg's time and `LEG_S`.
 
 Trouble stops the clock of all; nothing but an order goes on from there. A barrier opens when every vehicle was measured
 within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle does not follow.
@@ -43,17 +51,28 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
-from skygcs.core.plan.flight_steps import FlightStep, StepKind
+from skygcs.core.plan.flight_steps import FlightStep, StepKind, distance_to_leg, scaled
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 
+FAR = 2.0
+"""Tubes away from its place a vehicle is in trouble at once."""
+
 LATE_S = 1.0
 """A gust, or one position of a bad fix, is over by then; at 2 m/s it is less than the margin of a pair."""
 
-SILENT_S = 3.0
+POSITION_SILENT_S = 3.0
 """Radios with gaps of a second lose two positions in a row; the ball of the monitor is 13 m by then."""
+
+GOTO_SILENT_S = 5.0
+"""By goto a vehicle that is not heard flies on to the end of its leg, which is certified; it is elsewhere only if its
+own failsafe takes it, of which ArduCopter's begins 5 s after the last heartbeat of a ground station (FS_GCS_TIMEOUT).
+"""
+
+LEG_S = 60.0
+"""By goto: how much longer than planned a leg may take. Four orders that are lost, each repeated for 10 s, fit in."""
 
 BARRIER_S = 30.0
 """Ten times what settling takes after a leg."""
@@ -74,7 +93,7 @@ stop of the others takes."""
 MAX_PAIRS = 5
 
 PROGRESS = 32
-"""Ticks that are remembered: at five a second longer than `SILENT_S`."""
+"""Ticks that are remembered: at five a second longer than `POSITION_SILENT_S`."""
 
 
 class PlanState(StrEnum):
@@ -204,11 +223,12 @@ class _Watch:
     late: dict[str, float] = field(default_factory=dict)
     settled: dict[str, float] = field(default_factory=dict)
     barrier_since: float | None = None
+    step_since: float | None = None
 
     def clear(self) -> None:
         self.late.clear()
         self.settled.clear()
-        self.barrier_since = None
+        self.barrier_since = self.step_since = None
 
 
 class Execution:
@@ -217,11 +237,23 @@ class Execution:
     ``changes`` collects state changes; the caller reports and clears them.
     """
 
-    def __init__(self, steps: Sequence[FlightStep], grounded: Collection[str], tubes: Tubes) -> None:
-        """``grounded``: vehicles that have to take off, to where the first step has them."""
+    def __init__(
+        self,
+        steps: Sequence[FlightStep],
+        grounded: Collection[str],
+        tubes: Tubes,
+        measured: Mapping[str, Vector],
+        *,
+        by_goto: bool = False,
+    ) -> None:
+        """``grounded``: vehicles that have to take off, to where the first step has them; ``measured``: the places that
+        were certified, where each is now; ``by_goto``: autopilots fly the legs themselves."""
         self.steps = list(steps)
         self.tubes = tubes
         self.names = tuple(steps[0].trajectories)
+        self.measured = dict(measured)
+        self.by_goto = by_goto
+        self._silent_s = GOTO_SILENT_S if by_goto else POSITION_SILENT_S
         self.grounded = tuple(name for name in self.names if name in grounded)
         self.state = PlanState.ARMING if self.grounded else PlanState.ENGAGING
         self.index = 0
@@ -234,6 +266,8 @@ class Execution:
         """Vehicles whose order of this state has ended well."""
         self._armed: set[str] = set()
         """Vehicles that this run has armed and that were not seen to leave the ground."""
+        self._engaged: set[str] = set()
+        """Vehicles that are under control, or were."""
         self._started = False
         """Whether the step's clock was started."""
         self._rounds: list[tuple[str, ...]] | None = None
@@ -278,6 +312,41 @@ class Execution:
             later, later_s = at, s
         return later_s
 
+    def why_displaced(self, name: str, place_m: Vector | None) -> str | None:
+        """Why a vehicle that is not under control yet is not where it was certified to be; None if it is."""
+        if place_m is None:
+            return f"the position of {name} is not known"
+        off_m = self._displaced_m(name, place_m)
+        return self._displaced_text(name, off_m) if off_m > self._free_m(name) else None
+
+    def _free_m(self, name: str) -> float:
+        """How far from its certified place it may be that is not under control yet: its part of each margin. A take-off
+        of either firmware drifts by 0.5 m in 6 m/s of wind and 0.9 m in 9 m/s (simulated), more than its tube."""
+        return max(self.tubes.half_m[name], self.tubes.free_m[name])
+
+    def _displaced_m(self, name: str, place_m: Vector) -> float:
+        """The distance from its certified place, or from the way of its take-off."""
+        ratio, start, begin = self.tubes.downwash_ratio, self.step.starts()[name], self.measured[name]
+        place, low, high = (scaled(point, ratio) for point in (place_m, begin, start))
+        return distance_to_leg(place, low, high)
+
+    def _displaced_text(self, name: str, off_m: float) -> str:
+        where = "from where the plan was certified to have it"
+        return f"{name} is {off_m:.1f} m {where}; {self._free_m(name):.1f} m are allowed"
+
+    def _displaced(self, now: float, sights: Mapping[str, Sight]) -> tuple[str, str] | None:
+        """The first vehicle that was moved before it was under control, and by how much."""
+        for name in self.names:
+            place_m = sights[name].reported_m or sights[name].place_m
+            if name in self._engaged or place_m is None:
+                continue
+            off_m, free_m = self._displaced_m(name, place_m), self._free_m(name)
+            if off_m <= free_m:
+                self._watch.late.pop(name, None)
+            elif now - self._watch.late.setdefault(name, now) >= LATE_S or off_m > FAR * free_m:
+                return name, self._displaced_text(name, off_m)
+        return None
+
     def _apart_m(self, a: Vector, b: Vector) -> float:
         return separation_m(a[0] - b[0], a[1] - b[1], a[2] - b[2], self.tubes.downwash_ratio)
 
@@ -318,7 +387,7 @@ class Execution:
         found = []
         for name in self.names:
             place = sights[name].place_m
-            silent = place is None or sights[name].age_s > SILENT_S
+            silent = place is None or sights[name].age_s > self._silent_s
             if silent or self.off_m(name, place or (0.0, 0.0, 0.0), trajectory_s) > self.tube_m(name):
                 found.append(name)
         return found
@@ -380,6 +449,7 @@ class Execution:
             if not ok:
                 return self._stop(name, f"{name} is not under control: {text}")
             self._done.add(name)
+            self._engaged.add(name)
         if kind is OrderKind.HOLD and self.state is PlanState.ABORTING:
             return self._on_held(name, ok, text)
         if kind is OrderKind.HOLD and not ok:
@@ -409,9 +479,9 @@ class Execution:
                 self._armed.discard(name)
         match self.state:
             case PlanState.ARMING:
-                return self._tick_arming(sights)
+                return self._tick_arming(now, sights)
             case PlanState.TAKEOFF:
-                return self._tick_takeoff(sights)
+                return self._tick_takeoff(now, sights)
             case PlanState.ENGAGING:
                 return self._tick_engaging(now, sights)
             case PlanState.PAUSED | PlanState.STOPPED:
@@ -428,12 +498,15 @@ class Execution:
 
     # -- before the flight
 
-    def _tick_arming(self, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_arming(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
         """The outcome of an order to arm may never come from a vehicle that is gone."""
         for name in self.names:
             if (left := sights[name].left) is not None:
                 self._enter(PlanState.ABORTED, f"nobody takes off: {name} left: {left.text}", name)
                 return self._disarm()
+        if (moved := self._displaced(now, sights)) is not None:
+            self._enter(PlanState.ABORTED, f"nobody takes off: {moved[1]}", moved[0])
+            return self._disarm()
         return []
 
     def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
@@ -469,7 +542,7 @@ class Execution:
             self._enter(PlanState.ABORTED, "nobody follows it any more" if climbing else "nobody took off")
         return [*standing, *holding]
 
-    def _tick_takeoff(self, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_takeoff(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
         waits = []
         for name in self.names:
             if (left := sights[name].left) is not None:
@@ -481,20 +554,25 @@ class Execution:
                 waits.append(name)
             elif seen != "reached":
                 return self._stop(name, f"the take-off of {name} ended: {seen}")
+        if (moved := self._displaced(now, sights)) is not None:
+            return self._stop(*moved)
         self.waits_for = tuple(waits)
         return [] if waits else self._engage()
 
     def _engage(self) -> list[Order]:
-        self._enter(PlanState.ENGAGING, f"taking {_named(self.names)} under control")
+        what = "sending {} to their places" if self.by_goto else "taking {} under control"
+        self._enter(PlanState.ENGAGING, what.format(_named(self.names)))
         self.waits_for = self.names
         return [Order(OrderKind.ENGAGE, self.names)]
 
     def _tick_engaging(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
         for name in self.names:
             left = sights[name].left
-            if left is not None and (name in self._done or left.why is Why.LOST):
+            if left is not None:
                 self.left[name] = left
                 return self._stop(name, f"{name} left: {left.text}")
+        if (moved := self._displaced(now, sights)) is not None:
+            return self._stop(*moved)
         starts = self.step.starts()
         if len(self._done) < len(self.names):
             self.waits_for = tuple(n for n in self.names if n not in self._done)
@@ -511,7 +589,8 @@ class Execution:
         self._started = True
         self.waits_for = ()
         step = self.step
-        self._enter(STATE_OF[step.kind], f"{step.name}: {step.duration_s:.0f} s for {len(self.names)} vehicles")
+        times = "" if self.by_goto else f": {step.duration_s:.0f} s for {len(self.names)} vehicles"
+        self._enter(STATE_OF[step.kind], f"{step.name}{times}")
         return [Order(OrderKind.FLY, self.names)]
 
     def _tick_step(
@@ -526,7 +605,8 @@ class Execution:
             self._enter(PlanState.ABORTING, "stopping for good: its trajectories were aborted")
             return []
         if clock is not ClockState.FINISHED:
-            return []
+            self._watch.barrier_since = None
+            return self._leg_trouble(now, sights) if self.by_goto else []
         if not self._all_at(now, self.step.places(), sights):
             return self._barrier_trouble(now, sights)
         if self.index + 1 < len(self.steps):
@@ -535,7 +615,7 @@ class Execution:
         self._started = False
         self.waits_for = ()
         self._enter(PlanState.FINISHED, "all are at their goals and hold")
-        return self._hold(self.names)
+        return [] if self.by_goto else self._hold(self.names)
 
     def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Sight]) -> list[Order]:
         """Paused or stopped: report who leaves meanwhile."""
@@ -558,14 +638,14 @@ class Execution:
             if sight.left is not None:
                 self.left[name] = sight.left
                 return name, f"{name} left: {sight.left.text}", sights
-            if sight.place_m is None or sight.age_s > SILENT_S:
+            if sight.place_m is None or sight.age_s > self._silent_s:
                 return name, f"{name} is silent: no position for {sight.age_s:.1f} s", sights
             off_m, tube_m = self.seen_off_m(name, sight, now, trajectory_s), self.tube_m(name)
             if off_m <= tube_m:
                 self._watch.late.pop(name, None)
                 continue
             since = self._watch.late.setdefault(name, now)
-            if now - since >= LATE_S or off_m > 2.0 * tube_m:
+            if now - since >= LATE_S or off_m > FAR * tube_m:
                 what = "from its reference" if self.step.timed else "from its way"
                 return name, f"{name} is {off_m:.2f} m {what}; {tube_m:.2f} m are allowed", sights
         return None
@@ -577,7 +657,7 @@ class Execution:
             sight = sights[name]
             there = (
                 sight.place_m is not None
-                and sight.age_s <= SILENT_S
+                and sight.age_s <= POSITION_SILENT_S
                 and sight.speed_mps <= SLOW_MPS
                 and self._apart_m(sight.place_m, place) <= self.tubes.free_m[name]
             )
@@ -587,6 +667,17 @@ class Execution:
                 waits.append(name)
         self.waits_for = tuple(waits)
         return not waits
+
+    def _leg_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+        """By goto, one may never hear its order."""
+        if self._watch.step_since is None:
+            self._watch.step_since = now
+        took_s = now - self._watch.step_since
+        self._all_at(now, self.step.places(), sights)
+        if took_s < self.step.duration_s + LEG_S or not self.waits_for:
+            return []
+        name = self.waits_for[0]
+        return self._stop(name, f"{_named(self.waits_for)} did not fly its leg in {took_s:.0f} s", sights)
 
     def _barrier_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
         if self._watch.barrier_since is None:
@@ -718,8 +809,9 @@ def _named(names: Sequence[str]) -> str:
 def _pairs_text(pairs: Sequence[Pair]) -> str:
     if not pairs:
         return ""
+    near = [pair for pair in pairs if pair.distance_m < pair.margin_m]
     found = ", ".join(
         f"{pair.vehicles[0]} and {pair.vehicles[1]} ({pair.distance_m:.1f} m, margin {pair.margin_m:.1f} m)"
-        for pair in pairs
+        for pair in near or pairs[:1]
     )
-    return f"; near each other: {found}"
+    return f"; {'too near each other' if near else 'the nearest to each other'}: {found}"

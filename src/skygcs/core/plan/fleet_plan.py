@@ -82,6 +82,11 @@ class FlightSpace:
     standing: Mapping[str, Vector] = field(default_factory=dict)
     """Vehicles that are parked, have failed or take no part: nobody may come within the margin of them."""
 
+    @property
+    def has_walls(self) -> bool:
+        """Whether anything but standing vehicles bounds it."""
+        return bool(self.fence or self.boxes) or self.floor_m is not None or self.ceiling_m is not None
+
     def joined(self, added: FlightSpace) -> FlightSpace:
         """This one, and what ``added`` adds to it or replaces."""
         return FlightSpace(

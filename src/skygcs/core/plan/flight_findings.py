@@ -5,8 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
+
+from skygcs.core.plan import remedies
+from skygcs.core.plan.remedies import Remedy
+from skygcs.number_text import rounded
 
 DEFAULT_FLIGHT_TIME_S = 600.0
 """Of a full battery, where nothing is measured or configured: ten minutes, which an F450 with 5000 mAh exceeds."""
@@ -25,15 +30,28 @@ class Level(StrEnum):
     REFUSED = "refused"
 
 
-class Finding(NamedTuple):
-    """``vehicle``: None: it is about all. ``insist``: force passes it."""
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """``vehicle``: None: it is about all. ``insist``: force passes it. A refusal has a remedy, and is made by
+    `refused`."""
 
     vehicle: str | None
     check: str
     level: Level
     text: str
-    todo: str = ""
+    note: str = ""
+    """What to know of one that is no refusal."""
     insist: bool = False
+    remedy: Remedy | None = None
+
+    def __post_init__(self) -> None:
+        if (self.level is Level.REFUSED) != (self.remedy is not None):
+            raise ValueError(f"{self.check}: a refusal, and nothing else, has a remedy")
+
+    @property
+    def todo(self) -> str:
+        """For people."""
+        return self.note if self.remedy is None else self.remedy.text(insist=self.insist)
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -42,8 +60,14 @@ class Finding(NamedTuple):
             "severity": self.level.value,
             "text": self.text,
             "todo": self.todo,
+            "command": None if self.remedy is None else self.remedy.command,
             "insist": self.insist,
         }
+
+
+def refused(vehicle: str | None, check: str, text: str, remedy: Remedy, *, insist: bool = False) -> Finding:
+    """What keeps a plan on the ground. ``insist``: force passes it."""
+    return Finding(vehicle, check, Level.REFUSED, text, insist=insist, remedy=remedy)
 
 
 def refusals(findings: Sequence[Finding], *, force: bool) -> list[Finding]:
@@ -64,22 +88,16 @@ def battery_finding(
     """Whether the charge lasts for the plan and a landing, with the reserve left."""
     check = "battery"
     if percent is None:
-        return Finding(
-            vehicle,
-            check,
-            Level.REFUSED,
-            "it does not report its charge",
-            "set up its battery monitor, or insist with force",
-            insist=True,
-        )
+        remedy = remedies.insist("set up its battery monitor")
+        return refused(vehicle, check, "it does not report its charge", remedy, insist=True)
     needed = 100.0 * (plan_s + LANDING_S) / flight_time.seconds
     text = (
         f"{percent:.0f} %; the plan and a landing take {needed:.0f} % ({plan_s + LANDING_S:.0f} s of "
-        f"{flight_time.seconds / 60:.3g} min, {flight_time.source}), {reserve_percent:g} % stay as reserve"
+        f"{rounded(flight_time.seconds / 60)} min, {flight_time.source}), {reserve_percent:g} % stay as reserve"
     )
     if percent - needed < reserve_percent:
-        todo = "charge it, or set flight_time_min in the fleet file if it flies longer; or insist with force"
-        return Finding(vehicle, check, Level.REFUSED, text, todo, insist=True)
+        remedy = remedies.again("charge it, or set flight_time_min in the fleet file if it flies longer")
+        return refused(vehicle, check, text, remedy, insist=True)
     return Finding(vehicle, check, Level.OK, text)
 
 
@@ -97,20 +115,18 @@ def return_height_findings(heights: Mapping[str, ReturnHeight | None], apart_m: 
     for name, height in heights.items():
         if height is None:
             text = "its return height could not be read"
-            findings.append(
-                Finding(name, check, Level.REFUSED, text, "check the link, or insist with force", insist=True)
-            )
+            findings.append(refused(name, check, text, remedies.insist("check its link"), insist=True))
     known = sorted(((h.height_m, name, h.param) for name, h in heights.items() if h is not None))
     offered = offered_heights(heights, apart_m)
     for (low_m, lower, _), (high_m, upper, param) in itertools.pairwise(known):
         if high_m - low_m >= apart_m - 1e-6:
             continue
         text = (
-            f"it returns at {high_m:g} m ({param}) and {lower} at {low_m:g} m, {apart_m:.1f} m apart is the least: if "
-            "the ground station is lost, all return at once"
+            f"it returns at {rounded(high_m)} m ({param}) and {lower} at {rounded(low_m)} m, {apart_m:.1f} m apart is "
+            "the least: if the ground station is lost, all return at once"
         )
-        todo = f"set {param} to {offered[upper]:g} m (set_return_heights, --set-return-heights), or insist with force"
-        findings.append(Finding(upper, check, Level.REFUSED, text, todo, insist=True))
+        text += f"; --set-return-heights sets it to {rounded(offered[upper])} m"
+        findings.append(refused(upper, check, text, remedies.set_return_heights(), insist=True))
     if not findings:
         findings.append(Finding(None, check, Level.OK, f"all return at least {apart_m:.1f} m apart"))
     return findings

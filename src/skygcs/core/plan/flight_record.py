@@ -8,11 +8,11 @@ LEAST_FLIGHT_S = 120.0
 
 
 class FlightRecord:
-    """Of one vehicle, as long as the daemon runs."""
+    """Of one vehicle; a restart takes it from the journal."""
 
-    def __init__(self) -> None:
-        self._flown_s = 0.0
-        self._dropped_percent = 0.0
+    def __init__(self, flown_s: float = 0.0, dropped_percent: float = 0.0) -> None:
+        self._flown_s = flown_s
+        self._dropped_percent = dropped_percent
         self._last: tuple[float, float] | None = None
 
     def charge(self, now: float, percent: float | None, *, in_air: bool) -> None:
@@ -28,6 +28,11 @@ class FlightRecord:
                 self._flown_s += now - then
                 self._dropped_percent += before - percent
         self._last = (now, percent)
+
+    @property
+    def consumption(self) -> tuple[float, float]:
+        """Seconds in flight, and the percents of charge that they took."""
+        return self._flown_s, self._dropped_percent
 
     @property
     def flight_time_s(self) -> float | None:

@@ -31,6 +31,8 @@ class Situation:
     limits: MotionLimits
     """Within which ways and phases are flown."""
     speed_factor: float = 1.0
+    by_goto: bool = False
+    """Autopilots fly the legs by themselves: they have to be level or vertical."""
     ground_m: Mapping[str, float] = field(default_factory=dict)
     """How high the ground is under each vehicle, as far as that is known."""
 

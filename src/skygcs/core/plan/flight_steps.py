@@ -57,11 +57,11 @@ class FlightStep:
         """How far a vehicle is from where it may be, in the metric of the certificate: from its reference, or from its
         straight way."""
         trajectory = self.trajectories[name]
-        place = _scaled(place_m, downwash_ratio)
+        place = scaled(place_m, downwash_ratio)
         if self.timed:
-            return math.dist(place, _scaled(trajectory.at(trajectory_s).pos_enu_m, downwash_ratio))
+            return math.dist(place, scaled(trajectory.at(trajectory_s).pos_enu_m, downwash_ratio))
         begin, end = trajectory.start_enu_m, trajectory.end_enu_m
-        return distance_to_leg(place, _scaled(begin, downwash_ratio), _scaled(end, downwash_ratio))
+        return distance_to_leg(place, scaled(begin, downwash_ratio), scaled(end, downwash_ratio))
 
 
 def steps_of(plan: Plan, limits: MotionLimits) -> list[FlightStep]:
@@ -91,6 +91,14 @@ def starts_of(plan: Plan) -> dict[str, Vector]:
     return dict(plan.starts)
 
 
+def ends_of(plan: Plan) -> dict[str, Vector]:
+    """The last place of each vehicle."""
+    if isinstance(plan, TimedPlan):
+        return {name: trajectory.end_enu_m for name, trajectory in plan.trajectories.items()}
+    legs = plan.legs()
+    return {name: leg[1] for name, leg in legs[-1][1].items()} if legs else dict(plan.starts)
+
+
 def renamed(plan: Plan, names: Mapping[str, str]) -> Plan:
     """The plan of these vehicles only: ``names`` maps names in the plan to names of the fleet."""
     if isinstance(plan, TimedPlan):
@@ -113,6 +121,23 @@ def rest_of(steps: list[FlightStep], trajectory_s: float, names: frozenset[str])
         own = {v: t for v, t in step.trajectories.items() if v in names}
         rest.append(FlightStep(step.name, step.kind, own, step.timed))
     return rest
+
+
+def from_where(step: FlightStep, places: Places, downwash_ratio: float, limits: MotionLimits) -> FlightStep:
+    """What is left of a step of straight legs: of each from its nearest point to the vehicle's place on. A part of a
+    leg keeps what the whole one was certified to keep."""
+    left: dict[str, Trajectory] = {}
+    for name, trajectory in step.trajectories.items():
+        begin, end = trajectory.start_enu_m, trajectory.end_enu_m
+        part = part_of_leg(*(scaled(point, downwash_ratio) for point in (places[name], begin, end)))
+        near = (
+            begin[0] + part * (end[0] - begin[0]),
+            begin[1] + part * (end[1] - begin[1]),
+            begin[2] + part * (end[2] - begin[2]),
+        )
+        far = math.dist(near, end) > SAME_PLACE_M
+        left[name] = path_within((near, end), limits) if far else hover(end, 1.0)
+    return FlightStep(step.name, step.kind, left, step.timed)
 
 
 def plan_of(step: FlightStep) -> Plan:
@@ -141,14 +166,21 @@ def remainder(trajectory: Trajectory, from_s: float) -> Trajectory:
     return hover(trajectory.end_enu_m, 1.0, trajectory.at(trajectory.duration_s).yaw_rad)
 
 
-def _scaled(place_m: Vector, downwash_ratio: float) -> Vector:
+def scaled(place_m: Vector, downwash_ratio: float) -> Vector:
     return place_m[0], place_m[1], place_m[2] / downwash_ratio
 
 
 def distance_to_leg(place_m: Vector, begin_m: Vector, end_m: Vector) -> float:
-    """Of a place from a straight way."""
+    """The distance of a place from a straight way."""
+    part = part_of_leg(place_m, begin_m, end_m)
+    return math.dist(place_m, [a + part * (b - a) for a, b in zip(begin_m, end_m, strict=True)])
+
+
+def part_of_leg(place_m: Vector, begin_m: Vector, end_m: Vector) -> float:
+    """Which part of a straight way lies before its nearest point to a place, from 0 to 1."""
     way = [b - a for a, b in zip(begin_m, end_m, strict=True)]
     square = sum(w * w for w in way)
-    offset = [p - a for p, a in zip(place_m, begin_m, strict=True)]
-    part = 0.0 if square == 0.0 else min(1.0, max(0.0, sum(o * w for o, w in zip(offset, way, strict=True)) / square))
-    return math.dist(offset, [part * w for w in way])
+    if square == 0.0:
+        return 0.0
+    along = sum((p - a) * w for p, a, w in zip(place_m, begin_m, way, strict=True))
+    return min(1.0, max(0.0, along / square))

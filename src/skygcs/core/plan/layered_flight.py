@@ -29,6 +29,10 @@ from skygcs.core.trajectory.piecewise import Vector
 
 Flags = NDArray[np.bool_]
 
+LIFT_M = 1.5
+"""A plan is flown at least so high above the ground: take-offs end 0.8 m below their height (NAV_MC_ALT_RAD), and a
+vehicle under control must not touch the ground."""
+
 MAX_LAYERS = 255
 MAX_ROUNDS = 64
 
@@ -66,8 +70,9 @@ def layered(
     s, g, half = np.asarray(starts, dtype=float), np.asarray(goals, dtype=float), np.asarray(half_margins_m)
     spacing = 2.0 * float(half.max()) * downwash_ratio + GAP_M * downwash_ratio
     base = max(min(float(s[:, 2].min()), float(g[:, 2].min())), space.floor_m or -np.inf)
-    if space.floor_m is not None and base <= space.floor_m:
-        base += spacing  # nobody crosses on the ground
+    if space.floor_m is not None and base <= space.floor_m:  # nobody crosses on the ground
+        lowest_goal_m = float(g[:, 2].min())
+        base = lowest_goal_m if lowest_goal_m >= space.floor_m + LIFT_M else base + spacing
     count = MAX_LAYERS
     if space.ceiling_m is not None:
         count = int((space.ceiling_m - float(half.max()) - base) / spacing + 1e-9) + 1

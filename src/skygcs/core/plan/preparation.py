@@ -28,15 +28,12 @@ from skygcs.core.plan.flight_steps import (
     starts_of,
     steps_of,
 )
-from skygcs.core.plan.layered_flight import layered
+from skygcs.core.plan.guidance import level_or_vertical
+from skygcs.core.plan.layered_flight import LIFT_M, layered
 from skygcs.core.plan.margins import JUMPS, TIMING, MarginRule, Uncertainty
 from skygcs.core.trajectory import hover
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError, SkygcsError
-
-LIFT_M = 1.5
-"""A plan is flown at least so high above the ground: take-offs end 0.8 m below their height (NAV_MC_ALT_RAD), and a
-vehicle under control must not touch the ground."""
 
 LEAST_TUBE_M = 0.3
 """A measured tracking error below it is not demanded at barriers: positions are noisy."""
@@ -65,6 +62,8 @@ def prepare(situation: Situation) -> Prepared:
     """The flight from where the vehicles stand to the end of the plan; with `problems` it must not be flown."""
     problems = _Problems()
     plan = _from_the_air(situation)
+    if situation.by_goto and isinstance(plan, PhasedPlan):
+        plan = level_or_vertical(plan)
     ground_m = _ground_m(situation)
     _check_heights(plan, situation, ground_m, problems)
     if problems.lines:
@@ -136,7 +135,7 @@ def way_between(situation: Situation, goals: Places, *, straight: bool = False) 
     starts = {name: situation.measured[name] for name in goals}
     above = {name: (s[0], s[1], goals[name][2]) for name, s in starts.items()}
     tries: list[PhasedPlan] = []
-    if straight and not situation.grounded:
+    if straight and not situation.grounded and not situation.by_goto:
         tries.append(PhasedPlan(starts, (Phase("way back", dict(goals)),)))
     tries.append(PhasedPlan(starts, (Phase("climb", above), Phase("to the starts", dict(goals)))))
     space = _without_floor(situation.space, starts)

@@ -9,6 +9,7 @@ from typing import Any
 
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.params.names import other_name
+from skygcs.core.vehicle.vehicle_model import Sticks
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,13 @@ class Facts:
     links: Mapping[str, LinkFacts] | None = None
     answers: Mapping[str, Answer] | None = None
     copter: bool = False
+    sticks: Sticks = Sticks.UNKNOWN
+    """Whether a pilot's sticks are seen in its telemetry."""
+    outside: Mapping[str, str] | None = None
+    """By name: why a parameter whose value is known is outside the range of its metadata; None: there are no metadata
+    of this firmware."""
+    judged: int = 0
+    """Number of parameters that were compared with their ranges."""
     pose_problem: str | None = None
     """Why it cannot fly by its poses of motion capture now; None: it can, or it has none."""
     origin_off_m: float | None = None

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from skygcs.core.geo import distance_m
-from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE, COPTER_NOT_ARMABLE
 from skygcs.core.preflight.expectations import FIXES, Expectations
 from skygcs.core.preflight.facts import Facts
 from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
+from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
 
 FRESH_S = 15.0
@@ -39,6 +39,8 @@ _NEEDED = (
 
 _VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
 _STAGES = ("dev", "alpha", "beta", "rc")
+
+PREARM_TODO = "correct what its status texts name; skygcs-cli status --json shows the latest"
 
 ASK_AGAIN = "repeat the preflight in a moment"
 
@@ -187,26 +189,19 @@ def sensors(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def arming_mode(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether its mode allows arming: an ArduCopter's pre-arm checks, and the bit that reports them, leave that out."""
+    """The mode in which it would be armed. One in which nothing arms is no fault: take-off, plan and mission set
+    another one first, as `autopilot.takes_off_from` has it for all of them."""
     mode = facts.state["mode"]
     if not wanted.prearm:
         return skipped("prearm = false")
     if facts.state["armed"]:
         return skipped("it is armed already")
-    if not facts.copter or facts.family != "ardupilot":
+    if not facts.copter or facts.family not in TAKEOFF_MODES:
         return skipped("its own arming checks cover its mode")
-    todo = f"skygcs-cli mode {facts.state['name']} GUIDED; takeoff and mission start set it by themselves"
-    if mode in COPTER_NOT_ARMABLE:
-        return failed(f"would not arm in {mode}: ArduCopter arms in no such mode", todo)
-    if mode != "AUTO":
+    changed_to = takes_off_from(facts.family, mode)
+    if changed_to is None:
         return passed(f"arms in {mode}")
-    answer = facts.answer("AUTO_OPTIONS")
-    if answer.param is None and not answer.absent:
-        return unknown(f"whether it arms in AUTO is not known: AUTO_OPTIONS: {answer.why}", todo)
-    options = 0 if answer.param is None else int(answer.param.value)
-    if options & COPTER_AUTO_ARMABLE:
-        return passed("arms in AUTO (AUTO_OPTIONS)")
-    return failed("would not arm in AUTO: AUTO_OPTIONS has no bit 0 (allow arming)", todo)
+    return passed(f"would not arm in {mode}; takeoff, plan run and mission start change to {changed_to} first")
 
 
 def prearm(facts: Facts, wanted: Expectations) -> Finding:
@@ -219,8 +214,12 @@ def prearm(facts: Facts, wanted: Expectations) -> Finding:
         return skipped("it does not report whether it would arm")
     if PREARM_SENSOR in part["health"]:
         return passed("its own arming checks pass")
+    if facts.family == "px4" and (changed_to := takes_off_from("px4", facts.state["mode"])) is not None:
+        if not (said := _texts(facts, PREARM_TEXTS)):
+            return passed(f"not reported in {facts.state['mode']}: a take-off changes to {changed_to} first")
+        return failed(f"its own arming checks fail{_because(said)}", PREARM_TODO)
     text = f"its own arming checks fail in {facts.state['mode']}" + _because(_texts(facts, PREARM_TEXTS))
-    return failed(text, "correct what its status texts name; skygcs-cli status --json shows the latest")
+    return failed(text, PREARM_TODO)
 
 
 def _px4_reports(facts: Facts) -> bool:

@@ -16,10 +16,13 @@ from skygcs.core.preflight.rules import Rule
 from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
     LONGEST_LEAN_S,
+    NO_STICKS,
     PILOT_GOES_ON,
     PX4_THRUST_TYPES,
     THRUST_AS_THRUST,
 )
+from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL
+from skygcs.number_text import rounded
 
 LOST_PERIODS = 3
 """Setpoints that may be lost in a row before the vehicle concludes that no more will come."""
@@ -39,6 +42,9 @@ GCS_ALONE = 1
 
 FENCE_ALT = 1
 """The bit of FENCE_TYPE that enables FENCE_ALT_MAX."""
+
+MAX_OUTSIDE = 5
+"""Parameters outside their ranges that a finding names."""
 
 CM = 100.0
 
@@ -156,17 +162,17 @@ def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
     ceiling_m, fence = _ceiling(facts)
     if ceiling_m is not None and height_m >= ceiling_m:
         return failed(
-            f"{name} is {value_text(value)} ({height_m:g} m) and the fence's ceiling {ceiling_m:g} m ({fence}): "
-            "returning would break the fence",
+            f"{name} is {value_text(value)} ({rounded(height_m)} m) and the fence's ceiling {rounded(ceiling_m)} m "
+            f"({fence}): returning would break the fence",
             f"set {name} lower, or {fence} higher",
             severity=Severity.DANGER,
         )
     if least <= height_m <= most:
-        return passed(f"returns at {height_m:g} m")
+        return passed(f"returns at {rounded(height_m)} m")
     to_m = min(max(height_m, least), most)
     to = int(to_m * unit) if unit != 1 else to_m
     return failed(
-        f"{name} is {value_text(value)}: it would return at {height_m:g} m ({least:g} to {most:g} m)",
+        f"{name} is {value_text(value)}: it would return at {rounded(height_m)} m ({least:g} to {most:g} m)",
         f"set {name} to {value_text(to)}, or change rtl_height_m",
         Fix(name, to, value),
     )
@@ -284,12 +290,13 @@ def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
     action = facts.value("COM_OBL_RC_ACT")
     if action is None:
         return _not_known(facts, "COM_OBL_RC_ACT")
-    sticks = facts.value("COM_RC_IN_MODE") != STICKS_OFF and wanted.transmitter is not False
-    if action not in BY_STICKS or sticks:
+    off = facts.value("COM_RC_IN_MODE") == STICKS_OFF
+    if action not in BY_STICKS or (facts.sticks in SEEN_AT_ALL and not off):
         return passed(f"COM_OBL_RC_ACT {value_text(action)}")
+    why = f"COM_RC_IN_MODE is {STICKS_OFF}: it takes no sticks" if off else NO_STICKS[facts.sticks]
     return failed(
         f"COM_OBL_RC_ACT is {value_text(action)}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} "
-        "mode, and no pilot has the sticks",
+        f"mode, and {why}",
         f"set COM_OBL_RC_ACT to {HOLD} (Hold) or 3 (Return)",
         Fix("COM_OBL_RC_ACT", HOLD, action),
     )
@@ -321,6 +328,18 @@ def thrust(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
+def ranges(facts: Facts, wanted: Expectations) -> Finding:
+    """Values outside the ranges of their metadata; one that the fleet file asks for is meant."""
+    if facts.outside is None or not facts.judged:
+        return skipped("no ranges of its parameters are known")
+    wrong = {name: why for name, why in facts.outside.items() if name not in wanted.params}
+    if not wrong:
+        return passed(f"{facts.judged} parameters are in their ranges")
+    text = "; ".join(f"{name}: {why}" for name, why in list(wrong.items())[:MAX_OUTSIDE])
+    more = f"; and {len(wrong) - MAX_OUTSIDE} more" if len(wrong) > MAX_OUTSIDE else ""
+    return failed(text + more, "correct it; a value that is meant is named in [defaults.preflight.params] of the file")
+
+
 def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]:
     """The check of one parameter that the fleet file names."""
 
@@ -346,6 +365,14 @@ def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]
         return failed(text, todo, Fix(held, to, value))
 
     return check
+
+
+def return_height(facts: Facts) -> tuple[str, float, float] | None:
+    """Its parameter of the height of a return above home, that parameter's units per metre, and the height in m; None:
+    not known."""
+    name, unit = _rtl_name(facts)
+    value = facts.value(name)
+    return None if value is None else (name, unit, value / unit)
 
 
 def _rtl_name(facts: Facts) -> tuple[str, float]:

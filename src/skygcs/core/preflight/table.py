@@ -22,7 +22,6 @@ class Check:
 
     ``messages``: what has to have come lately, of a PX4 and of an ArduPilot alike where both send it. ``px4`` and
     ``ardupilot``: parameters; of names in one tuple any will do, in this order. ``if_wanted``: whether they are needed.
-    ``in_modes``: the only modes in which they are needed; empty: in any.
     """
 
     name: str
@@ -32,7 +31,8 @@ class Check:
     px4: tuple[tuple[str, ...], ...] = ()
     ardupilot: tuple[tuple[str, ...], ...] = ()
     if_wanted: Needs = lambda wanted: True
-    in_modes: frozenset[str] = frozenset()
+    of_copters: bool = False
+    """Its parameters are read of copters only."""
 
 
 def _controlled(wanted: Expectations) -> bool:
@@ -66,14 +66,7 @@ CHECKS: tuple[Check, ...] = (
     Check("hdop", FAULT, health.hdop, ("GPS_RAW_INT",)),
     Check("sensors", DANGER, health.sensors, ("SYS_STATUS",)),
     Check("arming checks", FAULT, health.prearm, ("SYS_STATUS",)),
-    Check(
-        "mode",
-        FAULT,
-        health.arming_mode,
-        ardupilot=(("AUTO_OPTIONS",),),
-        if_wanted=lambda wanted: wanted.prearm,
-        in_modes=frozenset({"AUTO"}),
-    ),
+    Check("mode", FAULT, health.arming_mode),
     Check("battery", FAULT, health.battery, ("SYS_STATUS", "BATTERY_STATUS")),
     Check("home", DANGER, health.home, ("HOME_POSITION",)),
     Check("clock", NOTE, health.clock, ("SYSTEM_TIME",)),
@@ -139,16 +132,38 @@ CHECKS: tuple[Check, ...] = (
         ardupilot=(("GUID_OPTIONS",),),
         if_wanted=lambda wanted: wanted.by_attitude,
     ),
+    Check(
+        "parameter ranges",
+        FAULT,
+        settings.ranges,
+        px4=(
+            ("MPC_XY_CRUISE",),
+            ("MPC_XY_VEL_MAX",),
+            ("MPC_Z_VEL_MAX_UP",),
+            ("MPC_Z_VEL_MAX_DN",),
+            ("MPC_TILTMAX_AIR",),
+            ("MPC_LAND_SPEED",),
+        ),
+        ardupilot=(
+            ("WPNAV_SPEED", "WP_SPD"),
+            ("WPNAV_SPEED_UP", "WP_SPD_UP"),
+            ("WPNAV_SPEED_DN", "WP_SPD_DN"),
+            ("ANGLE_MAX", "ATC_ANGLE_MAX"),
+            ("LAND_SPEED", "LAND_SPD_MS"),
+        ),
+        of_copters=True,
+    ),
 )
 """In the order of a person's attention; parameters that the fleet file names come behind them, as `parameter`s."""
 
 
-def needed_params(family: str, wanted: Expectations, mode: str = "") -> tuple[tuple[str, ...], ...]:
-    """Names of parameters to read from a vehicle of this autopilot in this mode, each once; of several in one, any will
-    do."""
+def needed_params(family: str, wanted: Expectations, *, copter: bool = True) -> tuple[tuple[str, ...], ...]:
+    """Names of parameters to read from a vehicle of this autopilot, each once; of several in one, any will do."""
     needed: dict[tuple[str, ...], None] = {}
     for check in CHECKS:
-        if check.if_wanted(wanted) and (not check.in_modes or mode in check.in_modes):
+        if check.of_copters and not copter:
+            continue
+        if check.if_wanted(wanted):
             needed.update(dict.fromkeys({"px4": check.px4, "ardupilot": check.ardupilot}.get(family, ())))
     single = {names[0] for names in needed if len(names) == 1}
     needed.update({(name,): None for name, rule in wanted.params.items() if not rule.empty and name not in single})

@@ -64,8 +64,6 @@ def _same(reason: str, *commands: int) -> dict[int, RepeatRule]:
     return dict.fromkeys(commands, RepeatRule(Repeat.SAME_LINK, reason))
 
 
-DO_SET_MISSION_CURRENT = 224
-
 COMMANDS: Mapping[int, RepeatRule] = {
     # flight
     **_any(
@@ -104,7 +102,7 @@ COMMANDS: Mapping[int, RepeatRule] = {
     **_if_not_done("a second one would begin the mission again at its first item", mav_cmd.MISSION_START),
     **_if_not_done(
         "an item that was flown meanwhile would be flown again",
-        DO_SET_MISSION_CURRENT,
+        mav_cmd.DO_SET_MISSION_CURRENT,
         shows_after_s=ITEM_SHOWS_AFTER_S,
     ),
     **_if_not_done("a vehicle that was disarmed meanwhile would be armed again", mav_cmd.COMPONENT_ARM_DISARM),

@@ -18,8 +18,8 @@ Rule: everything that decides how a list of parameters goes on is in this file.
     DONE       anything                                       DONE       -
 
 Requests go one index each, a few of them under way at a time, not faster than the bytes a second that the answers may
-take. The burst is what ground stations commonly do; on a radio that several vehicles share it drowns everything else,
-and most of it is lost (QGroundControl #6847: 60 %).
+take; on a link that nothing limits, as fast as they are answered. The burst is what ground stations commonly do; on a
+radio that several vehicles share it drowns everything else, and most of it is lost (QGroundControl #6847: 60 %).
 
 A vehicle's list changes when a feature is turned on or off: then param_count differs, or an index has another name, and
 all indices may have moved. That is believed when no answer of the old list has come for LATE_VALUE_S. A change that
@@ -45,6 +45,9 @@ BYTES_PER_S = 2880.0
 
 WINDOW = 8
 """Requests under way. ArduPilot queues 20 and forgets what does not fit; at 57600 baud eight answers are 50 ms."""
+
+WIDE_WINDOW = 16
+"""The same on a link that nothing limits, where the time of a round trip is all that counts."""
 
 BURST_QUIET_S = 2.0
 """A burst in which nothing new came for so long is over: ArduPilot slows down to a value every 0.5 s at worst."""

@@ -18,6 +18,18 @@ FILL = 0.5
 """Share of a way that the plan uses: commands, acknowledgements, parameters, texts, losses and repeats get the rest
 (field-notes 10.2 keeps to it on the serial port, and so does the air here)."""
 
+HALF_DUPLEX_SHARE = 0.5
+"""Part of the serial rate for the uplink, where nothing is known of the air, which carries both directions."""
+
+SLOT_SHARE = 0.9
+"""Part of the ground's timeslot that is used. Packets are not always full, since frames are not split."""
+
+SETPOINT_SHARE = 0.5
+"""Part of the uplink, less what it carries otherwise, for the setpoints of all vehicles: the rest is for commands."""
+
+FLOWN_HZ: Mapping[str, float] = {"position": 5.0, "velocity": 10.0, "attitude": 20.0}
+"""Setpoints a second with which each mode is flown unless the fleet file says otherwise (attitude: at least)."""
+
 PACKET_BYTES = 252
 SLOT_BYTES = 2 * PACKET_BYTES
 """What a node sends in its slot: the window holds two full packets."""
@@ -76,6 +88,20 @@ def slot_s(air_kbps: float) -> float:
 def round_s(air_kbps: float, nodes: int) -> float:
     """Until it is a node's turn again."""
     return nodes * slot_s(air_kbps) + SYNC_LATENCY_S + SYNC_BITS / (air_kbps * 1000)
+
+
+def uplink_bytes_per_s(baud: int, air_kbps: float | None, nodes: int, share: float | None = None) -> float:
+    """What may go up. ``share``: instead of `HALF_DUPLEX_SHARE` of the serial rate or `SLOT_SHARE` of the slot."""
+    serial = baud / BITS_PER_BYTE
+    if air_kbps is None:
+        return serial * (share or HALF_DUPLEX_SHARE)
+    return min(serial, SLOT_BYTES / round_s(air_kbps, nodes)) * (share or SLOT_SHARE)
+
+
+def setpoint_bytes_per_s(uplink: float, taken: float, vehicles: int, share: float = SETPOINT_SHARE) -> float:
+    """What one of so many vehicles has for its setpoints, of an uplink that carries ``taken`` otherwise: the budget of
+    `link plan` and of everything that is flown by setpoints."""
+    return share * max(0.0, uplink - taken) / vehicles
 
 
 def profile_bytes_per_s(rates_hz: Mapping[str, float]) -> float:
@@ -138,6 +164,8 @@ class LinkPlan:
     round_s: float | None
     most_vehicles: int
     """That this profile and these setpoints leave room for."""
+    most_streamed: int
+    """Vehicles that `plan run` flies by position setpoints over it; more are flown by goto."""
     rates_hz: Mapping[str, float]
     """What each vehicle gets of what is wanted; less where it does not fit."""
     setpoint_hz: float
@@ -163,6 +191,7 @@ def plan_link(demand: LinkDemand) -> LinkPlan:
         directions,
         None if demand.air_kbps is None else round_s(demand.air_kbps, demand.nodes),
         _most_vehicles(demand),
+        _most_vehicles(replace(demand, setpoint="position", setpoint_hz=FLOWN_HZ["position"], fill=SETPOINT_SHARE)),
         _scaled(demand, min(1.0, down)),
         demand.setpoint_hz * min(1.0, up) if SETPOINTS[demand.setpoint] else 0.0,
         tuple(problems),
@@ -175,15 +204,20 @@ def _ways(demand: LinkDemand) -> tuple[Direction, ...]:
     down, up = demand.down_per_vehicle_bytes_per_s, demand.up_per_vehicle_bytes_per_s
     heartbeat = FRAME_BYTES["HEARTBEAT"]  # one a second from the ground, for all
     all_up = up * demand.vehicles + heartbeat
+
+    def usable_up(air_kbps: float | None) -> float:
+        uplink = uplink_bytes_per_s(demand.baud, air_kbps, demand.nodes)
+        return heartbeat + demand.vehicles * setpoint_bytes_per_s(uplink, heartbeat, demand.vehicles, demand.fill)
+
     directions = [
         Direction("down, ground serial", down * demand.vehicles, serial, serial * demand.fill),
-        Direction("up, ground serial", all_up, serial, serial * demand.fill),
+        Direction("up, ground serial", all_up, serial, usable_up(None)),
     ]
     if demand.air_kbps is not None:
         slot = SLOT_BYTES / round_s(demand.air_kbps, demand.nodes)
         directions += [
             Direction("down, a vehicle's slot", down, slot, slot * demand.fill),
-            Direction("up, the ground's slot", all_up, slot, slot * demand.fill),
+            Direction("up, the ground's slot", all_up, slot, usable_up(demand.air_kbps)),
         ]
     return tuple(directions)
 

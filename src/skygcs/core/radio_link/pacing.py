@@ -15,13 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES, round_s
-
-HALF_DUPLEX_SHARE = 0.5
-"""Part of the serial rate for the uplink, where nothing is known of the air, which carries both directions."""
-
-SLOT_SHARE = 0.9
-"""Part of the ground's timeslot that is used. Packets are not always full, since frames are not split."""
+from skygcs.core.radio_link.capacity import SLOT_BYTES, round_s, uplink_bytes_per_s
 
 BUFFER_BYTES = 1850
 """Size of an SiK radio's transmit buffer (ArduPilot/SiK serial.c; 1024 on its Si1030 boards, RFD900x unknown). A
@@ -115,11 +109,8 @@ class RadioRates:
 
     def base_bytes_per_s(self, vehicles: int) -> float:
         """What may go up with so many vehicles behind it while the radio reports nothing else."""
-        serial = self.baud / BITS_PER_BYTE
-        if self.air_kbps is None:
-            return serial * self.duty_cycle * (self.uplink_share or HALF_DUPLEX_SHARE)
-        slot = SLOT_BYTES / round_s(self.air_kbps, self.node_count(vehicles))
-        return min(serial, slot) * self.duty_cycle * (self.uplink_share or SLOT_SHARE)
+        nodes = self.node_count(vehicles)
+        return uplink_bytes_per_s(self.baud, self.air_kbps, nodes, self.uplink_share) * self.duty_cycle
 
     def node_count(self, vehicles: int) -> int:
         """Nodes of the network, never fewer than are heard."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from skygcs.core.radio_link.stream_rates import ARDUPILOT_ONLY, POSITION, STREAM_GROUPS
 
-KEPT = frozenset(
+KEPT_MESSAGES = frozenset(
     {
         "HEARTBEAT",
         "STATUSTEXT",
@@ -200,7 +200,7 @@ class RateController:
         if self._met_at is None:
             self._met_at = now
         for name in counts.keys() | self.rates_hz.keys() if self.planned else self.rates_hz.keys():
-            if name not in KEPT:
+            if name not in KEPT_MESSAGES:
                 self._watch(name, counts.get(name, 0), now)
         if now < self._met_at + (GRACE_S if self.planned else LISTEN_S) or now < self._stepped_at + STEP_S:
             return None

@@ -27,7 +27,7 @@ worse one still hears this much, or it is no use."""
 BETTER_BY = 0.1
 """A channel is preferred only if it hears this share more of the frames, so that equal ones do not alternate."""
 
-SILENT_S = 2.0
+CHANNEL_SILENT_S = 2.0
 """A channel that has heard nothing of the system for this time, while another has, is not preferred."""
 
 
@@ -116,7 +116,7 @@ class ParallelChannels:
         known = [c for c in candidates if c in self._share or c in self._heard]
         if not self.active or len(known) < 2:
             return None
-        fresh = [c for c in known if now - candidates[c] <= SILENT_S]
+        fresh = [c for c in known if now - candidates[c] <= CHANNEL_SILENT_S]
         if self.best in fresh or not fresh:
             return self.best if self.best in known else known[0]
         return max(fresh, key=lambda c: candidates[c])

@@ -2,14 +2,15 @@
 
     a place is free               any newcomer is admitted
     without an autopilot          takes the place of the peer without an autopilot that was silent for longest, if that
-                                  was for SILENT_S; else one of an address that holds at least two more than its own
-    with an autopilot             takes the place of a peer without one: of one that was silent for SILENT_S, else one
+                                  was for PEER_SILENT_S; else one of an address that holds at least two more than it
+    with an autopilot             takes the place of a peer without one: of one silent for PEER_SILENT_S, else one
                                   of the address that holds most, but MIN_OTHERS_SHARE of the places stay with such
                                   peers; else the place of an autopilot that was silent for AUTOPILOT_SILENT_S
     an address without a place    takes one of a few additional places that are kept for such
     otherwise                     it is refused: those that were there first keep their places
 
-An autopilot that is heard is never put out. A flood of peers that claim to be autopilots keeps what it took first.
+An autopilot that is heard is never put out, nor is the last way to a vehicle in the air, heard or not. A flood of peers
+that claim to be autopilots keeps what it took first.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-SILENT_S = 3.0
+PEER_SILENT_S = 3.0
 """Two lost heartbeats: a peer with a running program has sent something in this time."""
 
 AUTOPILOT_SILENT_S = 10.0
@@ -42,6 +43,8 @@ class Peer(NamedTuple):
     host: str
     autopilot: bool
     heard_at: float
+    kept: bool = False
+    """It is never put out: the last way to a vehicle in the air."""
 
 
 class Judgement(NamedTuple):
@@ -88,11 +91,15 @@ class PeerPlaces:
     def judge(self, host: str, *, autopilot: bool, now: float) -> Judgement:
         """Whether a newcomer is admitted while all places are taken."""
         view = self._view
-        if view is None or now - view.at >= VIEW_S:
+        fresh = view is None or now - view.at >= VIEW_S
+        if view is None or fresh:
             view = self._view = self._look(now)
         if view.number < self.places:
             return LET_IN
         out = self._for_autopilot(view, now) if autopilot else self._for_other(view, host, now)
+        if out is not None and not fresh:  # it may have been heard since: nobody is put out by an old review
+            view = self._view = self._look(now)
+            out = self._for_autopilot(view, now) if autopilot else self._for_other(view, host, now)
         if out is not None:
             return Judgement(True, out.key)
         if not view.by_host[host] and view.number < self.places + self.kept:
@@ -101,7 +108,7 @@ class PeerPlaces:
 
     def _for_autopilot(self, view: _View, now: float) -> Peer | None:
         silent = view.silent
-        if silent is not None and now - silent.heard_at >= SILENT_S:
+        if silent is not None and now - silent.heard_at >= PEER_SILENT_S:
             return silent
         if view.others > self.places * MIN_OTHERS_SHARE:
             return view.crowded
@@ -109,7 +116,7 @@ class PeerPlaces:
         return autopilot if autopilot is not None and now - autopilot.heard_at >= AUTOPILOT_SILENT_S else None
 
     def _for_other(self, view: _View, host: str, now: float) -> Peer | None:
-        if view.silent is not None and now - view.silent.heard_at >= SILENT_S:
+        if view.silent is not None and now - view.silent.heard_at >= PEER_SILENT_S:
             return view.silent
         crowded = view.crowded
         if crowded is not None and view.by_host[crowded.host] >= view.by_host[host] + 2:
@@ -128,7 +135,7 @@ class PeerPlaces:
             others=len(others),
             silent=min(others, key=_heard_at, default=None),
             crowded=min((peer for peer in others if peer.host == most), key=_heard_at, default=None),
-            silent_autopilot=min((peer for peer in peers if peer.autopilot), key=_heard_at, default=None),
+            silent_autopilot=min((p for p in peers if p.autopilot and not p.kept), key=_heard_at, default=None),
         )
 
 

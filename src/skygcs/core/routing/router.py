@@ -37,6 +37,7 @@ Never back to the channel it came from. SYSTEM_TIME going back means the system 
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Callable, Collection
@@ -47,7 +48,7 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS, SYSTEM_TIME
 from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
 from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, RoutingVerdict
-from skygcs.core.routing.duplicates import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
+from skygcs.core.routing.duplicates import CHANNEL_SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, SourceReport, StateSource
 from skygcs.core.routing.table_room import RouteRoom
@@ -116,6 +117,8 @@ class Router:
         before its first frame counts."""
         self.on_switched: Callable[[int, int], None] = lambda source, channel_id: None
         """Called when a vehicle's state comes over this channel from now on, which also gets its orders."""
+        self.may_fly: Callable[[int], bool] = lambda source: False
+        """Whether this is a vehicle that may be in the air: its last route stays (`core.vehicle.supply`)."""
         self.received: Callable[[int, int], tuple[int, int] | None] = lambda channel_id, source: None
         """Frames received and lost of a source on a channel; None: not counted."""
         self._room = RouteRoom()
@@ -148,19 +151,31 @@ class Router:
                 del self._parallel[system]
         self._topology_changed()
 
-    def _topology_changed(self) -> None:
+    def _topology_changed(self, source: int | None = None) -> None:
+        """What a channel may send has changed: because of this source, or (None) because a channel came or went."""
         self.on_change()
         for port in self._ports.values():
             port.broadcast.clear()
+        if source is not None:  # the others are as they were: a flood of sources costs each only its own
+            if self._is_heard_directly(source):
+                self._heard_directly.add(source)
+            else:
+                self._heard_directly.discard(source)
+            return
         self._dedup = len(self._ports) > 1
         self._any_bound = any(port.bound for port in self._ports.values())
         self._heard_directly = {
-            source
-            for port in self._ports.values()
-            if port.policy.role != "gcs" and not port.policy.replayed
-            for source in port.vehicles
-            if source not in self.state_sources or not self._is_station(self.state_sources[source].present_id)
+            source for port in self._ports.values() for source in port.vehicles if self._is_heard_directly(source)
         }
+
+    def _is_heard_directly(self, source: int) -> bool:
+        """Whether a vehicle is heard over a channel of its own, not only through a ground station or in a recording."""
+        if not any(
+            source in port.vehicles and port.policy.role != "gcs" and not port.policy.replayed
+            for port in self._by_source.get(source, ())
+        ):
+            return False
+        return source not in self.state_sources or not self._is_station(self.state_sources[source].present_id)
 
     def _is_station(self, channel_id: int | None) -> bool:
         """Whether this is the channel of a ground station."""
@@ -421,7 +436,7 @@ class Router:
             _remove(self._by_system, system, port)
         if source in port.vehicles:
             port.vehicles.discard(source)
-            self._topology_changed()
+            self._topology_changed(source)
 
     # -- vehicles on several channels
 
@@ -443,7 +458,7 @@ class Router:
         else:
             return
         self.state_sources[source] = state
-        self._topology_changed()
+        self._topology_changed(source)
 
     def supplies(self, channel_id: int, frame: Frame, now: float, *, copy: bool) -> bool:
         """Whether this frame, of one of `state_sources`, counts for the vehicle's state; call it after `decide`.
@@ -471,7 +486,7 @@ class Router:
             if not report.quiet:
                 self._note_report(source, report)
             if report.kind in ("switched", "replaced"):
-                self._topology_changed()
+                self._topology_changed(source)
                 self._drop_echo_routes(source)
                 self.on_switched(source, report.channel_id or 0)
             if report.kind == "replaced":
@@ -498,7 +513,7 @@ class Router:
         alone = not ports or (len(ports) == 1 and ports[0].id == state.present_id)
         if alone and not state.duplicate and now - state.heard_elsewhere_at() > FORGOTTEN_S:
             del self.state_sources[source]
-            self._topology_changed()
+            self._topology_changed(source)
 
     def choose_links(self, now: float) -> None:
         """Assess the links to each vehicle that is heard on several, and change over to better ones. Call it some times
@@ -524,7 +539,7 @@ class Router:
         """Forget routes that were not heard for the route timeout. Call it about once a second."""
         limit = now - self._route_timeout_s
         for port in self._ports.values():
-            for source in [s for s, at in port.heard.items() if at < limit]:
+            for source in [s for s, at in port.heard.items() if at < limit and not self._leads_to_flying(port, s)]:
                 self._forget(port, source)
                 self._note_route("expired", source, port, now)
         if self._room.crowded:
@@ -565,7 +580,7 @@ class Router:
             port.vehicles.add(source)
             if len(self._by_source[source]) > 1:
                 self._share_state_of_new(port, source, now)
-            self._topology_changed()
+            self._topology_changed(source)
             self._drop_echo_routes(source)
 
     def _share_state_of_new(self, port: Port, source: int, now: float) -> None:
@@ -613,7 +628,7 @@ class Router:
         parallel = self._parallel.pop(system)
         self.on_change()
         for port in list(self._by_system.get(system, ())):
-            if port.id in parallel.channel_ids and now - self._last_heard(port, system) > SILENT_S / 2:
+            if port.id in parallel.channel_ids and now - self._last_heard(port, system) > CHANNEL_SILENT_S / 2:
                 for source in sorted(port.of_system.get(system, ())):
                     self._forget(port, source)
 
@@ -671,6 +686,17 @@ class Router:
         if state is not None:
             ports = sorted(ports, key=lambda p: p.id != state.present_id)
         return tuple(p.id for p in ports)
+
+    def leads_to_flying(self, channel_id: int) -> bool:
+        """Whether this is the last way to a vehicle that may be in the air."""
+        port = self._ports.get(channel_id)
+        return port is not None and any(self._leads_to_flying(port, source) for source in port.vehicles)
+
+    def _leads_to_flying(self, port: Port, source: int) -> bool:
+        """Whether no other channel has heard this source later, and it may be in the air."""
+        if source not in port.vehicles or not self.may_fly(source):
+            return False
+        return all(p.heard[source] <= port.heard.get(source, -math.inf) for p in self._by_source.get(source, ()))
 
     def autopilots_on(self, channel_id: int) -> Collection[int]:
         """The autopilots (sysid<<8|compid) that are heard on a channel."""

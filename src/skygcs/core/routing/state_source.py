@@ -39,7 +39,7 @@ from skygcs.core.mavlink.modes import SAFETY_ARMED
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME, TIMESYNC
 from skygcs.core.routing.link_choice import DEFAULT_COST, LinkChoice, LinkHealth, best_standby
 
-SILENT_S = 2.5
+STATE_CHANNEL_SILENT_S = 2.5
 """Two heartbeats may be lost; what a channel that is silent for longer showed contradicts nothing."""
 
 DEFAULT_LOST_S = 5.0
@@ -154,6 +154,7 @@ class _Heard:
         "_earliest_from",
         "booted_at",
         "contradicted",
+        "contradicted_at",
         "counts",
         "health",
         "heard_at",
@@ -183,6 +184,7 @@ class _Heard:
         self.only_copies = 0
         self.contradicted: dict[Contradiction, tuple[float, float, int]] = {}
         """Since when, when last, how often."""
+        self.contradicted_at = -math.inf
         self.ignored = 0
         self.reported_at = -math.inf
         self._earliest = self._earliest_before = math.inf
@@ -348,7 +350,7 @@ class StateSource:
                     del heard.contradicted[kind]
                     if not self._is_duplicate(since, last, count):
                         self._report_ignored(channel_id, heard, kind, now)
-        if self.duplicate and not any(h.contradicted and self._last(h) > now - OVER_S for _, h in others):
+        if self.duplicate and not any(h.contradicted_at > now - OVER_S for _, h in others):
             self.duplicate = False
             self.reports.append(SourceReport("duplicate_over", None, self.present_id))
 
@@ -497,6 +499,7 @@ class StateSource:
             del self._heard[None]
         for other in self._heard.values():
             other.contradicted.clear()
+            other.contradicted_at = -math.inf
         self._states.clear()
         loud = self.choice.changed(now)
         if heard.shown is not None:
@@ -532,7 +535,7 @@ class StateSource:
     def _compare(self, heard: _Heard, frame: Frame, of: int | None, now: float) -> None:
         """Note what this frame, which is not of the present channel, contradicts while that one is heard."""
         present = self._present
-        if self.present_id is None or now - present.heard_at > SILENT_S:
+        if self.present_id is None or now - present.heard_at > STATE_CHANNEL_SILENT_S:
             return
         msgid = frame.msgid
         if msgid == HEARTBEAT:
@@ -564,6 +567,7 @@ class StateSource:
         if now - last > CONTRADICTED_S:
             since, count = now, 0
         heard.contradicted[kind] = since, now, count + 1
+        heard.contradicted_at = now
         if not self.duplicate and self._is_duplicate(since, now, count + 1):
             self.duplicate = True
             channel_id = self._id_of(heard)
@@ -575,10 +579,6 @@ class StateSource:
     @staticmethod
     def _is_duplicate(since: float, last: float, count: int) -> bool:
         return last - since >= CONTRADICTED_S and count >= CONTRADICTIONS
-
-    @staticmethod
-    def _last(heard: _Heard) -> float:
-        return max((last for _, last, _ in heard.contradicted.values()), default=-math.inf)
 
     @staticmethod
     def _why(heard: _Heard) -> str:

@@ -27,6 +27,10 @@ LASTING_REASONS: tuple[tuple[str, str], ...] = (
     (r"no SD card|missing FMU SD card", "put an SD card into its autopilot"),
     (r"sensor \d+ missing|compass sensor \d+ missing", "check its sensors; preflight lists them"),
     (r"duplicate aux switch|RC\d*_OPTION conflict", "correct its parameters; preflight lists them"),
+    (
+        r"leaning|attitude failure|high angle|vehicle is not level",
+        "it does not stand upright: set it up; a simulated vehicle is set up by a restart: skygcs-cli reboot {name}",
+    ),
     (r"check frame_class", "set its frame: skygcs-cli param set {name} FRAME_CLASS 1 (1: quadrotor), then reboot it"),
 )
 """Regular expression of the vehicle's text (any case), and what to do; ``{name}`` is the vehicle."""

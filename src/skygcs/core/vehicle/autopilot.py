@@ -1,12 +1,12 @@
 """Orders as PX4 and ArduPilot take them: all differences between the two are here. Pure: state in, plan out.
 
-The messages of each order, and why:
+The messages of each order to a multirotor, and why:
 
     order     PX4                                          ArduCopter
     -------   ------------------------------------------   -------------------------------------------------------------
     mode      DO_SET_MODE 1, main, sub                     DO_SET_MODE 1, number
-    takeoff   AUTO.LOITER, arm, NAV_TAKEOFF to AMSL,       GUIDED, arm, NAV_TAKEOFF to a height above home, 0/0
-              NaN yaw and place
+    takeoff   AUTO.LOITER, arm, NAV_TAKEOFF to AMSL,       GUIDED, arm, a position, NAV_TAKEOFF to a height above
+              NaN yaw and place                            home, 0/0 (`takeoff_height`)
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
     hold      DO_REPOSITION without a position: pause      mode BRAKE, then GUIDED
@@ -35,28 +35,53 @@ The messages of each order, and why:
 - A setpoint that was sent before a goto and arrives after it takes the goto's place in GUIDED, while PX4 ignores it in
   AUTO.LOITER: the target of an ArduCopter is requested after the acknowledgement (`order_plan.TargetProof`).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
+
+Other classes (`mavlink.vehicle_class`); refused: with the reason, see `_why_not`:
+
+    class            hold             stop             land             rtl              take-off   goto
+    ---------------  ---------------  ---------------  ---------------  ---------------  ---------  ------------
+    PX4 VTOL         as a multirotor  as a multirotor  as a multirotor  as a multirotor  as a m.    as a m.
+    PX4 plane        AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  refused    as a m.
+    PX4 rover, boat  AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused    as a m.
+    ArduPlane        LOITER           LOITER           DO_LAND_START    RETURN_TO_LAUNCH refused    GUIDED
+    QuadPlane        LOITER; hovering QLOITER          QLAND            the same;        refused    GUIDED; refused
+                                                                        hovering QRTL               while hovering
+    Rover            HOLD             HOLD             refused          RETURN_TO_LAUNCH refused    GUIDED
+    boat             LOITER           HOLD             refused          RETURN_TO_LAUNCH refused    GUIDED
+    ArduSub          POSHOLD          POSHOLD          NAV_LAND         refused          refused    GUIDED
+    Blimp            LOITER           LOITER           LAND             RTL              refused    refused
+    AntennaTracker   STOP             STOP             refused          refused          refused    refused
+
+- A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it.
+- ArduPlane has no NAV_LAND: DO_LAND_START goes to the landing of its mission, and is denied without one
+  (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
+  QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms).
+- HOLD of a boat stops its motors, so that it drifts; LOITER keeps it where it is.
+- Blimp accepts DO_REPOSITION and does nothing; ArduSub's NAV_LAND is its SURFACE (GCS_MAVLINK_Sub).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from skygcs.core.mavlink import mav_cmd, modes
+from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, POSITION_TARGET_GLOBAL_INT
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
+from skygcs.number_text import rounded
 
 FORCE_ARM_MAGIC = 21196.0
 """param2 of COMPONENT_ARM_DISARM: arms without checks, disarms in the air."""
 
 FORCE_REBOOT_MAGIC = 20190226.0
 """param6 of PREFLIGHT_REBOOT_SHUTDOWN: ArduPilot reboots even when armed. PX4 refuses it."""
-
-POSITION_TARGET_GLOBAL_INT = 87.0
-"""Its msgid, as a parameter of REQUEST_MESSAGE."""
 
 FRAME_GLOBAL = 0
 FRAME_GLOBAL_RELATIVE_ALT = 3
@@ -85,7 +110,7 @@ class Destination:
 def set_mode(vehicle: Vehicle, name: str) -> Plan:
     """Raises RefusedError for a mode the vehicle's firmware does not have, naming near ones."""
     try:
-        number = modes.mode_number(vehicle.autopilot, vehicle.type, name)
+        number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
     except KeyError as error:
         raise RefusedError(str(error.args[0])) from None
     step = mode_step(vehicle, number)
@@ -99,7 +124,7 @@ def arm(*, force: bool = False) -> Plan:
 def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
     """`arm`, once the estimator has a position: an ArduCopter arms in STABILIZE without one, and then refuses the
     takeoff. PX4's own checks cover this. ``estimate_msgid``: msgid of EKF_STATUS_REPORT."""
-    copter = vehicle.family == "ardupilot" and modes.is_copter(vehicle.type)
+    copter = vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.COPTER
     if not copter or vehicle.armed or HasPosition().met(vehicle, now):
         return arm()
     ask = CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(estimate_msgid),))
@@ -115,41 +140,90 @@ def disarm(*, force: bool = False) -> Plan:
 
 
 def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:
-    """``alt_amsl_m``: altitude of the ground the vehicle stands on; PX4 needs it, ArduCopter counts from home."""
-    if vehicle.family == "px4":
+    """``alt_amsl_m``: altitude of the ground the vehicle stands on."""
+    if vehicle.kind in LIFT_OFF.get(vehicle.family, frozenset()):
         if alt_amsl_m is None:
-            raise NotReadyError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
-        steps = _px4_takeoff(vehicle, alt_amsl_m, height_m)
-    elif vehicle.family == "ardupilot" and modes.is_copter(vehicle.type):
-        steps = _copter_takeoff(vehicle, height_m, alt_amsl_m)
+            raise NotReadyError("its position is not known yet, and a height counts from the ground it stands on")
+        climb = _copter_takeoff if vehicle.family == "ardupilot" else _px4_takeoff
+        steps = climb(vehicle, height_m, alt_amsl_m)
     else:
-        raise RefusedError("skygcs knows the takeoff of PX4 and ArduCopter only; use a raw command for others")
-    return Plan("takeoff", steps, f"taking off to {height_m:g} m")
+        raise RefusedError(_why_not(vehicle, "take off"))
+    return Plan("takeoff", steps, f"taking off to {rounded(height_m)} m")
 
 
-def land(vehicle: Vehicle) -> Plan:
-    wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "QLAND", "AUTOLAND", "SURFACE")}
-    step = Step(
-        "land", CommandSpec(mav_cmd.NAV_LAND, (0.0,) * 7), expect=_any_mode(vehicle, wanted.get(vehicle.family, ()))
-    )
+TAKEOFF_MODES: Mapping[str, str] = {"px4": "AUTO.LOITER", "ardupilot": "GUIDED"}
+"""The mode that a take-off sets before it arms, from any other one; a plan does the same."""
+
+
+def takes_off_from(family: str, mode: str) -> str | None:
+    """The mode that a take-off changes to first, where a vehicle that is to take off would not arm in its present mode;
+    None: it would arm, as far as the mode is concerned."""
+    not_armable = modes.PX4_NOT_ARMABLE if family == "px4" else modes.COPTER_NOT_ARMABLE | {"AUTO"}
+    return TAKEOFF_MODES.get(family) if mode in not_armable else None
+
+
+LIFT_OFF = {
+    "px4": frozenset({VehicleClass.COPTER, VehicleClass.VTOL}),
+    "ardupilot": frozenset({VehicleClass.COPTER}),
+}
+"""Classes of which skygcs knows the take-off. A QuadPlane's is that of its mission."""
+
+NO_LANDING = frozenset({VehicleClass.ROVER, VehicleClass.BOAT, VehicleClass.TRACKER})
+NO_RETURN = frozenset({VehicleClass.SUB, VehicleClass.TRACKER})
+NO_GOTO = frozenset({VehicleClass.BLIMP, VehicleClass.TRACKER})
+
+
+def can_land(vehicle: Vehicle) -> bool:
+    """False for a class that has no landing."""
+    px4_sub = vehicle.family == "px4" and vehicle.kind is VehicleClass.SUB
+    return vehicle.kind not in NO_LANDING and not px4_sub
+
+
+def land(vehicle: Vehicle, now: float) -> Plan:
+    """Land where it is. Raises RefusedError for a class that cannot."""
+    kind = vehicle.kind
+    if not can_land(vehicle):
+        raise RefusedError(_why_not(vehicle, "land"))
+    if vehicle.family == "ardupilot" and kind is VehicleClass.PLANE:
+        start = CommandSpec(mav_cmd.DO_LAND_START)
+        step = Step("land", start, expect=_any_mode(vehicle, ("AUTO",)), refused=NO_LANDING_IN_MISSION)
+        return Plan("land", (step,), "landing by its mission", despite_duplicate=True)
+    own_mode = {VehicleClass.VTOL: "QLAND", VehicleClass.BLIMP: "LAND"}.get(kind)
+    if vehicle.family == "ardupilot" and own_mode is not None:
+        return Plan("land", (_named_mode(vehicle, own_mode),), f"landing in {own_mode}", despite_duplicate=True)
+    wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "SURFACE")}
+    expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
+    step = Step("land", CommandSpec(mav_cmd.NAV_LAND, (0.0,) * 7), expect=expect)
     return Plan("land", (step,), "landing", despite_duplicate=True)
 
 
-def rtl(vehicle: Vehicle) -> Plan:
+NO_LANDING_IN_MISSION = "ArduPlane lands by its mission, and that has no DO_LAND_START; rtl circles over its home"
+
+
+def rtl(vehicle: Vehicle, now: float) -> Plan:
+    """Return to its home. Raises RefusedError for a class that cannot."""
+    if vehicle.kind in NO_RETURN:
+        raise RefusedError(_why_not(vehicle, "return"))
+    own_mode = {VehicleClass.VTOL: "QRTL" if vehicle.hovers(now) else None, VehicleClass.BLIMP: "RTL"}.get(vehicle.kind)
+    if vehicle.family == "ardupilot" and own_mode is not None:
+        return Plan("rtl", (_named_mode(vehicle, own_mode),), f"returning in {own_mode}", despite_duplicate=True)
     wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
     step = Step("rtl", CommandSpec(mav_cmd.NAV_RETURN_TO_LAUNCH), expect=expect)
     return Plan("rtl", (step,), "returning to launch", despite_duplicate=True)
 
 
-def hold(vehicle: Vehicle) -> Plan:
+def hold(vehicle: Vehicle, now: float) -> Plan:
     """Stop and hold, in a mode in which the failsafe for a lost ground station still acts. Raises RefusedError if the
     firmware has no such mode."""
-    braked = brake(vehicle)
-    if not (modes.is_copter(vehicle.type) and vehicle.family == "ardupilot"):
+    if vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.BOAT:
+        step = _named_mode(vehicle, "LOITER", refused="it needs a position to keep; stop switches its motors off")
+        return Plan("hold", (step,), "holding in LOITER", despite_duplicate=True)
+    braked = brake(vehicle, now)
+    if not (vehicle.kind is VehicleClass.COPTER and vehicle.family == "ardupilot"):
         return braked
     (first,) = braked.steps
-    guided = modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
     stays = mode_step(vehicle, guided, or_disarmed=True)
     unheard = ("SET_MODE", {"base_mode": modes.CUSTOM_MODE_ENABLED, "custom_mode": guided})
     steps = (
@@ -163,28 +237,57 @@ NO_HOLD = "it needs a position to hold, and it does nothing else instead: land i
 BRAKE_NOTE = "its failsafe for a lost ground station does nothing in BRAKE while FS_OPTIONS has bit 4 (16)"
 IN_BRAKE = "it holds in BRAKE"
 
+STOP_MODES: Mapping[tuple[str, VehicleClass], str] = {
+    ("ardupilot", VehicleClass.COPTER): "BRAKE",
+    ("ardupilot", VehicleClass.PLANE): "LOITER",
+    ("ardupilot", VehicleClass.ROVER): "HOLD",
+    ("ardupilot", VehicleClass.BOAT): "HOLD",
+    ("ardupilot", VehicleClass.SUB): "POSHOLD",
+    ("ardupilot", VehicleClass.BLIMP): "LOITER",
+    ("ardupilot", VehicleClass.TRACKER): "STOP",
+}
+"""The mode that stops and ignores setpoints. Of a PX4 it is AUTO.LOITER, of a QuadPlane it depends on its flight."""
 
-def brake(vehicle: Vehicle) -> Plan:
-    """Stop, hold and ignore setpoints. Raises RefusedError if the firmware has no such mode."""
-    names = modes.mode_names(vehicle.autopilot, vehicle.type)
-    if modes.is_copter(vehicle.type) and "BRAKE" in names:
-        wanted = "BRAKE"
+
+def brake(vehicle: Vehicle, now: float) -> Plan:
+    """Stop, hold and ignore setpoints; a fixed wing circles. Raises RefusedError if the firmware has no such mode."""
+    if vehicle.family == "px4":
+        wanted = "AUTO.LOITER"
+    elif vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.VTOL:
+        wanted = "QLOITER" if vehicle.hovers(now) else "LOITER"
     else:
-        wanted = next((n for n in ("AUTO.LOITER", "HOLD", "LOITER", "POSHOLD") if n in names), "")
+        wanted = STOP_MODES.get((vehicle.family, vehicle.kind), "")
     if not wanted:
-        raise RefusedError("skygcs knows no mode of this autopilot that holds its position")
-    number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
+        raise RefusedError(_why_not(vehicle, "hold its position"))
+    number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, wanted)
     step = mode_step(vehicle, number, or_disarmed=True)
     if vehicle.family == "px4":
         pause = CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
         # AUTO.LOITER is also the mode of a goto: then only the acknowledgement shows that the goto has ended.
         expect = None if vehicle.custom_mode == number else step.expect
         step = Step("pause", pause, expect=expect, instead=(step,))
-    return Plan("hold", (step,), f"holding in {wanted}", despite_duplicate=True)
+    circles = vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL) and not vehicle.hovers(now)
+    done = f"circling in {wanted}" if circles else f"holding in {wanted}"
+    return Plan("hold", (step,), done, despite_duplicate=True)
+
+
+def _why_not(vehicle: Vehicle, what: str) -> str:
+    """The refusal of an order that its class has not, or that skygcs does not know of it."""
+    firmware, kind = firmware_name(vehicle), vehicle.kind
+    if kind is VehicleClass.OTHER:
+        shown = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
+        return f"skygcs does not know how a {shown} of {firmware} is to {what}; use a raw command"
+    if vehicle.family == "generic":
+        return f"skygcs knows only PX4 and ArduPilot, not how {firmware} is to {what}; use a raw command"
+    if what == "take off" and kind in (VehicleClass.PLANE, VehicleClass.VTOL):
+        return f"a {kind} of {firmware} takes off by its mission (a take-off item): mission start"
+    return f"a {kind} of {firmware} does not {what}" + {"land": "; hold or stop it"}.get(what, "")
 
 
 def goto(vehicle: Vehicle, to: Destination) -> Plan:
     done = f"going to {to.lat_deg:.7f}, {to.lon_deg:.7f}, {to.height_m:.1f} m"
+    if vehicle.kind in NO_GOTO:
+        raise RefusedError(_why_not(vehicle, "go to a place"))
     if vehicle.family == "px4":
         yaw = NAN if to.yaw_deg is None else math.radians(to.yaw_deg)
         spec = CommandSpec(
@@ -193,15 +296,15 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
         expect = _any_mode(vehicle, ("AUTO.LOITER",), or_disarmed=False)
         return Plan("goto", (Step("goto", spec, expect=expect),), done)
     if vehicle.family != "ardupilot":
-        raise RefusedError("skygcs knows the goto of PX4 and ArduPilot only; use a raw command for others")
-    guided = modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+        raise RefusedError(_why_not(vehicle, "go to a place"))
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
     location = _location(FRAME_GLOBAL_RELATIVE_ALT, to, to.height_m)
     reposition = Step(
         "goto",
         CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
         expect=ModeIn(frozenset({guided})),
         instead=_guided_target(vehicle, guided, to),
-        proof=_target_proof(guided, to, location) if modes.is_copter(vehicle.type) else None,
+        proof=_target_proof(guided, to, location) if vehicle.kind is VehicleClass.COPTER else None,
     )
     if to.yaw_deg is None:
         return Plan("goto", (reposition,), done)
@@ -257,12 +360,18 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
 
 def mode_name(vehicle: Vehicle, number: int) -> str:
     """Name of a custom_mode in this vehicle's firmware."""
-    return modes.mode_name(vehicle.autopilot, vehicle.type, modes.CUSTOM_MODE_ENABLED, number)
+    return modes.mode_name(vehicle.autopilot, vehicle.mode_type, modes.CUSTOM_MODE_ENABLED, number)
+
+
+def _named_mode(vehicle: Vehicle, name: str, *, refused: str = "") -> Step:
+    """The step to a mode of its class, by its name; shown by a heartbeat, or by its disarming."""
+    number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
+    return replace(mode_step(vehicle, number, or_disarmed=True), refused=refused)
 
 
 def _any_mode(vehicle: Vehicle, names: tuple[str, ...], *, or_disarmed: bool = True) -> ModeIn | None:
-    known = set(modes.mode_names(vehicle.autopilot, vehicle.type))
-    numbers = {modes.mode_number(vehicle.autopilot, vehicle.type, n) for n in names if n in known}
+    known = set(modes.mode_names(vehicle.autopilot, vehicle.mode_type))
+    numbers = {modes.mode_number(vehicle.autopilot, vehicle.mode_type, n) for n in names if n in known}
     return ModeIn(frozenset(numbers), or_disarmed) if numbers else None
 
 
@@ -270,22 +379,26 @@ def _location(frame: int, to: Destination, alt_m: float) -> Location:
     return Location(frame, round(to.lat_deg * 1e7), round(to.lon_deg * 1e7), alt_m)
 
 
-def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple[Step, ...]:
-    climb = CommandSpec(mav_cmd.NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, from_amsl_m + height_m))
-    lifted = LiftedOff(from_amsl_m)
-    steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=lifted, expect_s=LIFT_OFF_S)]
-    if not vehicle.armed:
-        steps.insert(0, mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"), skip_if_met=True))
-    return tuple(steps)
+def _px4_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    steps = (_arm_step(skip_if_met=True), _climb_step(from_amsl_m, ClimbTo(height_m)))
+    if vehicle.armed:
+        return steps
+    return (mode_step(vehicle, modes.px4_custom_mode(TAKEOFF_MODES["px4"]), skip_if_met=True), *steps)
 
 
-def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None) -> tuple[Step, ...]:
-    climb = CommandSpec(mav_cmd.NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
+def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(GLOBAL_POSITION_INT),))
     return (
-        mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
+        mode_step(vehicle, modes.copter_mode_number(TAKEOFF_MODES["ardupilot"]), skip_if_met=True),
         _arm_step(skip_if_met=True),
-        Step("takeoff", climb, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S),
+        Step("position", request, expect=StandsSinceArming(), skip_if_met=True),
+        _climb_step(from_amsl_m, ClimbTo(height_m)),
     )
+
+
+def _climb_step(from_amsl_m: float, climb: ClimbTo) -> Step:
+    anyhow = CommandSpec(mav_cmd.NAV_TAKEOFF)
+    return Step("takeoff", anyhow, late=climb, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S)
 
 
 def _target_proof(guided: int, to: Destination, location: Location | None = None) -> TargetProof:
@@ -293,7 +406,7 @@ def _target_proof(guided: int, to: Destination, location: Location | None = None
     pilot may have chosen a moment ago, an ArduCopter denies that (GCS_MAVLINK_Copter,
     handle_command_int_do_reposition).
     """
-    request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (POSITION_TARGET_GLOBAL_INT,))
+    request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(POSITION_TARGET_GLOBAL_INT),))
     again = None if location is None else CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, 0.0, 0.0, NAN), location)
     return TargetProof(to.lat_deg, to.lon_deg, to.alt_amsl_m, guided, request, again)
 

@@ -101,7 +101,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "COMMAND_ACK": ("command", "result", "progress", "target_system", "target_component"),
     "HEARTBEAT": ("type", "autopilot", "base_mode", "custom_mode", "system_status"),
     "STATUSTEXT": ("severity", "text", "id", "chunk_seq"),
-    "EXTENDED_SYS_STATE": ("landed_state",),
+    "EXTENDED_SYS_STATE": ("vtol_state", "landed_state"),
     "AUTOPILOT_VERSION": ("flight_sw_version", "capabilities"),
 }
 """The fields read of each message. A message that a dialect lacks, or has with other fields, is not decoded."""

@@ -16,7 +16,7 @@ from skygcs.core.geo import EnuFrame, Origin, ecef, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoding import GlobalPosition, finite_angles, global_position
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
-from skygcs.core.vehicle.offboard_entry import braking_limits, loss_timeout_s
+from skygcs.core.vehicle.offboard_entry import braking_limits, loss_reach
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -117,6 +117,13 @@ class EstimateView:
         """Where it is by now, if it went on as it last reported; None without a position."""
         return self._place_after(self._since_s(now))
 
+    def measured_place(self) -> tuple[Vector, float] | None:
+        """The newest position, and when it was measured: its reception less the downlink's delay; None without one."""
+        estimate = self.estimate()
+        if estimate is None or not estimate.usable:
+            return None
+        return estimate.pos_enu_m, self._at - (self.delay.uplink_s or 0.0)
+
     def place_at_arrival(self, now: float) -> Vector | None:
         """Where it is when a setpoint that is sent now reaches it, likewise."""
         return self._place_after(self._since_s(now) + (self.delay.uplink_s or 0.0))
@@ -155,9 +162,9 @@ class EstimateView:
         fence, frame = self._fence, self.frame
         if fence is None or frame is None or not reference.moves:
             return None
-        velocity, timeout_s, estimate = reference.vel_enu_mps, loss_timeout_s(self._vehicle), self.estimate()
+        velocity, reach, estimate = reference.vel_enu_mps, loss_reach(self._vehicle), self.estimate()
         x, y, z = reference.pos_enu_m
-        way_x, way_y, way_z = braking_limits(self._vehicle).offset(velocity, timeout_s)
+        way_x, way_y, way_z = reach.offset_m(velocity)
         if estimate is not None and (reference.velocity_only_xy or reference.velocity_only_z):
             # from the vehicle itself, which has flown on since it reported where it is
             blind_s = self._since_s(now) + (self.delay.uplink_s or 0.0)
@@ -166,8 +173,8 @@ class EstimateView:
                 way_x, way_y = way_x + velocity[0] * blind_s, way_y + velocity[1] * blind_s
             if reference.velocity_only_z:
                 z, way_z = estimate.pos_enu_m[2], way_z + velocity[2] * blind_s
-        what = f"with this velocity, {timeout_s:g} s after its last setpoint, the vehicle"
-        return fence.leads_out(*frame.to_geodetic(x, y, z), (way_x, way_y, way_z), margin=margin, what=what)
+        place = frame.to_geodetic(x, y, z)
+        return fence.leads_out(*place, (way_x, way_y, way_z), margin=margin, what=reach.what)
 
     def yaw_rad(self) -> float:
         """Its present yaw (ENU); north if it is not reported."""

@@ -9,7 +9,7 @@
     terminate  4 (motors off)   -
 
 Radius and height are GF_MAX_HOR_DIST and GF_MAX_VER_DIST, where 0 is no limit, or FENCE_RADIUS and FENCE_ALT_MAX with
-a bit of FENCE_TYPE each.
+a bit of FENCE_TYPE each. `FenceWatch` notices breaches, of its polygons and circles as well.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from skygcs.core.geo import distance_m
-from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.vehicle.flight_evidence import why_not_idle
+from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.number_text import rounded
 
 FenceAction = Literal["none", "warn", "hold", "return", "land", "terminate"]
 ACTIONS: tuple[FenceAction, ...] = get_args(FenceAction)
@@ -41,12 +45,28 @@ TYPE_HEIGHT, TYPE_CIRCLE, TYPE_LIST = 1, 2, 4
 GEOFENCE_BIT = 1 << 20
 """MAV_SYS_STATUS_GEOFENCE."""
 
+CLEARANCE_M = 2.0
+"""A vehicle that holds in the air wanders by so much: GPS noise and gusts. Nearer than this a new fence may be broken
+by the time it is set."""
+
+ACTS: Mapping[str, str] = {"hold": "stop", "terminate": "switch its motors off"}
+"""Actions in words, where the word of the order is none."""
+
 REACTIONS: Mapping[str, frozenset[str]] = {
     "hold": frozenset({"AUTO.LOITER", "BRAKE"}),
     "return": frozenset({"AUTO.RTL", "RTL", "SMART_RTL", "LAND"}),
     "land": frozenset({"AUTO.LAND", "LAND"}),
 }
 """Modes that the autopilot enters by an action."""
+
+PERIOD_S = 1.0
+"""Between two looks: SYS_STATUS comes once or twice a second."""
+
+FRESH_S = 5.0
+"""Age at which its telemetry of the fence counts no longer: SYS_STATUS comes at 0.5 Hz over a full radio."""
+
+INSIDE_S = 3.0
+"""A vehicle at the border is outside and inside by turns; and SYS_STATUS is up to `PERIOD_S` older than a text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +83,7 @@ class FenceSettings:
         if not self.enabled:
             return "off"
         sizes = [f"{name} {size:g} m" for name, size in (("radius", self.radius_m), ("height", self.height_m)) if size]
-        return f"{', '.join(sizes) or 'no cylinder'}, action {self.action}"
+        return f"{', '.join(sizes) or 'without radius and height'}, action {self.action}"
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -77,7 +97,7 @@ class FenceSettings:
 
 def names_of(vehicle: Vehicle) -> tuple[str, ...]:
     """Names of the fence parameters. Raises RefusedError for an autopilot or a kind of vehicle with other ones."""
-    if vehicle.family == "ardupilot" and not modes.is_copter(vehicle.type):
+    if vehicle.family == "ardupilot" and vehicle.kind is not VehicleClass.COPTER:
         raise RefusedError("skygcs knows the fence parameters of an ArduPilot for copters only; set them yourself")
     if vehicle.family not in NAMES:
         raise RefusedError("skygcs knows the fence parameters of PX4 and ArduCopter only; set them yourself")
@@ -177,6 +197,28 @@ def from_home_m(vehicle: Vehicle) -> float | None:
     return distance_m(home["lat_deg"], home["lon_deg"], here["lat_deg"], here["lon_deg"])
 
 
+def require_inside(vehicle: Vehicle, now: float, fence: FenceSettings) -> None:
+    """Raises RefusedError for a fence that a vehicle in the air would be outside of at once, or might be."""
+    if not fence.enabled or fence.action in ("none", "warn") or (why_not_idle(vehicle, now)) is None:
+        return
+    if vehicle.armed and vehicle.in_air(now) is False:
+        return
+    away_m, position = from_home_m(vehicle), vehicle.telemetry("position")
+    if away_m is None or position is None:
+        raise RefusedError(f"whether it is inside of that fence is not known; {FORCE_HINT}")
+    does = f"and would {ACTS.get(fence.action, fence.action)} at once"
+    if fence.radius_m is not None and away_m + CLEARANCE_M > fence.radius_m:
+        raise RefusedError(
+            f"it flies {away_m:.1f} m from its home, outside of {rounded(fence.radius_m)} m less {CLEARANCE_M:g} m, "
+            f"{does}: bring it nearer, or {FORCE_HINT}"
+        )
+    if fence.height_m is not None and position["alt_rel_m"] + CLEARANCE_M > fence.height_m:
+        raise RefusedError(
+            f"it flies {position['alt_rel_m']:.1f} m above its home, outside of {rounded(fence.height_m)} m less "
+            f"{CLEARANCE_M:g} m, {does}: bring it lower, or {FORCE_HINT}"
+        )
+
+
 def require_testable(vehicle: Vehicle, now: float, radius_m: float) -> None:
     """Raises RefusedError for a vehicle in the air, and for one that stands outside the test's fence already."""
     if vehicle.in_air(now):
@@ -184,6 +226,58 @@ def require_testable(vehicle: Vehicle, now: float, radius_m: float) -> None:
     away_m = from_home_m(vehicle)
     if away_m is not None and away_m >= radius_m:
         raise RefusedError(
-            f"it stands {away_m:.1f} m from its home, outside a fence of {radius_m:g} m already: set home where it "
-            f"stands (skygcs-cli home {vehicle.name}), and begin again"
+            f"it stands {away_m:.1f} m from its home, outside a fence of {rounded(radius_m)} m already: set home "
+            f"where it stands (skygcs-cli home {vehicle.name}), and begin again"
         )
+
+
+class FenceWatch:
+    """Notices when a vehicle leaves its fence, and when it is inside again. One per vehicle; `look` several times a
+    second; ``outside`` is what was seen last.
+
+    seen                                                        then
+    ---------------------------------------------------------   ----------------------------------------------
+    its telemetry shows a breach (`fence_params.breach`)        it is outside
+    a status text reports one (all that a PX4 sends)            it is outside
+    its telemetry shows none for `INSIDE_S`                     it is inside again
+    no telemetry of its fence, and it is disarmed               it is inside again, or nobody flies it
+    it is lost                                                  nothing changes
+    """
+
+    def __init__(self) -> None:
+        self.outside = False
+        self._looked_at: float | None = None
+        self._text = ""
+        """A report of a breach since the last look."""
+        self._inside_since: float | None = None
+
+    def on_text(self, text: str) -> None:
+        """A status text of the vehicle."""
+        if reports_breach(text):
+            self._text = text
+
+    def look(self, vehicle: Vehicle, now: float) -> Event | None:
+        """The event of a breach that has begun, or is over."""
+        if not vehicle.connected or (
+            not self._text and self._looked_at is not None and now - self._looked_at < PERIOD_S
+        ):
+            return None
+        self._looked_at, text, self._text = now, self._text, ""
+        shown = breach(vehicle, fresh_after=now - FRESH_S)
+        if shown is None and not vehicle.armed:
+            shown = False
+        if shown or text:
+            self._inside_since = None
+            why = f'it reports "{text}"' if text else "its telemetry shows it"
+            return None if self.outside else self._changed(vehicle, f"is outside its fence: {why}", outside=True)
+        if not self.outside or shown is None:
+            return None
+        if self._inside_since is None:
+            self._inside_since = now
+        if now - self._inside_since < INSIDE_S:
+            return None
+        return self._changed(vehicle, "is inside its fence again", outside=False)
+
+    def _changed(self, vehicle: Vehicle, text: str, *, outside: bool) -> Event:
+        self.outside, self._inside_since = outside, None
+        return Event("fence", vehicle.name, vehicle.sysid, text, {"outside": outside})

@@ -8,7 +8,7 @@ _STAGES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
 """FIRMWARE_VERSION_TYPE, lowest value of each."""
 
 _BANNER = re.compile(
-    r"^(?:Ardu\w+|AP\w+(?::\w+)?|Blimp|Rover|AntennaTracker) V(\d+\.\d+\.\d+(?:-?[a-z]+\d*)?)\b", re.ASCII
+    r"^(Ardu\w+|AP\w+(?::\w+)?|Blimp|Rover|AntennaTracker) V(\d+\.\d+\.\d+(?:-?[a-z]+\d*)?)\b", re.ASCII
 )
 
 
@@ -25,5 +25,11 @@ def firmware_from_version(flight_sw_version: int) -> str | None:
 
 def firmware_from_banner(text: str) -> str | None:
     """The version in ``ArduCopter V4.5.1 (f4a2dcba)``; None if the text is not a banner."""
+    match = _BANNER.match(text)
+    return match[2] if match else None
+
+
+def banner_program(text: str) -> str | None:
+    """The program in a banner, as it names itself: "ArduCopter"; None if the text is not a banner."""
     match = _BANNER.match(text)
     return match[1] if match else None

@@ -6,10 +6,13 @@ current item when its mission mode is set again.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
 from skygcs.core.mission.item import GLOBAL, MissionItem, MissionType
@@ -20,9 +23,8 @@ from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
-
-DO_SET_MISSION_CURRENT = 224
 
 CURRENT_S = 6.0
 """MISSION_CURRENT comes at 0.2 to 1 Hz by default."""
@@ -129,6 +131,8 @@ def require_uploadable(
     armed = vehicle.armed or contradiction(vehicle, now) is not None
     if MissionType.MISSION in kinds and armed and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
+    if MissionType.FENCE in kinds and model_of(vehicle, now).may_fly:
+        raise RefusedError(f"it may be in the air, and outside of the new fence at once; land first, or {FORCE_HINT}")
     wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
     if wrong:
         named = "; ".join(map(str, wrong[:MAX_FINDINGS]))
@@ -170,6 +174,31 @@ def resume(vehicle: Vehicle, now: float) -> Plan:
     return Plan("mission", (autopilot.mode_step(vehicle, _mission_mode(vehicle)),), "flying its mission again")
 
 
+def current_item(vehicle: Vehicle) -> int:
+    """The item with which it would go on; 1 if it reports none."""
+    mission = vehicle.telemetry("mission")
+    seq = None if mission is None else mission["seq"]
+    return 1 if seq is None else max(1, number_of(vehicle, seq))
+
+
+def flown_from(vehicle: Vehicle, now: float, order: str, arguments: Mapping[str, Any]) -> int | None:
+    """The item from which an order makes the vehicle fly its mission; None: it flies no mission by it.
+
+    ``order``, ``arguments``: the method of `VehicleActor` and what it is given.
+    """
+    model = model_of(vehicle, now)
+    match order:
+        case "start_mission":
+            return int(arguments.get("first", 1))
+        case "resume_mission":
+            return current_item(vehicle)
+        case "set_mode" if model.may_fly and str(arguments.get("name", "")).upper() in MISSION_MODES:
+            return current_item(vehicle)
+        case "set_mission_item" if model.may_fly and vehicle.mode in MISSION_MODES:
+            return int(arguments["item"])
+    return None
+
+
 def _current_step(vehicle: Vehicle, item: int) -> Step:
     seq = item if keeps_home(vehicle) else item - 1
     if item < 1 or seq > 0xFFFF:
@@ -177,7 +206,7 @@ def _current_step(vehicle: Vehicle, item: int) -> Step:
     expect = CurrentItemIs(seq)
     name = f"set the current item to {item}"
     message = Step(name, message=("MISSION_SET_CURRENT", {"seq": seq}), expect=expect, expect_s=CURRENT_S)
-    command = CommandSpec(DO_SET_MISSION_CURRENT, (float(seq), 0.0))
+    command = CommandSpec(mav_cmd.DO_SET_MISSION_CURRENT, (float(seq), 0.0))
     return Step(name, command, expect=expect, expect_s=0, instead=(message,))
 
 
@@ -195,7 +224,7 @@ def _go(vehicle: Vehicle) -> tuple[Step, ...]:
     if vehicle.family == "px4":
         back = autopilot.mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"))
         return (replace(mode, undo=replace(back, name="put it back in AUTO.LOITER")), arm)
-    if modes.is_copter(vehicle.type):
+    if vehicle.kind is VehicleClass.COPTER:
         guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
         begin = Step("start", CommandSpec(mav_cmd.MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
         return (guided, arm, begin)
@@ -205,6 +234,6 @@ def _go(vehicle: Vehicle) -> tuple[Step, ...]:
 def _mission_mode(vehicle: Vehicle) -> int:
     name = "AUTO.MISSION" if vehicle.family == "px4" else "AUTO"
     try:
-        return modes.mode_number(vehicle.autopilot, vehicle.type, name)
+        return modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
     except KeyError:
         raise RefusedError("skygcs knows the mission mode of PX4 and ArduPilot only; set its mode yourself") from None

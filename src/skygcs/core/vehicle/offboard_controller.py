@@ -9,7 +9,8 @@
     held       nothing: hold was ordered once             `engage` -> engaging; `release` -> off
 
 The law works in a local frame: true ENU around the local origin, the position where control began. References are
-converted from the fleet's world frame when they come in, so a change of the fleet's origin moves no vehicle.
+converted from the fleet's world frame when they come in, so a change of the fleet's origin moves no vehicle. (While it
+is under control the fleet's origin does not change: `flight_lock`.)
 A reference comes as a place to hold (`fly_to`) or as a stream of setpoints with a deadline each (`follow`), which moves
 on by its velocity and acceleration between them; when a stream's deadline passes, the vehicle stays where it comes to
 rest.
@@ -300,6 +301,10 @@ class OffboardController:
     def here(self, now: float) -> Vector | None:
         """Where it is by now, in the local frame; None without a position."""
         return self._estimate_view.present_place(now)
+
+    def measured(self) -> tuple[Vector, float] | None:
+        """Its newest position in the local frame, and when it was measured; None without one."""
+        return self._estimate_view.measured_place()
 
     def follow_raw(self, setpoint: RawSetpoint, until: float) -> bool:
         """One setpoint of the user's own controller, in force ``until`` then; it was checked. True for the first after

@@ -14,9 +14,12 @@ from __future__ import annotations
 from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits
 from skygcs.core.control.pi import within
 from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.vehicle import autopilot, orders
 from skygcs.core.vehicle.order_plan import ParamKnown, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks, sticks_of
+from skygcs.core.vehicle.way_out import LossReach
 from skygcs.errors import RefusedError
 
 THRUST_AS_THRUST = 1 << 3
@@ -65,6 +68,19 @@ LONGEST_LOSS_TIMEOUT_S = 60.0
 BY_STICKS = {0: "Position", 1: "Altitude", 2: "Manual"}
 """Values of PX4's COM_OBL_RC_ACT that lead to a mode flown by transmitter."""
 
+PX4_LOSS_ACTS = {
+    **{action: f"changes to {mode} mode, and its pilot has it" for action, mode in BY_STICKS.items()},
+    **{3: "returns", 4: "lands", 5: "holds", 6: "ends its flight (Terminate)", 7: "stops its motors (Disarm)"},
+}
+"""Values of COM_OBL_RC_ACT (PX4 1.16, commander_params.c)."""
+
+NO_STICKS = {
+    Sticks.ABSENT: "no sticks are seen",
+    Sticks.LOW: "the throttle of its sticks is down",
+    Sticks.UNKNOWN: "whether a pilot's sticks reach it is not known",
+}
+"""What is said where such a mode would need them."""
+
 FLIES_ITSELF = frozenset(
     {
         *("AUTO.LOITER", "AUTO.MISSION", "AUTO.RTL", "AUTO.LAND", "AUTO.PRECLAND", "AUTO.FOLLOW_TARGET"),
@@ -78,8 +94,8 @@ def guided_mode(vehicle: Vehicle) -> int:
     """custom_mode in which it follows setpoints. Raises RefusedError for an autopilot without a known one."""
     if vehicle.family == "px4":
         return modes.px4_custom_mode("OFFBOARD")
-    if vehicle.family == "ardupilot" and "GUIDED" in modes.mode_names(vehicle.autopilot, vehicle.type):
-        return modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+    if vehicle.family == "ardupilot" and "GUIDED" in modes.mode_names(vehicle.autopilot, vehicle.mode_type):
+        return modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
     raise RefusedError("skygcs knows the setpoints of PX4 and ArduPilot only")
 
 
@@ -108,9 +124,9 @@ def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
         return f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
     try:
         guided_mode(vehicle)
-        if not modes.is_copter(vehicle.type):
+        if vehicle.kind is not VehicleClass.COPTER:
             raise RefusedError(
-                f"it is a {vehicle.enum_name('MAV_TYPE', vehicle.type).lower().replace('_', ' ')}; "
+                f"its type is {vehicle.enum_name('MAV_TYPE', vehicle.type).lower().replace('_', ' ')}; "
                 "skygcs controls multirotors and helicopters only"
             )
         orders.require_going(vehicle, now)
@@ -132,7 +148,7 @@ def attitude_refusal(vehicle: Vehicle) -> str | None:
             return None
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
         return f"PX4 takes the thrust of attitude setpoints for multirotors only, and its type is {kind}; set MAV_TYPE"
-    if vehicle.family != "ardupilot" or not modes.is_copter(vehicle.type):
+    if vehicle.family != "ardupilot" or vehicle.kind is not VehicleClass.COPTER:
         return "skygcs knows the attitude setpoints of PX4 and ArduCopter only"
     options = vehicle.param("GUID_OPTIONS")
     if options is None:
@@ -187,8 +203,14 @@ def braking_limits(vehicle: Vehicle) -> BrakingLimits:
     return PX4_BRAKING if vehicle.family == "px4" else COPTER_BRAKING
 
 
-def loss_note(vehicle: Vehicle) -> str | None:
-    """A warning about the vehicle's own reaction when setpoints stop."""
+def loss_reach(vehicle: Vehicle) -> LossReach:
+    """How far it goes when its setpoints cease."""
+    return LossReach(loss_timeout_s(vehicle), braking_limits(vehicle))
+
+
+def loss_note(vehicle: Vehicle, now: float) -> str | None:
+    """A warning about the vehicle's own reaction when setpoints stop, as when this computer dies. Whether a pilot has
+    the sticks is decided by the telemetry."""
     if vehicle.family == "ardupilot" and vehicle.param("FS_GCS_ENABLE") == 0:
         return (
             "its FS_GCS_ENABLE is 0: if the setpoints stop, it levels and drifts with the wind, and nothing "
@@ -202,12 +224,26 @@ def loss_note(vehicle: Vehicle) -> str | None:
             f"set FS_OPTIONS to {options & ~PILOT_GOES_ON}"
         )
     action = vehicle.param("COM_OBL_RC_ACT")
-    if vehicle.family != "px4" or action not in BY_STICKS:
+    if vehicle.family != "px4" or action not in BY_STICKS or sticks_of(vehicle, now) in SEEN_AT_ALL:
         return None
     return (
-        f"its COM_OBL_RC_ACT is {action:g}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} mode and "
-        "needs a hand on the sticks; without a transmitter set it to 5 (Hold) or 3 (Return)"
+        f"its COM_OBL_RC_ACT is {action:g}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} mode, "
+        f"and {NO_STICKS[sticks_of(vehicle, now)]}: it sinks or drifts; set it to 5 (Hold) or 3 (Return)"
     )
+
+
+def loss_text(vehicle: Vehicle, now: float) -> str:
+    """What the vehicle does by itself when setpoints stop, as when this computer dies; dangerous or not."""
+    if (note := loss_note(vehicle, now)) is not None:
+        return note
+    name = "COM_OBL_RC_ACT" if vehicle.family == "px4" else "FS_GCS_ENABLE"
+    action = vehicle.param(name)
+    if action is None:
+        return f"its {name} is not known, which decides what it does if the setpoints stop"
+    if vehicle.family != "px4":
+        return f"if the setpoints stop, it levels, and its failsafe ({name} {action:g}) acts 5 s later"
+    does = PX4_LOSS_ACTS.get(int(action), "does what the parameter says")
+    return f"if the setpoints stop, it {does} ({name} {action:g})"
 
 
 def refuses_setpoint(text: str) -> bool:
@@ -236,6 +272,13 @@ def ask_parameters(vehicle: Vehicle, now: float) -> Plan:
     return Plan("parameters", steps, "parameters read")
 
 
+def ask_loss_parameters(vehicle: Vehicle, now: float) -> Plan:
+    """Read those parameters of the vehicle's own reaction to the end of setpoints that are not known."""
+    wanted = ("COM_OBL_RC_ACT",) if vehicle.family == "px4" else ("FS_GCS_ENABLE", "FS_OPTIONS")
+    steps = tuple(ask_parameter(name, after=now, optional=True) for name in wanted if vehicle.param(name) is None)
+    return Plan("parameters", steps, "parameters read")
+
+
 def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
     """PARAM_REQUEST_READ by name, one of `watched_params.WATCHED`, until PARAM_VALUE comes. A name that the firmware
     does not know gets no answer."""
@@ -255,7 +298,7 @@ def enter(vehicle: Vehicle) -> Plan:
     return Plan("control", (step,), f"following setpoints in {autopilot.mode_name(vehicle, number)}")
 
 
-def leave(vehicle: Vehicle, back_to: int | None) -> Plan:
+def leave(vehicle: Vehicle, back_to: int | None, now: float) -> Plan:
     """Restore the custom_mode from before. If that needs a transmitter, is the mode of setpoints itself, or is not
     known (None), hold instead: it is not known here whether a remote pilot is ready.
 
@@ -267,5 +310,5 @@ def leave(vehicle: Vehicle, back_to: int | None) -> Plan:
     if back_to is not None and autopilot.mode_name(vehicle, back_to) in FLIES_ITSELF:
         step = autopilot.mode_step(vehicle, back_to, or_disarmed=True)
         return Plan("release", (step,), f"back in {autopilot.mode_name(vehicle, back_to)}", despite_duplicate=True)
-    hold = autopilot.hold(vehicle)
+    hold = autopilot.hold(vehicle, now)
     return Plan("release", hold.steps, hold.done, despite_duplicate=True)

@@ -30,6 +30,14 @@ class Expectation(Protocol):
         ...
 
 
+class LateCommand(Protocol):
+    """A command that is made when its step begins, from the state that the steps before it have led to."""
+
+    def command(self, vehicle: Vehicle, now: float) -> CommandSpec:
+        """Raises RefusedError if it cannot be made: the step is refused, and what was done is undone."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ArmedIs:
     armed: bool
@@ -214,7 +222,8 @@ class TargetProof:
 @dataclass(frozen=True, slots=True)
 class Step:
     """One command, acknowledged and repeated, or one ``message``: sent once, or repeated until an expectation is met.
-    Exactly one of the two is given.
+    Exactly one of the two is given. With ``late`` the command is made by it when the step begins; ``command`` is then
+    what it would be at the time of the order.
 
     ``expect_s``: how long to wait for the expectation; with 0 it is only used to explain a lost ACK.
     ``skip_if_met``: send nothing if the expectation is met already. ``undo`` is carried out if a later step fails.
@@ -227,6 +236,7 @@ class Step:
 
     name: str
     command: CommandSpec | None = None
+    late: LateCommand | None = None
     message: tuple[str, Mapping[str, Any]] | None = None
     expect: Expectation | None = None
     expect_s: float = VERIFY_S
@@ -245,7 +255,8 @@ class Plan:
 
     ``emergency``: sent over every link, before anything else, also to vehicles that take no plain orders. For
     ``persist_s`` its steps are repeated until the vehicle shows their effect or refuses. ``final``: no newer order
-    replaces it. ``despite_duplicate``: safe, or confirmed, for two vehicles with one system id.
+    replaces it. ``despite_duplicate``: safe, or confirmed, for two vehicles with one system id. ``force``: somebody
+    insists on what the outgoing gate would refuse.
     """
 
     order: str
@@ -255,4 +266,5 @@ class Plan:
     persist_s: float = 0.0
     final: bool = False
     despite_duplicate: bool = False
+    force: bool = False
     data: Mapping[str, Any] = field(default_factory=dict)

@@ -13,14 +13,17 @@ from typing import TypedDict, Unpack
 from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
+from skygcs.core.reach import REACH_M, swapped_hint
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.number_text import rounded
 from skygcs.spelling import near_names
 
 MAX_TAKEOFF_M = 500.0
@@ -79,15 +82,16 @@ def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
     return autopilot.disarm(force=force)
 
 
-def set_mode(vehicle: Vehicle, now: float, name: str) -> Plan:
+def set_mode(vehicle: Vehicle, now: float, name: str, *, force: bool = False) -> Plan:
+    """The outgoing gate judges the mode; ``force`` insists there."""
     require_connected(vehicle, now)
-    return autopilot.set_mode(vehicle, name)
+    return replace(autopilot.set_mode(vehicle, name), force=force)
 
 
 def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) -> Plan:
     require_connected(vehicle, now)
     if not (math.isfinite(height_m) and 0 < height_m <= MAX_TAKEOFF_M):
-        raise RefusedError(f"a takeoff height of {height_m:g} m is not above 0 and at most {MAX_TAKEOFF_M:g} m")
+        raise RefusedError(f"a takeoff height of {rounded(height_m)} m is not above 0 and at most {MAX_TAKEOFF_M:g} m")
     if vehicle.in_air(now):
         raise RefusedError("it is in the air already; use goto with a height")
     if not vehicle.armed and not arm:
@@ -98,23 +102,34 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) 
 
 def land(vehicle: Vehicle, now: float) -> Plan:
     require_connected(vehicle, now)
-    return autopilot.land(vehicle)
+    return _down_already("land", vehicle, now) or autopilot.land(vehicle, now)
 
 
 def rtl(vehicle: Vehicle, now: float) -> Plan:
     require_connected(vehicle, now)
-    return autopilot.rtl(vehicle)
+    return _down_already("rtl", vehicle, now) or autopilot.rtl(vehicle, now)
+
+
+def _down_already(order: str, vehicle: Vehicle, now: float) -> Plan | None:
+    """Nothing to do for a multicopter that is certainly on the ground and disarmed: a PX4 would stay in AUTO.LAND or
+    AUTO.RTL there, in which it does not arm. None: it may be flying."""
+    state, at = vehicle.landed_state()
+    if vehicle.kind is not VehicleClass.COPTER or state != "on_ground" or now - at > POSITION_FRESH_S:
+        return None
+    if why_not_idle(vehicle, now) is not None:
+        return None
+    return Plan(order, (), "it is on the ground and disarmed already; nothing was sent", despite_duplicate=True)
 
 
 def hold(vehicle: Vehicle, now: float) -> Plan:
     require_connected(vehicle, now)
-    return autopilot.hold(vehicle)
+    return autopilot.hold(vehicle, now)
 
 
 def brake(vehicle: Vehicle, now: float) -> Plan:
     """A hold in a mode that ignores setpoints, for a vehicle to which somebody else may still send some."""
     require_connected(vehicle, now)
-    return autopilot.brake(vehicle)
+    return autopilot.brake(vehicle, now)
 
 
 class Where(TypedDict, total=False):
@@ -131,6 +146,12 @@ class Where(TypedDict, total=False):
 def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Plan:
     """Go to a `destination`. The outcome states the position as it was given: metres of the fleet's frame, or
     degrees."""
+    hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
+    if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
+        raise RefusedError(
+            "it hovers, and in GUIDED it would fly on as a plane and circle there unless its Q_GUIDED_MODE is 1; it is "
+            f"not known to be; {FORCE_HINT}"
+        )
     plan = autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
     enu_m = where.get("enu_m")
     if enu_m is None:
@@ -154,8 +175,7 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
     if yaw_deg is not None:
         _require_within("a yaw", yaw_deg, 360.0)
         to = replace(to, yaw_deg=yaw_deg)
-    if not where.get("force"):
-        _check_reach(here, to, limit_m, ground=ground)
+    _check_reach(here, to, limit_m, ground=ground, force=bool(where.get("force")))
     return to
 
 
@@ -194,11 +214,8 @@ def set_home(
     # a plausible place, not too far away
     check_coordinate(lat_deg, lon_deg)
     here = _fresh_position(vehicle, now)
-    away = 0.0 if here is None else distance_m(here[0], here[1], lat_deg, lon_deg)
-    if away > limit_m and not force:
-        raise RefusedError(
-            f"that is {away:.0f} m away, and it would return there; the limit is {limit_m:g} m; {FORCE_HINT}"
-        )
+    if here is not None:
+        _check_distance(here, (lat_deg, lon_deg), limit_m, ", and it would return there", force=force)
     # its altitude
     alt = vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
     if alt is None:
@@ -436,20 +453,41 @@ def check_coordinate(lat_deg: float, lon_deg: float) -> None:
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):  # also false for NaN
         raise RefusedError(
             f"{lat_deg:g}, {lon_deg:g} is not a position on earth (latitude -90..90, longitude -180..180)"
+            + swapped_hint(lat_deg, lon_deg, None, 0.0)
         )
     if lat_deg == 0 or lon_deg == 0:
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
 
 
-def _check_reach(here: tuple[float, float, float], to: Destination, limit_m: float, *, ground: bool) -> None:
-    away = math.hypot(distance_m(here[0], here[1], to.lat_deg, to.lon_deg), to.alt_amsl_m - here[2])
-    if away > limit_m:
-        raise RefusedError(f"that is {away:.0f} m away, the limit is {limit_m:g} m; {FORCE_HINT}")
+def _check_reach(
+    here: tuple[float, float, float], to: Destination, limit_m: float, *, ground: bool, force: bool
+) -> None:
+    _check_distance(here, (to.lat_deg, to.lon_deg), limit_m, "", force=force, up_m=to.alt_amsl_m - here[2])
+    if force:
+        return
     if to.height_m < LOWEST_M and not ground:
         where = "below" if to.height_m < 0 else "above"
         raise RefusedError(
             f"that is {abs(to.height_m):.1f} m {where} its home, on the ground: use land, or {FORCE_HINT}"
         )
+
+
+def _check_distance(
+    here: tuple[float, float, float],
+    to: tuple[float, float],
+    limit_m: float,
+    why: str,
+    *,
+    force: bool,
+    up_m: float = 0.0,
+) -> None:
+    """Refuse a place that is farther away than the limit, unless ``force``, and one beyond any vehicle's reach."""
+    away_m = math.hypot(distance_m(here[0], here[1], *to), up_m)
+    hint = swapped_hint(*to, here[:2], limit_m)
+    if away_m > REACH_M:
+        raise RefusedError(f"that is {away_m / 1000.0:.0f} km away{why}: beyond what any vehicle can reach{hint}")
+    if away_m > limit_m and not force:
+        raise RefusedError(f"that is {away_m:.0f} m away{why}; the limit is {limit_m:g} m{hint}; {FORCE_HINT}")
 
 
 def _require_within(what: str, value: float, most: float) -> None:

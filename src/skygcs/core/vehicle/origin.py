@@ -20,12 +20,14 @@ from skygcs.core.geo import Origin, distance_m, wrap_deg_360
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec
+from skygcs.core.reach import swapped_hint
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.order_plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.number_text import rounded
 
 REACH_M = 20_000.0
 """At this distance the flat frame is 31 m above the ground; such an origin belongs to another site."""
@@ -57,7 +59,7 @@ def checked(origin: Origin) -> Origin:
     low, high = ALT_AMSL_M
     if not low <= origin.alt_amsl_m <= high:  # also true for NaN
         raise RefusedError(
-            f"an altitude of {origin.alt_amsl_m:g} m above mean sea level is not between {low:g} and {high:g}"
+            f"an altitude of {rounded(origin.alt_amsl_m)} m above mean sea level is not between {low:g} and {high:g}"
         )
     if not math.isfinite(origin.x_heading_deg):
         raise RefusedError(f"a heading of {origin.x_heading_deg:g} degrees is not finite")
@@ -72,9 +74,11 @@ def require_near(origin: Origin, vehicles: Iterable[Vehicle]) -> None:
             continue
         away_m = distance_m(origin.lat_deg, origin.lon_deg, position["lat_deg"], position["lon_deg"])
         if away_m > REACH_M:
+            near = (position["lat_deg"], position["lon_deg"])
+            hint = swapped_hint(origin.lat_deg, origin.lon_deg, near, REACH_M)
             raise RefusedError(
                 f"that is {away_m / 1000:.0f} km from {vehicle.name}, and the frame is of use within "
-                f"{REACH_M / 1000:g} km; {orders.FORCE_HINT}"
+                f"{REACH_M / 1000:g} km{hint}; {orders.FORCE_HINT}"
             )
 
 

@@ -7,7 +7,8 @@ velocity        position                     SET_POSITION_TARGET_LOCAL_NED with 
                                              the reference has one
 position        none                         SET_POSITION_TARGET_GLOBAL_INT with the place the reference reaches
                                              when the message takes effect, and while it moves with its velocity
-                                             and, to PX4, its acceleration; to ArduCopter, which takes that in its
+                                             and, to PX4, its acceleration and what its drag takes
+                                             (`control.drag_estimate`); to ArduCopter, which takes that in its
                                              local frame only, SET_POSITION_TARGET_LOCAL_NED once the origin of its
                                              estimator is known. As velocity where no axis has a position.
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from skygcs.core.control.cascade import Memory, Output, Quaternion, Reference, Vector, step, velocity_step
+from skygcs.core.control.drag_estimate import DragObserver
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
@@ -55,6 +57,8 @@ class SetpointGenerator:
         """Velocity control's, after the last tick; a new one while it does not predict."""
         self.tracing = False
         """Whether ticks carry a row for the trace."""
+        self.drag = DragObserver()
+        """Position control's, of a PX4."""
         self._vehicle = vehicle
         self._estimate_view = estimate_view
         self._estimator_origin = EstimatorOrigin(vehicle)
@@ -62,6 +66,7 @@ class SetpointGenerator:
     def begin(self) -> None:
         """A new flight by setpoints."""
         self.forget()
+        self.drag = DragObserver()
         self._estimator_origin.begin()
 
     def forget(self, memory: Memory = NOTHING) -> None:
@@ -180,6 +185,8 @@ class SetpointGenerator:
         velocity = reference.vel_enu_mps if reference.moves else None
         # as it is: with the 1.2 of `_feed_forward` a real PX4 was .96 m off a circle that is led, without it .90
         acceleration = reference.acc_enu_mps2 if reference.moves else None
+        if family == "px4":
+            acceleration = self._against_drag(given, acceleration, reference)
         local = self._estimator_origin.local_enu_m(place) if family == "ardupilot" and reference.moves else None
         if local is not None:
             message = setpoint.position_target_local(
@@ -196,6 +203,18 @@ class SetpointGenerator:
                 yaw_rate_enu_radps=yaw_rate,
             )
         return Tick(message, row=row, before=self.memory, after=self.memory)
+
+    def _against_drag(self, given: TickInput, acceleration: Vector | None, led: Reference) -> Vector | None:
+        """The acceleration to send with a moving reference, with what the vehicle's drag takes."""
+        now, reference = given.at, given.reference
+        if acceleration is None or reference.velocity_only_xy:
+            self.drag.pause()
+            return acceleration
+        self.drag.note(reference.pos_enu_m, reference.vel_enu_mps, now)
+        if (measured := self._estimate_view.measured_place()) is not None:
+            self.drag.observe(*measured)
+        east, north, up = self.drag.estimate.acceleration_mps2(led.vel_enu_mps)
+        return acceleration[0] + east, acceleration[1] + north, acceleration[2] + up
 
     def _feed_forward(self, acc_enu_mps2: Vector) -> Vector:
         """The acceleration to send for this one: PX4's derivative gain takes a part of the measured one off again."""

@@ -156,7 +156,6 @@ _KEYS: tuple[tuple[str, _Read], ...] = (
     ("control", _filled_in_later),  # by flight control
     ("uplink", _filled_in_later),  # by the uplink watch
     ("separation", _filled_in_later),  # by the monitor
-    ("mocap", _filled_in_later),  # by the actor that gets poses
     ("calibration", _filled_in_later),  # by the calibration that runs
     ("companion", _filled_in_later),  # by the fleet, which knows companions and components
     *(_group(group.name) for group in GROUPS),

@@ -121,9 +121,6 @@ class VehicleState(TypedDict):
     calibration: Part | None
     """The calibration that runs: sensor, percent, pose (level, left, right, nose_down, nose_up, upside_down), confirm
     (it waits for vehicles.calibrate_confirm), pending (poses a PX4 still wants), text; null: none runs"""
-    mocap: Part | None
-    """Its poses of motion capture, as in mocap.status: body, tracking, problem, age_s, rate_hz, sent_hz, latency_p50_s,
-    dropouts and more; null: [mocap] does not name it"""
     companion: Part | None
     """The computer on the vehicle: name, link (connecting, up, down; null: the fleet file gives it no `rpc`), since_s,
     error (why it is not up), version, age_s (since MAVLink of an onboard computer came; null: never); null: none is

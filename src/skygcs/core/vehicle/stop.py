@@ -1,7 +1,7 @@
 """The emergency stop: hold, land or kill, repeated until the vehicle's state shows its effect.
 
     hold    the mode that stops and holds (AUTO.LOITER, BRAKE), in which no setpoints move the vehicle
-    land    NAV_LAND at the present position
+    land    the order land; of a class that has no landing the same as hold
     kill    forced disarming: the motors stop, and a flying vehicle falls; needs a confirmation
 
 Unlike plain orders it is also sent to a vehicle that is lost or shares its id with another, with the highest priority
@@ -33,12 +33,12 @@ MAX_NAMES = 10
 def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
     """Raises RefusedError for a vehicle of a recording, and for a hold if it has no mode that holds."""
     require_live(vehicle)
-    if action == "hold":
-        plan = autopilot.brake(vehicle)
+    if action == "hold" or (action == "land" and not autopilot.can_land(vehicle)):
+        plan = autopilot.brake(vehicle, now)
         hint = f"{autopilot.firmware_name(vehicle)} did not say why; stop it with land"
         plan = replace(plan, steps=tuple(replace(step, refused=hint) for step in plan.steps))
     elif action == "land":
-        plan = autopilot.land(vehicle)
+        plan = autopilot.land(vehicle, now)
     else:
         plan = replace(autopilot.disarm(force=True), done="motors stopped")
     return replace(plan, order="stop", emergency=True, persist_s=PERSIST_S)

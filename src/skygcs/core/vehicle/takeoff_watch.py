@@ -1,16 +1,18 @@
-"""Whether a take-off that was ordered here has come to its end undisturbed, so that control may begin. Pure.
+"""Whether a take-off that was ordered here goes as it was ordered. Pure.
 
     climbs      the mode is the one the take-off set (PX4 AUTO.TAKEOFF, ArduCopter GUIDED)
     reached     at its height and level; a PX4 has then gone to AUTO.LOITER by itself
+    wrong       above its height, or level in the air below it: it flies to another height than was ordered, an alarm
     disturbed   any other mode, disarmed, on the ground again, lost, its own failsafe, AUTO.LOITER below the height, or
                 longer than it can take: a pilot, another station or the autopilot decided otherwise
 
-A disturbed one is never taken over.
+Control never begins after one that is disturbed or goes to a wrong height.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -21,30 +23,82 @@ SHORT_M = 0.5
 SHARE = 0.1
 """Of a low height, instead."""
 
+OVER_M = 1.0
+OVER_SHARE = 0.05
+"""So much above its height, and this share of it, is no overshoot of a controller, nor drift of a barometer on the
+way up."""
+
 LEVEL_MPS = 0.4
 """Slower than this it has arrived: both firmwares climb with 1 m/s and more and slow down at the end."""
 
 SETTLE_S = 5.0
-"""So long may a PX4 be in AUTO.LOITER and below its height, on the last part of its climb."""
+"""So long may a PX4 be in AUTO.LOITER and below its height, on the last part of its climb; and any vehicle in the air
+without climbing by `RISE_M`."""
+
+RISE_M = 0.2
 
 SLOWEST_MPS = 0.3
 SPOOL_S = 20.0
 
+FRESH_S = 3.0
+"""An older position does not show how high it is; the slowest stream profile sends 0.5 Hz."""
+
 Verdict = Literal["climbs", "reached"]
 
 
+@dataclass(frozen=True, slots=True)
+class WrongHeight:
+    """A take-off that leads to another height than was ordered."""
+
+    height_m: float
+    """Above the ground it stood on."""
+    wanted_m: float
+
+    def __str__(self) -> str:
+        what = "it is" if self.height_m > self.wanted_m else "it stopped climbing"
+        return f"{what} {self.height_m:.1f} m above the ground it stood on; {self.wanted_m:.1f} m were ordered"
+
+
 class TakeoffWatch:
-    """Of one take-off. ``from_amsl_m``: where it stood. Times are the loop's."""
+    """Watch over one take-off. ``from_amsl_m``: where it stood. Times are the loop's."""
 
     def __init__(self, vehicle: Vehicle, from_amsl_m: float, height_m: float, now: float) -> None:
         self._vehicle = vehicle
-        self._target_amsl_m = from_amsl_m + height_m - min(SHORT_M, SHARE * height_m)
+        self._from_amsl_m = from_amsl_m
+        self._height_m = height_m
         self._until = now + SPOOL_S + height_m / SLOWEST_MPS
         self._loiter_since = math.inf
         self._was_in_air = False
+        self._highest_m = -math.inf
+        self._rose_at = math.inf
 
-    def look(self, now: float) -> Verdict | str:
-        """ "climbs", "reached", or what disturbed it."""
+    def look(self, now: float) -> Verdict | WrongHeight | str:
+        """ "climbs", "reached", the wrong height it leads to, or what disturbed it."""
+        if (disturbed := self._disturbed(now)) is not None:
+            return disturbed
+        vehicle = self._vehicle
+        position, at = vehicle.timed_telemetry("position")
+        if position is None or at is None or position["alt_amsl_m"] is None or now - at > FRESH_S:
+            self._rose_at = math.inf  # what it did meanwhile is not known
+            return "climbs"
+        # where it is, and whether that is where it should end
+        up_m = position["alt_amsl_m"] - self._from_amsl_m
+        if up_m > self._height_m + OVER_M + OVER_SHARE * self._height_m:
+            return WrongHeight(up_m, self._height_m)
+        high = up_m >= self._height_m - min(SHORT_M, SHARE * self._height_m)
+        level = abs(position["vel_enu_mps"][2]) <= LEVEL_MPS
+        if high:
+            loiters = vehicle.family != "px4" or vehicle.mode == "AUTO.LOITER"
+            return "reached" if level and loiters else "climbs"
+        return self._below(up_m, now)
+
+    def progress(self) -> str:
+        """How far it is, for people: "1.2 of 5.0 m"."""
+        position = self._vehicle.telemetry("position")
+        up_m = 0.0 if position is None else position["alt_amsl_m"] - self._from_amsl_m
+        return f"{max(0.0, up_m):.1f} of {self._height_m:.1f} m"
+
+    def _disturbed(self, now: float) -> str | None:
         vehicle = self._vehicle
         if not vehicle.connected:
             return "the vehicle was lost"
@@ -56,20 +110,24 @@ class TakeoffWatch:
         self._was_in_air = self._was_in_air or in_air is True
         if self._was_in_air and in_air is False:
             return "it is on the ground again"
-        px4 = vehicle.family == "px4"
-        if vehicle.mode not in (("AUTO.TAKEOFF", "AUTO.LOITER") if px4 else ("GUIDED",)):
+        if vehicle.mode not in (("AUTO.TAKEOFF", "AUTO.LOITER") if vehicle.family == "px4" else ("GUIDED",)):
             return f"its mode became {vehicle.mode}"
-        if now > self._until:
-            return "it did not reach its height in time"
-        position = vehicle.telemetry("position")
-        if position is None or position["alt_amsl_m"] is None:
-            return "climbs"
-        high = position["alt_amsl_m"] >= self._target_amsl_m
-        level = abs(position["vel_enu_mps"][2]) <= LEVEL_MPS
-        if px4 and vehicle.mode == "AUTO.LOITER":
+        return "it did not reach its height in time" if now > self._until else None
+
+    def _below(self, up_m: float, now: float) -> Verdict | WrongHeight | str:
+        """It is below its height: does it still climb?"""
+        if self._vehicle.mode == "AUTO.LOITER":
             self._loiter_since = min(self._loiter_since, now)
-            if not high and now - self._loiter_since > SETTLE_S:
+            if now - self._loiter_since > SETTLE_S:
                 return "its mode became AUTO.LOITER below its height"
         else:
             self._loiter_since = math.inf
-        return "reached" if high and level and (not px4 or vehicle.mode == "AUTO.LOITER") else "climbs"
+        if up_m > self._highest_m + RISE_M or not self._was_in_air or math.isinf(self._rose_at):
+            self._highest_m, self._rose_at = max(up_m, self._highest_m), now
+        return WrongHeight(up_m, self._height_m) if now - self._rose_at > SETTLE_S else "climbs"
+
+
+def reports_takeoff(vehicle: Vehicle, now: float) -> bool:
+    """Whether the vehicle itself reports a take-off under way, whoever ordered it. The landed state may be two seconds
+    old: a take-off that was ordered here is judged by its watch."""
+    return vehicle.armed and (vehicle.mode == "AUTO.TAKEOFF" or vehicle.landed(now) == "takeoff")

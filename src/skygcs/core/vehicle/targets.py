@@ -6,6 +6,7 @@ With a component id behind a slash (``7/191``, ``alpha/191``, ``all/100``) it me
 
 from __future__ import annotations
 
+import difflib
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
@@ -79,7 +80,7 @@ def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -
         if not found and compid is not None:
             raise TargetError(f"{part!r} is not a vehicle; components are targets of {FOR_COMPONENTS} only")
         if not found:
-            raise TargetError(f"no vehicle {part!r}; there are: {_listing(known)}")
+            raise TargetError(f"no vehicle {part!r}; {_nearest(part, known)}there are: {_listing(known)}")
         chosen.update((v.sysid << 8 | v.compid, v) for v in found)
     return [chosen[key] for key in sorted(chosen)]
 
@@ -145,6 +146,31 @@ def _named(part: str, known: list[T]) -> list[T]:
         return known
     by_name = [v for v in known if v.name == part]
     return by_name or [v for v in known if part in v.groups]
+
+
+def _nearest(part: str, known: Sequence[Targetable]) -> str:
+    """A question for the name or group that is spelled most like this part; empty if none is."""
+    names = {name for v in known for name in (v.name, *v.groups)}
+    found = difflib.get_close_matches(part, sorted(names), n=1)
+    return f"did you mean {found[0]!r}? " if found else ""
+
+
+def absent_sysids(expression: str | int | Sequence[str | int], present: Iterable[int]) -> list[int]:
+    """System ids that the ranges of an expression contain and no vehicle has, ascending: `select` leaves them out.
+    ``present``: the ids of all vehicles. Raises TargetError."""
+    ranges = [match for part in parts_of(expression) if (match := _RANGE.fullmatch(part)) is not None]
+    return sorted({sysid for m in ranges for sysid in range(int(m[1]), int(m[2]) + 1)} - {*present})
+
+
+def expression_of(sysids: Iterable[int]) -> str:
+    """The shortest expression of these system ids: 4,6-9."""
+    spans: list[list[int]] = []
+    for sysid in sorted({*sysids}):
+        if spans and sysid == spans[-1][1] + 1:
+            spans[-1][1] = sysid
+        else:
+            spans.append([sysid, sysid])
+    return ",".join(str(first) if first == last else f"{first}-{last}" for first, last in spans)
 
 
 def _listing(known: Sequence[Targetable]) -> str:

@@ -1,7 +1,7 @@
 """One vehicle on a trajectory: the reference at each time, and what must be true before it begins. Pure.
 
-The trajectory is given along the axes of the fleet's world frame as of the start, and stands on earth from then on: a
-later change of the fleet's origin moves nothing. Its clock may drive other vehicles as well.
+The trajectory is given along the axes of the origin that its flight's lock holds, and stands on earth from the start
+on. Its clock may drive other vehicles as well.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from skygcs.core.control.cascade import Reference, Vector
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.ranges import out_of_range
 from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks
 from skygcs.core.trajectory.bounding_box import Box, bounding_box
 from skygcs.core.trajectory.motion_limits import SLACK
@@ -212,10 +213,25 @@ def _transform(world: EnuFrame, local: EnuFrame) -> tuple[Mapped, Mapped]:
     return to_local, turned
 
 
-def distance_refusal(here: Vector | None, first: Vector, limits: TrajectoryLimits) -> str | None:
-    """Why it may not begin from here; None if it may. In one frame."""
+class StartTube(NamedTuple):
+    """How far from the first point a vehicle of a certified flight may begin: ``radius_m`` in the metric of the
+    certificate, which divides heights by ``downwash_ratio``."""
+
+    radius_m: float
+    downwash_ratio: float
+
+
+def distance_refusal(
+    here: Vector | None, first: Vector, limits: TrajectoryLimits, tube: StartTube | None = None
+) -> str | None:
+    """Why it may not begin from here; None if it may. In one frame. ``tube``: in place of the limit."""
     if here is None:
         return "its position is not known"
+    if tube is not None:
+        away_m = separation_m(here[0] - first[0], here[1] - first[1], here[2] - first[2], tube.downwash_ratio)
+        if away_m <= tube.radius_m:
+            return None
+        return f"it is {away_m:.1f} m from where the step begins; {tube.radius_m:.1f} m are allowed"
     away_m = math.dist(here, first)
     if away_m <= limits.start_within_m:
         return None

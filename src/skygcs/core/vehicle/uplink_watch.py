@@ -38,7 +38,7 @@ LOST_S = 1.0
 FALSE_RUN = 2e-7
 FEWEST, MOST = 5, 18
 
-KEPT = 50
+PROBES_KEPT = 50
 """Number of probes over which p is measured."""
 
 FIRST_TRIP_S, LONGEST_TRIP_S = 0.4, 1.5
@@ -71,7 +71,7 @@ class UplinkWatch:
         self._needed = FEWEST
         self._waiting: dict[int, float] = {}
         self._number = first & 0xFFFF
-        self._outcomes: deque[bool] = deque(maxlen=KEPT)
+        self._outcomes: deque[bool] = deque(maxlen=PROBES_KEPT)
 
     def due(self, now: float, *, armed: bool, thin: bool) -> bool:
         """True if a probe is to be sent now."""

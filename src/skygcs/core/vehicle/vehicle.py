@@ -13,11 +13,19 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.mavlink.msgids import HEARTBEAT
+from skygcs.core.mavlink.vehicle_class import (
+    Q_MODES,
+    Program,
+    VehicleClass,
+    mode_type,
+    program_of_banner,
+    vehicle_class,
+)
 from skygcs.core.protocols.command import Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup
-from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.firmware import banner_program, firmware_from_banner, firmware_from_version
 from skygcs.core.vehicle.message_cache import MessageCache, Slot
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -44,6 +52,9 @@ RATE_PERIOD_S = 1.0
 LANDED_FRESH_S = 10.0
 """Oldest EXTENDED_SYS_STATE that is used; autopilots stream it at 0.5 to 1 Hz."""
 
+VTOL_ON_ROTORS = frozenset({2, 3})
+"""MAV_VTOL_STATE: in transition to a multicopter, and a multicopter."""
+
 BOOT_TEXT = "ardupilot ready"
 """Text that ArduPilot sends once, at the end of its start (AP_Vehicle::setup). Its version banner also answers each
 GCS, and "Initialising ArduPilot" also comes while it calibrates its gyros (AP_Vehicle::scheduler_delay_callback)."""
@@ -61,6 +72,12 @@ BESIDE_OVER_S = 5.0
 """Heartbeats come at 1 Hz: after this time without a contradicting heartbeat or a second clock, only one sender is left
 on the vehicle's channel."""
 
+IN_PROGRESS = 5
+"""MAV_RESULT of a command whose final answer is still to come."""
+
+MAX_ANSWERS = 64
+"""Commands whose last answer is kept: more than skygcs sends to one vehicle."""
+
 BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 
 Events = tuple[Event, ...]
@@ -72,6 +89,14 @@ class Vehicle:
     ``origin`` may be set at any time: ENU positions are relative to it. ``last_ack`` is the newest COMMAND_ACK, to any
     station; the actor reads it after `on_frame`.
     """
+
+    transmitter: bool | None = None
+    """Whether a pilot's transmitter belongs to it, by the fleet file; None: it does not say."""
+    program: Program | None = None
+    """The ArduPilot program of its banner; None: no banner has come, or it is not ArduPilot."""
+    duplicate_beside = False
+    """Two vehicles send with these ids on one channel: this state mixes both."""
+    _vtol_state = 0
 
     def __init__(
         self,
@@ -94,8 +119,6 @@ class Vehicle:
         self.duplicates: Mapping[int, str] = {}
         """The fleet's table by sysid << 8 | compid: where another vehicle sends with these ids, and where this one
         does."""
-        self.duplicate_beside = False
-        """Two vehicles send with these ids on one channel: this state mixes both."""
         self.replayed = replayed
         """True if it exists only in a recording: it takes no orders."""
         self.type = self.autopilot = self.base_mode = self.custom_mode = self.system_status = 0
@@ -108,6 +131,8 @@ class Vehicle:
         self.other_texts: Callable[[], Sequence[tuple[StatusText, int]]] = tuple
         """Texts of its system's other components, with their component ids."""
         self.last_ack: Ack | None = None
+        self.answers: dict[int, tuple[int, float]] = {}
+        """By command, its last final MAV_RESULT to any station, and when that came; of the latest `MAX_ANSWERS`."""
         self.boot = BootClock()
         self.heartbeats = HeartbeatCheck(compid, timeout_s)
         self.takeoff = TakeoffAltitude()
@@ -116,8 +141,8 @@ class Vehicle:
         self._decoder = decoder or Decoder(dialect)
         self.message_cache = MessageCache(self._decoder)
         self.slots = self.message_cache.slots
-        self.armed_at = -math.inf
-        """When its heartbeat last showed it armed."""
+        self.armed_at = self.armed_since = -math.inf
+        """When its heartbeat last showed it armed, and since when it does."""
         self._landed = "undefined"
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
@@ -162,6 +187,14 @@ class Vehicle:
         slot.count += 1
         handler = self._handlers.get(frame.msgid)
         return () if handler is None else handler(frame.payload, now)
+
+    def recall(self, frames: Iterable[tuple[Frame, float]]) -> None:
+        """Take its last frames, each with its time, from the journal of the daemon before. It counts as lost until it
+        is heard."""
+        for frame, at in frames:
+            self.on_frame(frame, at)
+        self.connected = False
+        self._lost_at = self._heard_at
 
     def state_update_only(self, msgid: int) -> Slot | None:
         """The cache slot of a message for which `on_frame` only updates that slot; None for other messages."""
@@ -214,7 +247,17 @@ class Vehicle:
 
     @property
     def mode(self) -> str:
-        return modes.mode_name(self.autopilot, self.type, self.base_mode, self.custom_mode)
+        return modes.mode_name(self.autopilot, self.mode_type, self.base_mode, self.custom_mode)
+
+    @property
+    def mode_type(self) -> int:
+        """The MAV_TYPE whose modes it has: that of its firmware's program, whatever type it shows."""
+        return mode_type(self.autopilot, self.type, self.program, self.param("Q_ENABLE"))
+
+    @property
+    def kind(self) -> VehicleClass:
+        """Its class, by all that it has shown."""
+        return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, self.param("Q_ENABLE"))
 
     @property
     def duplicate_elsewhere(self) -> str | None:
@@ -259,6 +302,15 @@ class Vehicle:
         if self.family == "ardupilot" and self.system_status in (STANDBY, ACTIVE):
             return "in_air" if self.system_status == ACTIVE else "on_ground"
         return "undefined"
+
+    def hovers(self, now: float) -> bool:
+        """True for a VTOL that is known to be carried by its rotors now: by its mode, or as it reports itself."""
+        if self.kind is not VehicleClass.VTOL:
+            return False
+        if self.family == "ardupilot" and self.custom_mode in Q_MODES:
+            return True
+        slot = self.slots.get(self._landed_id)
+        return slot is not None and now - slot.at <= LANDED_FRESH_S and self._vtol_state in VTOL_ON_ROTORS
 
     def in_air(self, now: float) -> bool | None:
         """True if it flies; None if that is not known."""
@@ -433,6 +485,7 @@ class Vehicle:
         if self.armed != armed:
             kind = "armed" if self.armed else "disarmed"
             if self.armed:
+                self.armed_since = now
                 self.takeoff.armed(seen=connected)
             events.append(self._event(kind, kind, {"mode": self.mode}))
         if self.mode != mode:
@@ -465,6 +518,8 @@ class Vehicle:
         events = [self._event("statustext", text.text, data)]
         if self.firmware is None:
             self.firmware = firmware_from_banner(text.text)
+        if self.autopilot == modes.AUTOPILOT_ARDUPILOT and (word := banner_program(text.text)) is not None:
+            self.program = program_of_banner(word) or self.program
         if text.text.lower().startswith(BOOT_TEXT) and self._long_up(text.at):
             self.boot.forget()
             events.append(self._rebooted(text.at, f"rebooted: {text.text}", since=text.at))
@@ -476,7 +531,7 @@ class Vehicle:
         return now - since > BOOT_TEXT_MIN_UP_S and (uptime is None or uptime > BOOT_TEXT_MIN_UP_S)
 
     def _on_extended_sys_state(self, payload: bytes, now: float) -> Events:
-        (state,) = self._decoder.read["EXTENDED_SYS_STATE"](payload)
+        self._vtol_state, state = self._decoder.read["EXTENDED_SYS_STATE"](payload)
         landed = name_of(LANDED, state)
         if landed == self._landed:
             return ()
@@ -494,6 +549,11 @@ class Vehicle:
     def _on_command_ack(self, payload: bytes, now: float) -> Events:
         self.last_ack = Ack(*self._decoder.read["COMMAND_ACK"](payload))
         self.heartbeats.expect_change(self.last_ack.command, self.last_ack.result, now)
+        if self.last_ack.result != IN_PROGRESS:
+            self.answers.pop(self.last_ack.command, None)  # the newest is the last one
+            self.answers[self.last_ack.command] = (self.last_ack.result, now)
+            if len(self.answers) > MAX_ANSWERS:
+                del self.answers[next(iter(self.answers))]
         return ()
 
     def _on_autopilot_version(self, payload: bytes, now: float) -> Events:
@@ -550,5 +610,6 @@ class Vehicle:
         self._landed = "undefined"
         self.takeoff.forget()
         self.parameters.forget()
+        self.answers.clear()
         self.message_cache.forget_before(since, keep="HEARTBEAT")
         return self._event("reboot", text, {})

@@ -18,6 +18,8 @@ WATCHED = frozenset(
         "MOT_THST_EXPO",
         "MOT_THST_HOVER",
         "MPC_THR_HOVER",
+        "Q_ENABLE",
+        "Q_GUIDED_MODE",
         "THR_MDL_FAC",
     }
 )

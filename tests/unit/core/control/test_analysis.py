@@ -21,6 +21,7 @@ from skygcs.core.control.analysis import (
     suggest,
 )
 from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
+from support.table import each
 
 THRUST = GRAVITY_MPS2 / UTIAS_HOVER_THRUST
 LOOPS = {
@@ -89,7 +90,7 @@ def swings(loop: Loop, delay_s: float) -> tuple[float, float]:
     return max(errors[10_000:20_000]), max(errors[30_000:])
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "wanted"),
     [
         ("xy tilt", [-0.229, -0.278 - 0.859j, -0.278 + 0.859j]),
@@ -102,7 +103,7 @@ def test_poles_are_those_known_for_the_default_gains(name: str, wanted: list[com
     assert poles(LOOPS[name]) == pytest.approx(wanted, abs=6e-4)
 
 
-@pytest.mark.parametrize(
+@each(
     ("gains", "crossover", "phase_deg", "delay"),
     [
         (UTIAS_XY, 1.955, 56.8, 0.507),
@@ -120,7 +121,7 @@ def test_margins_are_those_known_for_normalised_thrust(
     assert found.delay_margin_s == pytest.approx(delay, abs=6e-4)
 
 
-@pytest.mark.parametrize(("name", "kiv", "kpv"), [("xy tilt", 0.815, 0.556), ("z tilt", 0.305, 0.234)])
+@each(("name", "kiv", "kpv"), [("xy tilt", 0.815, 0.556), ("z tilt", 0.305, 0.234)])
 def test_rows_x_and_z_of_eq_16_come_out_and_are_the_only_factoring(name: str, kiv: float, kpv: float) -> None:
     (row,) = factorings(LOOPS[name])
     assert (row.kiv, row.kpv) == pytest.approx((kiv, kpv), abs=6e-4)
@@ -185,7 +186,7 @@ def test_at_the_delay_margin_a_pole_crosses_the_imaginary_axis_at_the_crossover(
     assert root_near(loop, crossing, 1.02 * found.delay_margin_s).real > 1e-4
 
 
-@pytest.mark.parametrize("name", ["xy tilt", "z tilt", "xy thrust", "z thrust"])
+@each("name", ["xy tilt", "z tilt", "xy thrust", "z thrust"])
 def test_simulated_2_percent_below_the_delay_margin_it_calms_down_and_2_percent_above_it_does_not(name: str) -> None:
     loop = LOOPS[name]
     delay_s = margins_of(loop).delay_margin_s
@@ -278,7 +279,7 @@ def test_a_reserve_below_one_is_refused() -> None:
         suggest(LOOPS["xy thrust"], 0.1, reserve=0.99)
 
 
-@pytest.mark.parametrize(
+@each(
     ("delay_s", "with_integrator", "without"),
     [(0.0, 0.08, 0.055), (0.2, 0.12, 0.067), (0.3, 0.20, 0.105), (0.4, 0.38, 0.23)],
 )
@@ -297,14 +298,14 @@ def test_half_a_second_is_too_much_for_the_sampled_loop_and_just_borne_by_the_co
     assert swing(0.002, slice(25000, None)) < 0.9 * swing(0.002, slice(5000, 10000))
 
 
-@pytest.mark.parametrize(("delay_s", "overshoot"), [(0.0, 0.0), (0.15, 0.0), (0.2, 0.14)])
+@each(("delay_s", "overshoot"), [(0.0, 0.0), (0.15, 0.0), (0.2, 0.14)])
 def test_z_at_50_hz_overshoots_only_close_to_its_delay_margin(delay_s: float, overshoot: float) -> None:
     response = step_response(LOOPS["z thrust"], delay_s=delay_s, duration_s=30, period_s=0.02)
     assert response.overshoot == pytest.approx(overshoot, abs=0.005)
     assert response.settling_s is not None
 
 
-@pytest.mark.parametrize(("rate_hz", "delay_s", "calm"), [(50, 0.25, False), (5, 0.1, True), (5, 0.15, False)])
+@each(("rate_hz", "delay_s", "calm"), [(50, 0.25, False), (5, 0.1, True), (5, 0.15, False)])
 def test_a_slow_rate_costs_z_as_much_as_a_delay(rate_hz: float, delay_s: float, calm: bool) -> None:
     response = step_response(LOOPS["z thrust"], delay_s=delay_s, duration_s=60, period_s=1 / rate_hz)
     assert (response.settling_s is not None) == calm
@@ -335,7 +336,7 @@ def _mode(loop: Loop, pole: complex, time_s: float) -> complex:
     return numerator / (pole * slope) * cmath.exp(pole * time_s)
 
 
-@pytest.mark.parametrize("delay_s", [0.1, 0.1337])
+@each("delay_s", [0.1, 0.1337])
 def test_a_delay_that_is_no_multiple_of_the_period_is_kept_to(delay_s: float) -> None:
     coarse = step_response(LOOPS["xy thrust"], delay_s=delay_s, duration_s=2, period_s=0.02).positions
     fine = _held(LOOPS["xy thrust"], delay_s, 0.02, 2)
@@ -384,8 +385,8 @@ def test_a_response_that_swings_through_the_band_at_the_end_has_not_settled() ->
     assert step_response(LOOPS["z tilt"], delay_s=0.3, duration_s=80).settling_s == pytest.approx(39.3, abs=0.1)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e7, 1e-13])
-@pytest.mark.parametrize("place", range(4))
+@each("bad", [math.nan, math.inf, -math.inf, 1e7, 1e-13])
+@each("place", range(4))
 def test_numbers_nobody_means_are_refused(bad: float, place: int) -> None:
     values = [1.0, 1.0, 1.0, 1.0]
     values[place] = bad

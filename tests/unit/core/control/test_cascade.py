@@ -18,6 +18,7 @@ from skygcs.core.control import (
     step,
     velocity_step,
 )
+from support.table import each
 
 CONFIG = ControlConfig()
 HERE = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -44,7 +45,7 @@ def flown(
 # --- golden vectors --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each(
     ("position_error", "velocity", "thrust", "norm", "tilt_deg", "integral"),
     [
         ((0, 0, 0), (0, 0, 0), (0, 0, 0.45), 0.45, 0.0, (0, 0, 0)),
@@ -93,7 +94,7 @@ def test_the_horizontal_integral_is_bounded_even_while_its_anti_windup_drives_it
     assert math.hypot(*memory.integral_enu[:2]) == pytest.approx(0.45 * math.tan(math.radians(35)))
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@each("axis", [0, 1, 2])
 def test_an_acceleration_of_1_mps2_weighs_hover_over_g(axis):
     acc = [0.0, 0.0, 0.0]
     acc[axis] = 1.0
@@ -114,22 +115,20 @@ def test_while_the_autopilot_follows_the_integral_grows():
     assert all(after > before + 0.05 for after, before in zip(memory.integral_enu, held, strict=True))
 
 
-@pytest.mark.parametrize("dt_s", [0.011, 0.02, 0.029])
+@each("dt_s", [0.011, 0.02, 0.029])
 def test_the_measured_time_is_integrated_not_the_configured(dt_s):
     _, memory = flown(Reference((1.0, 0.0, 1.0)), dt_s=dt_s)
     assert memory.integral_enu == pytest.approx((0.02 * 0.95 * dt_s, 0.0, 0.02 * 1.0 * dt_s))
 
 
-@pytest.mark.parametrize("rate_hz", [5, 10, 20, 50, 100])
+@each("rate_hz", [5, 10, 20, 50, 100])
 def test_a_second_integrates_to_the_same_at_any_rate(rate_hz):
     config = ControlConfig(period_s=1 / rate_hz)
     _, memory = flown(Reference((1.0, 0.0, 0.0)), config=config, dt_s=1 / rate_hz, steps=rate_hz)
     assert memory.integral_enu[0] == pytest.approx(0.02 * 0.95)
 
 
-@pytest.mark.parametrize(
-    ("dt_s", "believed_s"), [(0.1, 0.03), (1e5, 0.03), (0.001, 0.01), (0.0, 0.01), (-1.0, 0.01), (0.0201, 0.0201)]
-)
+@each(("dt_s", "believed_s"), [(0.1, 0.03), (1e5, 0.03), (0.001, 0.01), (0.0, 0.01), (-1.0, 0.01), (0.0201, 0.0201)])
 def test_a_step_much_longer_or_shorter_than_the_period_is_clamped_and_said(dt_s, believed_s):
     output, memory = flown(Reference((1.0, 0.0, 0.0)), dt_s=dt_s)
     assert memory.integral_enu[0] == pytest.approx(0.02 * 0.95 * believed_s)
@@ -165,8 +164,8 @@ def test_a_wrong_number_costs_its_step_only():
         assert (output, disturbed) == (clean_output, clean)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1.1e6, -1e300])
-@pytest.mark.parametrize("place", range(17))
+@each("bad", [math.nan, math.inf, -math.inf, 1.1e6, -1e300])
+@each("place", range(17))
 def test_one_wrong_number_anywhere_gives_no_output_and_leaves_the_memory(place, bad):
     n = [0.0] * 16 + [PERIOD_S]
     n[place] = bad
@@ -182,7 +181,7 @@ def test_one_wrong_number_anywhere_gives_no_output_and_leaves_the_memory(place, 
 # --- references ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each(
     ("xy", "z", "expected"),
     [
         (False, False, (0.5 + 0.95, -0.5 + 1.9, 0.2 + 3.0)),
@@ -205,7 +204,7 @@ def test_the_asked_velocity_is_clipped_axis_by_axis():
         assert velocity_step(config, Memory(), HERE, Reference(far), PERIOD_S)[0] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("yaw_deg", [-180, -90, 0, 45, 200, 725])
+@each("yaw_deg", [-180, -90, 0, 45, 200, 725])
 def test_the_nose_points_along_the_yaw_even_when_tilted(yaw_deg):
     output, _ = flown(Reference((2.0, -1.0, 0.0), math.radians(yaw_deg)))
     w, x, y, z = output.attitude_enu_flu
@@ -219,7 +218,7 @@ def test_the_nose_points_along_the_yaw_even_when_tilted(yaw_deg):
 # --- saturation ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each(
     ("position_error", "names"),
     [
         ((0, 0, 0), ()),

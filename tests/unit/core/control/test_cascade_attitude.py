@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.cascade import attitude_from_thrust, ned_frd_from_enu_flu
+from support.table import each
 
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
@@ -56,7 +57,7 @@ def test_ned_frd_is_the_same_attitude_with_both_frames_turned(thrust, yaw_rad):
     assert matrix(ned_frd_from_enu_flu(attitude)) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(
+@each(
     ("yaw_deg", "ned_frd"),
     [(90, (1, 0, 0, 0)), (0, (HALF, 0, 0, HALF)), (180, (HALF, 0, 0, -HALF)), (-90, (0, 0, 0, 1))],
 )

@@ -7,6 +7,7 @@ import pytest
 
 from skygcs.core.control import AxisGains, ControlConfig
 from skygcs.errors import ConfigError
+from support.table import each
 
 
 def test_the_defaults_are_those_flown_with_the_seeds_gains():
@@ -19,7 +20,7 @@ def test_the_defaults_are_those_flown_with_the_seeds_gains():
     assert (config.dt_min_s, config.dt_max_s) == pytest.approx((0.01, 0.03))
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "named"),
     [
         ({"hover_thrust": 0.95}, "hover_thrust"),
@@ -51,7 +52,7 @@ def test_all_problems_are_told_at_once():
     assert len(error.value.problems) == 3
 
 
-@pytest.mark.parametrize("pos_p_per_s", [0.0, 5e-324, 1e-300, 1e-160])
+@each("pos_p_per_s", [0.0, 5e-324, 1e-300, 1e-160])
 def test_a_position_gain_of_nearly_zero_leaves_the_velocity_unlimited(pos_p_per_s: float) -> None:
     gains = AxisGains(pos_p_per_s, 0.08, 0.02)
     assert ControlConfig(xy=gains, acc_xy_max_mps2=2.0).near_xy_squared == math.inf

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step
+from support.table import each
 
 DT_S = 0.02
 
@@ -81,7 +82,7 @@ ORIGINAL_VECTORS = [
 ]
 
 
-@pytest.mark.parametrize(("position_error", "velocity", "thrust", "norm", "tilt", "integral"), ORIGINAL_VECTORS)
+@each(("position_error", "velocity", "thrust", "norm", "tilt", "integral"), ORIGINAL_VECTORS)
 def test_the_original_gives_its_golden_vectors(position_error, velocity, thrust, norm, tilt, integral):
     law = OriginalLaw()
     given_thrust = law.thrust(position_error, velocity)

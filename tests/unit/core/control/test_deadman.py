@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.control.deadman import DeadMan
 from skygcs.errors import ConfigError
+from support.table import each
 
 
 def test_is_off_by_default() -> None:
@@ -61,9 +62,7 @@ def test_control_that_begins_after_it_fired_is_watched_again() -> None:
     assert dead_man.check(30.0)
 
 
-@pytest.mark.parametrize(
-    ("timeout_s", "action"), [(1.9, "hold"), (3601.0, "hold"), (float("nan"), "hold"), (10.0, "kill")]
-)
+@each(("timeout_s", "action"), [(1.9, "hold"), (3601.0, "hold"), (float("nan"), "hold"), (10.0, "kill")])
 def test_refuses_what_would_fire_by_accident_or_is_no_action(timeout_s: float, action: str) -> None:
     with pytest.raises(ConfigError):
         DeadMan(timeout_s, action)  # type: ignore[arg-type]

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from skygcs.core.control import delay
 from skygcs.core.control.delay import DelayMeter, p95
+from support.examples import seeds
+from support.table import each
 
 ages = st.floats(0.0, 10.0)
 
@@ -126,8 +128,8 @@ def test_the_way_up_is_half_of_the_median_round_trip() -> None:
     assert meter.uplink_s == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("hz", [20.0, 25.0, 33.0, 50.0, 100.0])
-@pytest.mark.parametrize("uplink_s", [0.005, 0.01, 0.03])
+@each("hz", [20.0, 25.0, 33.0, 50.0, 100.0])
+@each("uplink_s", [0.005, 0.01, 0.03])
 def test_an_uplink_that_gets_slow_is_noticed_at_any_phase_of_the_pings(hz: float, uplink_s: float) -> None:
     for phase in range(21):
         slow_from = 5.0 + phase * 0.01
@@ -143,12 +145,12 @@ def test_the_bound_holds_until_late_pongs_show_the_same() -> None:
     assert seen[-1][1] == pytest.approx(0.615, abs=0.03)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@each("seed", seeds(12))
 def test_no_false_alarm_in_ten_minutes_at_five_percent_loss_each_way(seed: int) -> None:
     assert max(delay_s for _, delay_s, _ in flown(600.0, loss=0.05, seed=seed)) <= 0.1
 
 
-@pytest.mark.parametrize("pause_s", [0.1, 0.2, 0.25])
+@each("pause_s", [0.1, 0.2, 0.25])
 def test_a_short_pause_of_the_link_is_one_late_pong(pause_s: float) -> None:
     """What is sent within the pause arrives at its end, all at once."""
     for phase in range(20):
@@ -198,7 +200,7 @@ def test_while_attitude_is_flown_five_late_pongs_of_101_are_accidents_and_the_la
     assert len(meter._trips) == delay.ROUND_TRIPS
 
 
-@pytest.mark.parametrize("unknown", [None, math.nan, math.inf])
+@each("unknown", [None, math.nan, math.inf])
 def test_a_state_of_unknown_age_is_infinitely_old(unknown: float | None) -> None:
     meter = DelayMeter()
     answered(meter, 0.03, 0.0)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import Origin, ecef, enu_from_geodetic, geodetic_from_enu
 from skygcs.errors import ConfigError
+from support.table import each
 
 ORIGIN = Origin(43.78, -79.46, 170.0)
 FENCE = Fence(ORIGIN)
@@ -20,7 +21,7 @@ def at(x_m: float, y_m: float, up_m: float, origin: Origin = ORIGIN) -> tuple[fl
     return geodetic_from_enu(x_m, y_m, up_m, origin)
 
 
-@pytest.mark.parametrize(
+@each(
     ("point", "vehicle", "reference"),
     [
         ((0.0, 0.0, 5.0), True, True),

@@ -17,6 +17,8 @@ from skygcs.core.control.predictor_margin import (
     why_not_predicted,
 )
 from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, DISTURBANCE_TIME_S, OPPOSED, PX4_LOOP
+from support.examples import thinned
+from support.table import each
 
 STEP_S = 0.002
 OBSERVER_S = DISTURBANCE_TIME_S
@@ -51,8 +53,10 @@ def grows(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float, true
     return float(np.abs(position[-third:]).max()) > float(np.abs(position[third:-third]).max())
 
 
-@pytest.mark.parametrize("assumed_s", [0.2, 0.8, 1.2])
-@pytest.mark.parametrize(("kp", "lag_s"), [(0.95, 0.667), (1.0, 0.25)])
+@each(
+    ("kp", "lag_s", "assumed_s"),
+    thinned([(kp, lag_s, s) for s in (0.2, 0.8, 1.2) for kp, lag_s in ((0.95, 0.667), (1.0, 0.25))], 2),
+)
 def test_the_range_is_where_a_nudge_dies_out(kp: float, lag_s: float, assumed_s: float) -> None:
     found = delay_range(kp, lag_s, 0.15, assumed_s)
     assert found is not None
@@ -92,9 +96,7 @@ def test_a_gain_of_zero_limits_nothing() -> None:
     assert found is not None and found.most_s > 1.2
 
 
-@pytest.mark.parametrize(
-    "bad", [(0.0, 0.5, 0.1, 0.5), (1.0, 0.0, 0.1, 0.5), (1.0, 0.5, -0.1, 0.5), (1.0, 0.5, 0.1, math.inf)]
-)
+@each("bad", [(0.0, 0.5, 0.1, 0.5), (1.0, 0.0, 0.1, 0.5), (1.0, 0.5, -0.1, 0.5), (1.0, 0.5, 0.1, math.inf)])
 def test_numbers_that_are_none_are_refused(bad: tuple[float, float, float, float]) -> None:
     with pytest.raises(ValueError, match="must be above 0"):
         delay_range(*bad)

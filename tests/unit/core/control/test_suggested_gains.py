@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from bench.control.sampled_loop import SampledLoop, fly_step
 from skygcs.core.control.analysis import Loop, delay_margin_s, step_response, suggest
 from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_XY, UTIAS_Z, AxisGains
+from support.examples import examples
 
 HOVER_THRUST = 0.45
 PLANT_GAIN = GRAVITY_MPS2 / HOVER_THRUST
@@ -56,7 +57,7 @@ def test_suggested_gains_are_stable_and_overshoot_by_less_than_30_percent(
     telemetry_hz=st.floats(5.0, 50.0),
     phase=st.floats(0.0, 0.99),
 )
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 def test_the_same_anywhere_in_between(
     gains: AxisGains, delay_s: float, rate_hz: float, telemetry_hz: float, phase: float
 ) -> None:

@@ -33,6 +33,7 @@ from skygcs.core.control.trace import (
     rerun,
 )
 from skygcs.errors import TraceError
+from support.table import each
 
 HEAD = TraceHead("alpha", 43.7806, -79.4653, 180.0)
 CONFIG = ControlConfig()
@@ -106,7 +107,7 @@ def test_a_row_comes_back_bit_for_bit(row: TraceRow, before: Memory) -> None:
     assert entry.memory == before
 
 
-@pytest.mark.parametrize("number", [-0.0, 5e-324, 1.7976931348623157e308, math.inf, math.nan, 0.1 + 0.2, 7])
+@each("number", [-0.0, 5e-324, 1.7976931348623157e308, math.inf, math.nan, 0.1 + 0.2, 7])
 def test_odd_numbers_come_back(number: float) -> None:
     row = TraceRow(number, 0.02, None, True, None, None, number)
     (entry,) = entries(TraceWriter(HEAD).lines(row, CONFIG, Memory(), Memory()).splitlines(keepends=True))
@@ -132,7 +133,7 @@ def test_without_the_memory_it_began_with_the_law_answers_otherwise() -> None:
     assert next(rerun(entries(lines))).column in ("out_w", "out_x")
 
 
-@pytest.mark.parametrize("column", COLUMNS_1[COLUMNS_1.index("out_w") : -1])
+@each("column", COLUMNS_1[COLUMNS_1.index("out_w") : -1])
 def test_one_flipped_bit_of_the_output_is_found(column: str) -> None:
     lines = flight()
     at = 20
@@ -144,7 +145,7 @@ def test_one_flipped_bit_of_the_output_is_found(column: str) -> None:
     assert mismatch.computed == recorded
 
 
-@pytest.mark.parametrize(
+@each(
     ("column", "change"),
     [("x_m", "0.5"), ("following", "0"), ("dt_s", "0.021"), ("ref_yaw_rad", "0.1"), ("ref_ax_mps2", "1.0")],
 )
@@ -183,7 +184,7 @@ def test_line_ends_of_other_systems_are_read() -> None:
     assert entries([line.replace("\n", "\r\n") for line in flight()]) == entries(flight())
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "reason"),
     [
         ("garbage\n", "1 cells; a row has 49"),
@@ -208,7 +209,7 @@ def test_a_line_that_is_none_is_an_error_with_its_number(line: str, reason: str)
     assert reason in error.value.reason
 
 
-@pytest.mark.parametrize(
+@each(
     ("column", "change"),
     [
         ("t_s", "x"),

@@ -14,6 +14,7 @@ from skygcs.core.control.trace import COLUMNS, PredictionStep, TraceHead, TraceR
 from skygcs.core.control.trace_row import COLUMNS_1
 from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, predicted_setpoint
 from skygcs.errors import TraceError
+from support.table import each
 
 HEAD = TraceHead("alpha", 43.7806, -79.4653, 180.0)
 CONFIG = ControlConfig()
@@ -45,7 +46,7 @@ def remarks(lines: list[str]) -> list[str]:
     return [line.split(" ")[1] for line in lines if line.startswith("#")]
 
 
-@pytest.mark.parametrize("first", [0, 17])
+@each("first", [0, 17])
 def test_it_runs_again_without_a_difference(first: int) -> None:
     lines = flight(first)
     assert list(rerun(decode(lines))) == []
@@ -53,7 +54,7 @@ def test_it_runs_again_without_a_difference(first: int) -> None:
     assert remarks(lines).count("velocity_loop") == 1
 
 
-@pytest.mark.parametrize("column", [c for c in COLUMNS if c.startswith(("acc_sp_", "pred_", "dist_", "vel_sp_"))])
+@each("column", [c for c in COLUMNS if c.startswith(("acc_sp_", "pred_", "dist_", "vel_sp_"))])
 def test_one_flipped_bit_of_the_output_is_found(column: str) -> None:
     lines = flight()
     cells = lines[30].rstrip("\n").split(",")
@@ -64,7 +65,7 @@ def test_one_flipped_bit_of_the_output_is_found(column: str) -> None:
     assert (mismatch.line, mismatch.column, mismatch.computed) == (31, column, recorded)
 
 
-@pytest.mark.parametrize("column", ["x_m", "vx_mps", "state_age_s", "round_trip_s", "ref_ax_mps2"])
+@each("column", ["x_m", "vx_mps", "state_age_s", "round_trip_s", "ref_ax_mps2"])
 def test_a_changed_input_shows_in_what_follows(column: str) -> None:
     lines = flight()
     cells = lines[30].rstrip("\n").split(",")
@@ -94,7 +95,7 @@ def memory_remark(**changes: Any) -> str:
     return f"# predictor = {json.dumps({**json.loads(whole.partition('=')[2]), **changes})}\n"
 
 
-@pytest.mark.parametrize(
+@each(
     "line",
     [
         "# predictor = 3\n",

@@ -13,6 +13,7 @@ from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Refe
 from skygcs.core.control.gains import GRAVITY_MPS2
 from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
 from skygcs.errors import ConfigError
+from support.table import each
 
 PLAIN = ControlConfig()
 LIMITED = ControlConfig(acc_xy_max_mps2=2.0, acc_z_max_mps2=1.0)
@@ -95,7 +96,7 @@ def flown(config: ControlConfig, goal: tuple[float, float, float], seconds: floa
     return seen
 
 
-@pytest.mark.parametrize("far_m", [3.0, 8.0, 40.0])
+@each("far_m", [3.0, 8.0, 40.0])
 def test_a_step_speeds_up_by_the_limit_and_arrives(far_m: float) -> None:
     """The integral winds up by Ki a/(G Kv) a second meanwhile, a quarter of a m/s² in a second."""
     across, up = flown(LIMITED, (far_m, 0.0, 0.0), 40.0), flown(LIMITED, (0.0, 0.0, far_m), 60.0)
@@ -137,7 +138,7 @@ def test_it_stops_and_turns_back_at_once() -> None:
     assert velocity == pytest.approx((-2.0 * PERIOD_S, 0.0, -1.0 * PERIOD_S))
 
 
-@pytest.mark.parametrize("value", [0.0, 0.09, 101.0, math.nan, -1.0])
+@each("value", [0.0, 0.09, 101.0, math.nan, -1.0])
 def test_limits_out_of_range_are_refused(value: float) -> None:
     for key in ("acc_xy_max_mps2", "acc_z_max_mps2"):
         with pytest.raises(ConfigError, match=key):

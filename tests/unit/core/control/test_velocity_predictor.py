@@ -24,6 +24,7 @@ from skygcs.core.control.velocity_predictor import (
     Timing,
     predicted_setpoint,
 )
+from support.table import each
 
 LAW = ControlConfig()
 GRID_S = 0.005
@@ -122,12 +123,12 @@ def timing(now: float, age_s: float = 0.05, round_trip_s: float = 0.8) -> Timing
     return Timing(now, age_s, round_trip_s, HOLD_S)
 
 
-@pytest.mark.parametrize("delay_s", [0.05, 0.2, 0.4, 0.8])
+@each("delay_s", [0.05, 0.2, 0.4, 0.8])
 def test_a_moving_reference_is_followed_as_well_over_any_delay(delay_s: float) -> None:
     assert rms(Flight(delay_s).fly(swinging, 60.0)) < 0.15
 
 
-@pytest.mark.parametrize("wrong", [0.7, 1.3])
+@each("wrong", [0.7, 1.3])
 def test_a_delay_that_is_wrong_by_30_percent_leaves_it_stable(wrong: float) -> None:
     errors = Flight(0.8 * wrong, measured_s=0.8).fly(there, 80.0)
     assert max(map(abs, errors[-2000:])) < 0.02

@@ -17,6 +17,8 @@ from skygcs.core.federation.bridge_election import (
     BridgeState,
     decode_claim,
 )
+from support.examples import examples
+from support.table import each
 
 ACTIVE, ASKING, STANDBY = BridgeState.ACTIVE, BridgeState.ASKING, BridgeState.STANDBY
 
@@ -130,7 +132,7 @@ def test_a_bridge_without_a_hub_stays_what_it_is() -> None:
     assert copy.state is STANDBY
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     steps=st.lists(
         st.tuples(st.sampled_from("abc"), st.sampled_from([-1, 0, 0, 1, 2]), st.floats(0.0, 15.0)), max_size=12
@@ -154,7 +156,7 @@ def test_whatever_was_cut_exactly_one_goes_on_when_the_network_is_whole(steps: l
     assert net.active() == [one]
 
 
-@pytest.mark.parametrize(
+@each(
     "data",
     [
         b"",
@@ -185,7 +187,7 @@ def test_the_texts_of_a_claim_can_be_shown() -> None:
     assert (claim.run, claim.host) == ("?r", "h?")
 
 
-@pytest.mark.parametrize("number", [b"1e999", b"-1e999", b"1" + 400 * b"0"])
+@each("number", [b"1e999", b"-1e999", b"1" + 400 * b"0"])
 def test_numbers_of_a_claim_have_bounds(number: bytes) -> None:
     data = BridgeClaim("r", ACTIVE, 17.25, "h", 9).encoded()
     for known in (b"17.25", b"9"):

@@ -24,7 +24,9 @@ from skygcs.core.federation.lease import (
     decode_entry,
     encode_entry,
 )
+from support.examples import examples
 from support.lease_world import World
+from support.table import each
 
 SITES = ("north", "south", "east")
 HELD_WITHIN_S = NEW_HUB_S + 0.5
@@ -100,7 +102,7 @@ def test_a_home_that_stops_is_followed_by_another_site_and_takes_it_back_when_th
     assert w.both == []
 
 
-@pytest.mark.parametrize("part", ["bridge", "daemon", "both"])
+@each("part", ["bridge", "daemon", "both"])
 def test_what_was_stopped_past_the_ttl_sends_nothing_when_it_goes_on(part: str) -> None:
     w = world(goes_on_alone=False)
     north = w.sites["north"]
@@ -120,7 +122,7 @@ def test_what_was_stopped_past_the_ttl_sends_nothing_when_it_goes_on(part: str) 
         assert w.holders == ["south"]
 
 
-@pytest.mark.parametrize("kind", ["restarted", "replaced"])
+@each("kind", ["restarted", "replaced"])
 def test_the_home_does_not_notice_a_hub_that_is_gone_for_a_while(kind: str) -> None:
     w = world()
     w.hub.alive = False
@@ -226,8 +228,8 @@ def go_back(w: World, kind: str, lost: int = 3) -> None:
             w.cut_power(lost)
 
 
-@pytest.mark.parametrize("holder", ["north", "south"])
-@pytest.mark.parametrize("kind", ["recreated", "restored", "power cut"])
+@each("holder", ["north", "south"])
+@each("kind", ["recreated", "restored", "power cut"])
 def test_a_hub_whose_revisions_go_back_takes_nothing_from_who_holds_it(kind: str, holder: str) -> None:
     w = world(3, goes_on_alone=False)
     w.sites[holder].lease.take(w.sites[holder].now())
@@ -238,7 +240,7 @@ def test_a_hub_whose_revisions_go_back_takes_nothing_from_who_holds_it(kind: str
         assert w.holders == [holder], w.describe()
 
 
-@pytest.mark.parametrize("kind", ["recreated", "restored", "power cut"])
+@each("kind", ["recreated", "restored", "power cut"])
 def test_a_hub_whose_revisions_go_back_gives_nothing_away_while_an_older_lease_is_valid(kind: str) -> None:
     w = world(goes_on_alone=False)
     north, south = w.sites["north"], w.sites["south"]
@@ -382,7 +384,7 @@ class LeaseMachine(RuleBasedStateMachine):
 
 
 TestNeverTwo = LeaseMachine.TestCase
-TestNeverTwo.settings = settings(max_examples=50, stateful_step_count=30, deadline=None)
+TestNeverTwo.settings = settings(max_examples=examples(50), stateful_step_count=30, deadline=None)
 
 
 def test_a_holder_that_vanishes_while_another_site_is_not_connected_is_followed_all_the_same() -> None:
@@ -434,7 +436,7 @@ def test_an_answer_that_comes_after_the_lease_is_over_gives_nothing() -> None:
     assert lease.state not in VALID
 
 
-@pytest.mark.parametrize("value", [b"", b"{", b"[]", b'{"holder": 5}', b'{"holder": "' + b"n" * 2000 + b'"}', b"\xff"])
+@each("value", [b"", b"{", b"[]", b'{"holder": 5}', b'{"holder": "' + b"n" * 2000 + b'"}', b"\xff"])
 def test_what_nobody_can_read_is_somebodys(value: bytes) -> None:
     entry = decode_entry(value, 9)
     assert (entry.revision, entry.holder) == (9, "?")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.federation.lease_store import MAX_NAMES, LeaseStore
+from support.table import each
 
 
 def opened(last_revision: int = 10) -> LeaseStore:
@@ -21,7 +20,7 @@ def test_it_keeps_its_name_while_its_revisions_grow_and_over_a_restart_of_the_br
     assert (store.name, opened(25).name) == (name, name)
 
 
-@pytest.mark.parametrize(("identity", "last"), [("created again", 50), ("created", 11)])
+@each(("identity", "last"), [("created again", 50), ("created", 11)])
 def test_another_creation_or_a_lower_last_revision_is_another_store(identity: str, last: int) -> None:
     store = opened()
     store.note(12)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from skygcs.core.federation.order_messages import (
     vehicle_of_token,
     vehicle_token,
 )
+from support.table import each
 
 KEY = "0123456789abcdef" * 2
 OUTCOME = {"ok": True, "result": "accepted", "message": "m", "attempts": 1, "elapsed_s": 0.5, "status_texts": ["a"]}
@@ -71,7 +71,7 @@ def test_anything_else_is_left_out(payload: bytes) -> None:
             assert json.loads(payload)["id"] == read.key
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"id": "short"},
@@ -112,7 +112,7 @@ def test_a_record_is_one_line_and_is_remembered(by: str, text: str, params: dict
     assert list(audit.remembered([line[:-1], b"", b"[]", b"\xff"])) == [None] * 4
 
 
-@pytest.mark.parametrize("number", ["1e999", "1" + 400 * "0"])
+@each("number", ["1e999", "1" + 400 * "0"])
 def test_an_order_with_a_number_that_nothing_can_hold_is_none(number: str) -> None:
     """Left out or rounded it would be another order."""
     order = OrderRequest(KEY, "alpha", "vehicles.goto", {"alt_m": 17.25}, 5.5, "a@b", "site")

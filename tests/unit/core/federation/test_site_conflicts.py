@@ -6,14 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.federation.site_conflicts import (
     MAX_CONFLICTS,
     PAIRS_A_TURN,
-    SILENT_S,
+    TRACK_SILENT_S,
     SiteConflicts,
     SiteVehicle,
 )
@@ -21,6 +20,7 @@ from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.monitor.conflict_levels import CLEAR_S, CONFIRM_S, HORIZON_S, NOISE_MPS, WARNING_S
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.events import Event
+from support.table import each
 
 FIELD = Origin(43.78, -79.46, 180.0)
 MARGIN_M = pair_margin(Footprint(), Footprint()).total_m
@@ -117,10 +117,10 @@ def test_a_place_is_carried_on_with_its_velocity_for_its_age() -> None:
     assert [conflict.describe()["level"] for conflict in watch.conflicts()] in ([], ["notice"])
 
 
-@pytest.mark.parametrize(
+@each(
     "other",
     [
-        vehicle("south/bravo", (1.0, 0.0, 10.0), age_s=SILENT_S + 0.1),
+        vehicle("south/bravo", (1.0, 0.0, 10.0), age_s=TRACK_SILENT_S + 0.1),
         vehicle("south/bravo", (1.0, 0.0, 10.0), age_s=math.nan),
         vehicle("south/bravo", (1.0, 0.0, 10.0), age_s=-1.0),
         replace(vehicle("south/bravo", (1.0, 0.0, 10.0)), lat_deg=None),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from skygcs.core.federation.site_names import name_of_token, select_at, split_by_site, subject_token
 from skygcs.core.federation.state_batch import VehicleRow, row_from_state
 from skygcs.errors import TargetError
+from support.table import each
 
 SITES = ("south", "east")
 
@@ -19,7 +20,7 @@ def row(sysid: int, name: str, *groups: str) -> VehicleRow:
     return made
 
 
-@pytest.mark.parametrize(
+@each(
     ("expression", "own", "others", "changed"),
     [
         ("all", ("all",), {}, False),
@@ -40,7 +41,7 @@ def test_each_part_goes_to_its_site(
     assert (found.own, dict(found.others), found.changed, found.every) == (own, others, changed, False)
 
 
-@pytest.mark.parametrize("expression", ["*/all", "all sites", ["alpha", "*/all"]])
+@each("expression", ["*/all", "all sites", ["alpha", "*/all"]])
 def test_every_site_means_the_own_one_and_those_that_come_later_too(expression: str) -> None:
     found = split_by_site(expression, "north", SITES)
     assert "all" in found.own
@@ -48,7 +49,7 @@ def test_every_site_means_the_own_one_and_those_that_come_later_too(expression: 
     assert found.every and found.changed
 
 
-@pytest.mark.parametrize(
+@each(
     ("expression", "words"),
     [
         ("west/alpha", "no site 'west' has been heard; there are: east, north, south"),

@@ -22,6 +22,7 @@ from skygcs.core.federation.state_batch import (
     row_from_state,
 )
 from skygcs.core.geo import Origin
+from support.table import each
 
 STATE: dict[str, Any] = {
     "name": "alpha",
@@ -114,7 +115,7 @@ BAD: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("key", BAD)
+@each("key", BAD)
 def test_a_header_out_of_bounds_is_refused(key: str) -> None:
     good = json.loads(encode_batch(batch(row())))
     assert decode_batch(json.dumps(good).encode()).seq == 17
@@ -154,7 +155,7 @@ BAD_VALUES: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("field", VehicleRow._fields)
+@each("field", VehicleRow._fields)
 def test_a_row_with_one_value_out_of_bounds_is_refused(field: str) -> None:
     good = json.loads(encode_batch(batch(row())))
     good["vehicles"][0][VehicleRow._fields.index(field)] = BAD_VALUES[field]
@@ -162,7 +163,7 @@ def test_a_row_with_one_value_out_of_bounds_is_refused(field: str) -> None:
         decode_batch(json.dumps(good).encode())
 
 
-@pytest.mark.parametrize("literal", ["NaN", "Infinity", "1e999"])
+@each("literal", ["NaN", "Infinity", "1e999"])
 def test_a_number_that_is_none_is_refused(literal: str) -> None:
     text = encode_batch(batch(row())).replace(b"1790000000.25", literal.encode())
     with pytest.raises(ValueError):
@@ -219,7 +220,7 @@ HOSTILE = (
 )
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@each("name", HOSTILE)
 def test_a_name_that_no_fleet_file_may_have_is_refused(name: str) -> None:
     good = json.loads(encode_batch(batch(row())))
     good["vehicles"][0][0] = name
@@ -234,8 +235,8 @@ def test_a_batch_in_which_two_vehicles_have_one_name_is_refused() -> None:
         decode_batch(encode_batch(batch(row(), row(sysid=2))))
 
 
-@pytest.mark.parametrize("text", ["\x1b[2J", "\x7f", "\x9b", "\u202e", "a\nb"])
-@pytest.mark.parametrize("ascii_only", [True, False])
+@each("text", ["\x1b[2J", "\x7f", "\x9b", "\u202e", "a\nb"])
+@each("ascii_only", [True, False])
 def test_texts_of_another_site_are_printable(text: str, ascii_only: bool) -> None:
     good = json.loads(encode_batch(batch(row(control={"state": "flying"}))))
     for field in ("autopilot", "type", "mode", "landed", "gps_fix", "control"):
@@ -247,7 +248,7 @@ def test_texts_of_another_site_are_printable(text: str, ascii_only: bool) -> Non
     assert all(one and one.isprintable() for one in (*texts, *shown.groups))
 
 
-@pytest.mark.parametrize("number", ["1e999", "-1e999", "1" + 400 * "0", "NaN"])
+@each("number", ["1e999", "-1e999", "1" + 400 * "0", "NaN"])
 def test_numbers_without_bounds_are_refused(number: str) -> None:
     encoded = encode_batch(batch(row())).decode()
     for known in ("1790000000.25", '"seq":17', "43.7806123"):

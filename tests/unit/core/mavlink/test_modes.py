@@ -4,6 +4,7 @@ import pytest
 from pymavlink import mavutil
 
 from skygcs.core.mavlink import modes
+from support.table import each
 from support.vehicles import flight_dialect
 
 PX4_MODES = (
@@ -26,7 +27,7 @@ PX4_MODES = (
 )
 
 
-@pytest.mark.parametrize("name", PX4_MODES)
+@each("name", PX4_MODES)
 def test_every_mode_of_the_seed_goes_to_a_number_and_back(name: str) -> None:
     assert modes.px4_mode_name(modes.px4_custom_mode(name)) == name
 
@@ -61,7 +62,7 @@ def test_arducopter_modes_agree_with_pymavlinks_table_and_the_dialects_enum() ->
         assert modes.copter_mode_name(number) == entry.removeprefix("COPTER_MODE_")
 
 
-@pytest.mark.parametrize(
+@each(
     ("kind", "table"),
     [
         (1, mavutil.mode_mapping_apm),
@@ -75,9 +76,7 @@ def test_other_ardupilot_vehicles_agree_with_pymavlinks_tables(kind: int, table:
         assert modes.ardupilot_mode_name(kind, number) == name
 
 
-@pytest.mark.parametrize(
-    ("kind", "enum"), [(1, "PLANE_MODE"), (10, "ROVER_MODE"), (12, "SUB_MODE"), (5, "TRACKER_MODE")]
-)
+@each(("kind", "enum"), [(1, "PLANE_MODE"), (10, "ROVER_MODE"), (12, "SUB_MODE"), (5, "TRACKER_MODE")])
 def test_every_mode_of_other_ardupilot_vehicles_has_a_name_of_its_own(kind: int, enum: str) -> None:
     numbers = flight_dialect().enums[enum]
     names = [modes.ardupilot_mode_name(kind, number) for number in numbers]
@@ -87,7 +86,7 @@ def test_every_mode_of_other_ardupilot_vehicles_has_a_name_of_its_own(kind: int,
         assert modes.mode_number(modes.AUTOPILOT_ARDUPILOT, kind, name) == number
 
 
-@pytest.mark.parametrize("written", ["auto.loiter", "AUTO_LOITER", "Auto-Loiter", "autoloiter", "hold", "LOITER"])
+@each("written", ["auto.loiter", "AUTO_LOITER", "Auto-Loiter", "autoloiter", "hold", "LOITER"])
 def test_names_are_found_however_they_are_written(written: str) -> None:
     assert modes.px4_custom_mode(written) == 50593792
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import ast
+import re
 from pathlib import Path
-
-import pytest
 
 import skygcs
 from skygcs.core.mavlink import msgids
 from support.frames import dialect
+from support.table import each
 
 IDS = {name: value for name, value in vars(msgids).items() if name.isupper()}
 
 
-@pytest.mark.parametrize("name", IDS)
+@each("name", IDS)
 def test_an_id_is_the_dialects(name: str) -> None:
     found = dialect().messages.get(IDS[name])
     assert found is not None, f"the dialect has no message {IDS[name]}"
@@ -22,14 +21,11 @@ def test_an_id_is_the_dialects(name: str) -> None:
 
 
 def test_no_other_module_defines_one() -> None:
-    source = Path(skygcs.__file__).parent
+    defined = re.compile(rf"^({'|'.join(IDS)})\b[^=\n]*= *(\d+)(?:\.0)?$", re.M)
     again = []
-    for path in source.rglob("*.py"):
+    for path in Path(skygcs.__file__).parent.rglob("*.py"):
         if path == Path(msgids.__file__):
             continue
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.Tuple):
-                names = {n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)}
-                numbers = {n.value for n in ast.walk(node.value) if isinstance(n, ast.Constant)}
-                again += [f"{path.name}: {name}" for name in names & IDS.keys() if IDS[name] in numbers]
+        found = defined.findall(path.read_text(encoding="utf-8"))
+        again += [f"{path.name}: {name}" for name, number in found if int(number) == IDS[name]]
     assert not again

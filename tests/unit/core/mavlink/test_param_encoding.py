@@ -22,6 +22,7 @@ from skygcs.core.mavlink.param_encoding import (
     to_bits,
     value_reader,
 )
+from support.table import each
 from support.vehicles import Voice, flight_dialect
 
 RANGES = {
@@ -57,13 +58,13 @@ def test_floats_are_exact_and_have_a_short_text(value: float, encoding: Encoding
     assert float32(float(short_float(value))) == value
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e39])
+@each("value", [float("nan"), float("inf"), 1e39])
 def test_what_is_no_32_bit_number_is_refused(value: float) -> None:
     with pytest.raises(ValueError):
         to_bits(value, ParamType.REAL32, Encoding.C_CAST)
 
 
-@pytest.mark.parametrize("value", [0x7F800001, -1, 0x7FBFFFFF, -8388607, 880957584])
+@each("value", [0x7F800001, -1, 0x7FBFFFFF, -8388607, 880957584])
 def test_an_integer_that_looks_like_a_nan_survives_the_wire(value: int) -> None:
     """A float variable would turn 0x7F800001 (a signalling NaN) into 0x7FC00001."""
     info = bits_message(flight_dialect().by_name["PARAM_SET"])
@@ -84,7 +85,7 @@ def test_pymavlinks_param_value_is_read(value: float, name: str) -> None:
     assert (decoded.param.name, decoded.param.value, decoded.count, decoded.index) == (name, value, 1300, None)
 
 
-@pytest.mark.parametrize("name", [b"", b"\xff\xfe", b"A B", b"1ABC"])
+@each("name", [b"", b"\xff\xfe", b"A B", b"1ABC"])
 def test_a_name_that_is_none_is_not_read(name: bytes) -> None:
     assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, name, 9), Encoding.C_CAST) is None
     assert not is_name(name.decode("latin-1"))
@@ -95,7 +96,7 @@ def test_a_type_that_is_none_is_not_read() -> None:
         assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, b"X", kind), Encoding.C_CAST) is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("autopilot", "capabilities", "expected"),
     [
         (12, None, Encoding.BYTEWISE),

@@ -8,13 +8,13 @@ import re
 from collections import Counter
 from typing import Any
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygcs.core.mavlink.frame import MAX_FRAME_BYTES, Frame, encode
-from skygcs.core.mavlink.parser import MAX_VERIFIED_SOURCES, FrameParser
+from skygcs.core.mavlink.parser import MAX_VERIFIED_SOURCES, VAIN_CHECKS_IN_DATAGRAM, FrameParser
 from skygcs.tlog.reading import LogReader
+from support.examples import examples, thinned
 from support.frames import (
     UNKNOWN_ID,
     UNKNOWN_ID_V1,
@@ -28,6 +28,7 @@ from support.frames import (
     with_bit_errors,
 )
 from support.public_data import CAPTURE, capture, captures, public_file, public_folder
+from support.table import each
 
 
 def in_pieces(data: bytes, rng: random.Random, largest: int = 700) -> list[bytes]:
@@ -48,7 +49,7 @@ def parsed(data: bytes, *, table: Any = None) -> tuple[list[Frame], FrameParser]
 # -- captures
 
 
-@pytest.mark.parametrize("name", captures("raw"))
+@each("name", captures("raw"))
 def test_raw_capture_gives_at_least_the_expected_frames(name: str) -> None:
     data, expected = capture(name)
     rng = random.Random(1)
@@ -60,7 +61,7 @@ def test_raw_capture_gives_at_least_the_expected_frames(name: str) -> None:
     assert parser.stats.skipped_bytes + sum(len(f.raw) for f in frames) == len(data)
 
 
-@pytest.mark.parametrize("name", captures("tlog"))
+@each("name", thinned(captures("tlog"), 6, turn=9))
 def test_every_good_frame_of_a_tlog_is_found_as_a_stream_with_its_times_as_noise(name: str) -> None:
     data, expected = capture(name)
     frames, parser = parsed(data, table=offline())
@@ -91,8 +92,8 @@ def pymavlink_frame(message: Any, *, seq: int, v1: bool = False, key: bytes | No
     return bytes(message.pack(encoder, force_mavlink1=v1))
 
 
-@pytest.mark.parametrize("v1", [True, False])
-@pytest.mark.parametrize("seq", [0, 0xEF, 0xFD, 0xFE, 0xFF])
+@each("v1", [True, False])
+@each("seq", [0, 0xEF, 0xFD, 0xFE, 0xFF])
 def test_frames_that_pymavlink_packs(seq: int, v1: bool) -> None:
     """Trimmed ones, strings, extensions, sequence numbers that look like a magic byte, with and without signature."""
     from pymavlink.dialects.v20 import all as mavlink
@@ -263,8 +264,8 @@ def test_largest_datagram_with_as_many_frames_as_fit() -> None:
 # -- strict frames
 
 
-@pytest.mark.parametrize("version", [1, 2])
-@pytest.mark.parametrize("crc_extra", [77, None])
+@each("version", [1, 2])
+@each("crc_extra", [77, None])
 def test_unknown_id_is_taken_only_from_a_verified_source(version: int, crc_extra: int | None) -> None:
     unknown = unknown_frame(version=version, crc_extra=crc_extra)
     frames, parser = parsed(unknown + heartbeat(1) + unknown + heartbeat(2, 9) + unknown_frame(sysid=2, compid=1))
@@ -277,7 +278,7 @@ def test_unknown_id_is_taken_only_from_a_verified_source(version: int, crc_extra
     assert parser.stats.unverified >= 2
 
 
-@pytest.mark.parametrize(("incompat", "compat"), [(2, 0), (0, 1), (0x80, 0), (3, 0)])
+@each(("incompat", "compat"), [(2, 0), (0, 1), (0x80, 0), (3, 0)])
 def test_unknown_id_with_flags_nobody_defined_is_refused(incompat: int, compat: int) -> None:
     frames, _ = parsed(heartbeat(1) + unknown_frame(incompat=incompat, compat=compat) + heartbeat(1))
     assert [f.info is not None for f in frames] == [True, True]
@@ -496,7 +497,7 @@ HEAD = st.binary(max_size=9).map(lambda tail: b"\xfd" + tail) | st.binary(max_si
 STREAM = st.lists(KNOWN | UNKNOWN | CUT | FLIPPED | HEAD | st.binary(max_size=60), max_size=14).map(b"".join)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(STREAM, st.lists(st.integers(1, 400), max_size=30), st.booleans())
 def test_how_a_stream_is_split_changes_nothing(data: bytes, sizes: list[int], pass_bad_crc: bool) -> None:
     whole = FrameParser(dialect(), pass_bad_crc=pass_bad_crc)
@@ -515,7 +516,7 @@ def test_how_a_stream_is_split_changes_nothing(data: bytes, sizes: list[int], pa
     assert whole.stats.skipped_bytes + sum(len(f.raw) for f in frames) == len(data)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.lists(st.binary(max_size=400) | STREAM, max_size=12), st.data())
 def test_nothing_raises_and_at_most_one_frame_is_kept(pieces: list[bytes], data: st.DataObject) -> None:
     parser = FrameParser(dialect(), pass_bad_crc=data.draw(st.booleans()))
@@ -530,7 +531,7 @@ def test_nothing_raises_and_at_most_one_frame_is_kept(pieces: list[bytes], data:
         assert len(parser._buffer) <= MAX_FRAME_BYTES
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.tuples(KNOWN, st.binary(max_size=30)), min_size=1, max_size=12), st.integers(1, 300))
 def test_every_known_frame_between_noise_comes_out_and_nothing_else_of_a_known_id(
     mixture: list[tuple[bytes, bytes]], size: int
@@ -541,3 +542,66 @@ def test_every_known_frame_between_noise_comes_out_and_nothing_else_of_a_known_i
     frames += parser.rescue()
     frames += parser.finish()
     assert [f.raw for f in frames if f.info is not None] == [good for good, _ in mixture]
+
+
+# --- garbage ----------------------------------------------------------------------------------------------------------
+
+
+class ByteByByte(FrameParser):
+    """Looks at each byte that is a start, without ruling any out by what follows it."""
+
+    __slots__ = ()
+
+    def _next_start(self, buffer: bytes, at: int, end: int) -> int:
+        return next((place for place in range(at, end) if buffer[place] in (0xFD, 0xFE)), end)
+
+
+GOOD = [
+    encode(dialect().find("HEARTBEAT"), {"type": 2, "autopilot": 3}, sysid=7, compid=1, seq=seq, version=version)
+    for seq, version in ((1, 1), (2, 2))
+]
+PIECES = st.sampled_from(
+    [
+        *(*GOOD, GOOD[0][:9], GOOD[1][3:], bytes(3), b"\xfe" * 9, b"\xfd" * 11, b"\xfd", b"\xfe", b"\xfd\x00\x00"),
+        *(b"\xfd\xff\x01\x00\x00\x07\x01", b"\xfe\x14", b"\xfe\x09\x00\x07\x01\x00", b"\xfe\x09\x00\x07\x01\xc8"),
+        b"\xfd\x09\x02",
+    ]
+)
+
+
+@given(st.lists(st.one_of(PIECES, st.binary(max_size=12)), max_size=40), st.lists(st.integers(1, 60), max_size=20))
+def test_what_is_passed_over_quickly_is_what_would_be_refused_one_by_one(pieces: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(pieces)
+    quick, slow = FrameParser(dialect()), ByteByByte(dialect())
+    for parser in (quick, slow):
+        parser.feed_datagram(GOOD[0])
+    found: list[list[bytes]] = [[], []]
+    rest = data
+    for size in (*cuts, len(data)):
+        for parser, frames in zip((quick, slow), found, strict=True):
+            frames += [frame.raw for frame in parser.feed(rest[:size])]
+        rest = rest[size:]
+    for parser, frames in zip((quick, slow), found, strict=True):
+        frames += [frame.raw for frame in parser.finish()]
+    assert found[0] == found[1]
+    assert quick.stats == slow.stats
+    assert [f.raw for f in quick.feed_datagram(data)] == [f.raw for f in slow.feed_datagram(data)]
+
+
+@each("pattern", [b"\xfe\x14", b"\xfd\xff\x00\x00\x00", b"\xfe\x09\x00\x07\x01\xc8"])
+def test_bytes_that_are_made_to_cost_are_searched_for_so_long_and_no_longer(pattern: bytes) -> None:
+    parser = FrameParser(dialect())
+    parser.feed_datagram(GOOD[0])  # its source may send what nobody can check
+    data = (pattern * 12_288)[:12_288]
+    assert parser.feed_datagram(data) == [] or pattern[-1] == 0xC8
+    assert parser.stats.bad_crc <= VAIN_CHECKS_IN_DATAGRAM + 1
+    assert parser._vain_checks <= 60
+    assert [frame.raw for frame in parser.feed_datagram(GOOD[1])] == [GOOD[1]]
+
+
+def test_without_search_only_the_frames_at_the_begin_are_taken() -> None:
+    parser = FrameParser(dialect())
+    data = GOOD[0] + GOOD[1] + b"\xfd" * 5000 + GOOD[0]
+    assert [frame.raw for frame in parser.feed_datagram(data, search=False)] == GOOD
+    assert parser.stats.skipped_bytes == 5000 + len(GOOD[0])
+    assert parser.feed_datagram(b"\x00" + GOOD[0], search=False) == []

@@ -33,8 +33,10 @@ from skygcs.core.mavlink.signing import (
     timestamp_of,
     unix_time_of,
 )
+from support.examples import examples
 from support.frames import dialect, heartbeat, offline, random_values
 from support.public_data import public_file
+from support.table import each
 
 KEY = bytes(range(1, 33))
 NOW_UNIX_S = 1_795_000_000.0
@@ -87,8 +89,8 @@ def gate(*, clock: SigningClock | None = None, allowed: frozenset[int] | None = 
 # -- what others signed
 
 
-@pytest.mark.parametrize("key", [bytes(32), KEY])
-@pytest.mark.parametrize("stamp", [0, 28309687961616, MAX_TIMESTAMP - 1])
+@each("key", [bytes(32), KEY])
+@each("stamp", [0, 28309687961616, MAX_TIMESTAMP - 1])
 def test_a_frame_that_pymavlink_signed_is_its_own(key: bytes, stamp: int) -> None:
     """Mission Planner signs with an all-zero key when none is set."""
     encoder = mav.MAVLink(None, 255, 190)
@@ -104,7 +106,7 @@ def test_a_frame_that_pymavlink_signed_is_its_own(key: bytes, stamp: int) -> Non
     assert sign(unsigned, frame.info.crc_extra_byte, key, 56, stamp) == raw
 
 
-@pytest.mark.parametrize("number", range(7))
+@each("number", range(7))
 def test_a_frame_that_mission_planner_signed_is_its_own(number: int) -> None:
     vectors = json.loads(public_file("vectors/signed_real.json").read_text())["frames"]
     vector = vectors[number]
@@ -141,7 +143,7 @@ def test_a_key_id_tells_keys_apart_and_is_no_part_of_them() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 255), st.integers(1, 2**48 - 2), st.binary(min_size=32, max_size=32))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_pymavlink_takes_what_is_signed_here(seed: int, link_id: int, timestamp: int, key: bytes) -> None:
     rng = random.Random(seed)
     info = dialect().messages[rng.choice(sorted(set(dialect().messages) & set(mav.mavlink_map)))]
@@ -176,7 +178,7 @@ def test_pymavlink_with_another_key_is_refused_and_refuses() -> None:
 
 
 @given(st.data())
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_any_flipped_bit_is_refused(data: st.DataObject) -> None:
     """Flipped behind the parser, which would see most of it by the CRC: the signature covers every bit."""
     frame = ours(NOW)
@@ -198,9 +200,7 @@ def test_a_signature_cut_off_makes_it_unsigned_and_the_crc_wrong() -> None:
     assert FrameParser(offline()).feed_datagram(raw[:2] + b"\0" + raw[3:-13]) == []
 
 
-@pytest.mark.parametrize(
-    "raw", [heartbeat(7, version=1), ours(NOW).raw, heartbeat(7)[:-1]], ids=["v1", "signed already", "cut"]
-)
+@each("raw", [heartbeat(7, version=1), ours(NOW).raw, heartbeat(7)[:-1]])
 def test_what_cannot_be_signed_is_refused(raw: bytes) -> None:
     with pytest.raises(ValueError, match="unsigned MAVLink 2"):
         sign(raw, b"\x32", KEY, 0, 1)
@@ -297,7 +297,7 @@ def signed_at(timestamp: int, *, link_id: int = 3, sysid: int = 7) -> Frame:
     return frame
 
 
-@pytest.mark.parametrize(
+@each(
     ("ahead_s", "verdict"),
     [
         (0, SignatureVerdict.SIGNED),

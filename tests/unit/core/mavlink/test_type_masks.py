@@ -7,11 +7,12 @@ import itertools
 import pytest
 
 from skygcs.core.mavlink.type_masks import ALL, ATTITUDE_AND_THRUST, NONE, position_target_mask
+from support.table import each
 
 AXES = list(itertools.product((False, True), repeat=3))
 
 
-@pytest.mark.parametrize(
+@each(
     ("given", "mask"),
     [
         ({"pos": ALL, "yaw": True}, 0x9F8),

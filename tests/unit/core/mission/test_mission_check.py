@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,13 +10,14 @@ from hypothesis import strategies as st
 from skygcs.config.dialects import load_dialect
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.mission.check import CheckLimits, Family, check_plan, errors
-from skygcs.core.mission.fence_check import FenceArea
+from skygcs.core.mission.fence_check import MOST_DISTANCES, NEAR_STEP_M, FenceArea
 from skygcs.core.mission.fence_items import Corner, FenceCircle, FencePlan, FencePolygon
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.errors import PlanFileError
 from support.public_data import public_folder
+from support.table import each
 
 DIALECT = load_dialect(["ardupilotmega", "px4-extras"])
 HOME = PlannedHome(43.78, -79.46, 180.0)
@@ -51,7 +53,7 @@ def found(
     return [("ERROR " if finding.error else "warning ") + str(finding) for finding in findings]
 
 
-@pytest.mark.parametrize(
+@each(
     ("item", "said"),
     [
         (waypoint(10, 0, None), "ERROR mission item 2: the altitude is not set (NaN)"),
@@ -116,7 +118,7 @@ def test_too_many_items_count_the_home_that_an_ardupilot_keeps() -> None:
     assert told == ["ERROR mission: 3 items are too many: the vehicle holds 2"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("fence", "said"),
     [
         (FencePlan((FencePolygon(True, (at(0, 0), at(9, 0))),)), "polygon 1 (items 1 to 2): is not closed: it has 2"),
@@ -191,6 +193,53 @@ def test_inside_a_square_is_what_coordinates_say(east_m: float, north_m: float) 
     ):  # a sphere's and an ellipsoid's metre differ by 0.5 %
         inside = abs(east_m) < 100 and abs(north_m) < 100
         assert (area.conflict(at(east_m, north_m)) is None) is inside
+
+
+def test_room_is_the_distance_to_the_border_of_whatever_is_nearest() -> None:
+    fence = FencePlan((square(100, True), square(10, False)), (FenceCircle(True, at(0, 0), 120.0),))
+    area = FenceArea(fence, any_inclusion=False)
+    for (east_m, north_m), room_m, shape in (
+        ((60, 0), 40.0, "the inclusion polygon 1"),
+        ((25, 0), 15.0, "the exclusion polygon 2"),
+        ((0, 5), -5.0, "the exclusion polygon 2"),
+        ((98, 98), 120.0 - math.hypot(98, 98), "the inclusion circle 1"),
+        ((0, -130), -30.0, "the inclusion polygon 1"),
+    ):
+        found_m, found = area.room_m(at(east_m, north_m))
+        assert (found_m, found) == (pytest.approx(room_m, abs=0.01 * abs(room_m) + 0.3), shape), (east_m, north_m)
+
+
+places = st.tuples(st.floats(-90, 90), st.floats(-90, 90))
+
+
+@given(st.lists(places, min_size=1, max_size=6), st.floats(0.0, 20.0))
+def test_no_narrow_place_of_a_way_is_missed_and_a_wide_one_passes(
+    way: list[tuple[float, float]], room_m: float
+) -> None:
+    """Against a search at every 5 cm."""
+    thin = FencePolygon(False, (at(-2, 20), at(-1.9, 20), at(-1.9, 80), at(-2, 80)))
+    area = FenceArea(FencePlan((square(100, True), thin)), any_inclusion=False)
+    least_m = math.inf
+    for (ax, ay), (bx, by) in zip(way, way[1:] or way, strict=False):
+        steps = max(1, math.ceil(math.dist((ax, ay), (bx, by)) / 0.05))
+        for k in range(steps + 1):
+            least_m = min(least_m, area.room_m(at(ax + (bx - ax) * k / steps, ay + (by - ay) * k / steps))[0])
+    found = area.narrowest([at(*place) for place in way], room_m)
+    if least_m < room_m:
+        assert found is not None
+    if found is not None:
+        assert least_m <= room_m + NEAR_STEP_M / 2 + 0.01 and abs(found[0] - least_m) <= NEAR_STEP_M
+
+
+def test_a_long_way_along_a_large_fence_is_bounded_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = tuple(at(math.sin(k / 500 * math.pi) * 50, math.cos(k / 500 * math.pi) * 50) for k in range(1000))
+    area = FenceArea(FencePlan((FencePolygon(True, corners),)), any_inclusion=False)
+    looks = []
+    inner = area._room_m
+    monkeypatch.setattr(area, "_room_m", lambda point: looks.append(point) or inner(point))
+    way = [at(math.sin(k) * 30, math.cos(k) * 30) for k in range(300)]
+    area.narrowest(way, 0.0)
+    assert len(looks) <= MOST_DISTANCES / 1000 + 2
 
 
 def test_a_fence_across_the_date_line_is_whole() -> None:

@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as every_dialect
@@ -20,6 +19,7 @@ from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FENCE_COMMANDS, UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
 from skygcs.sim import copter_lists, px4_lists
+from support.table import each
 
 DIALECT = load_dialect(["ardupilotmega", "px4-extras"])
 NAMES = DIALECT.enums["MAV_CMD"]
@@ -66,7 +66,7 @@ COPTER_SKIPS = """NAV_CONTINUE_AND_CHANGE_ALT DO_GO_AROUND DO_INVERTED_FLIGHT DO
 """Of ARDUPILOT what neither AP_Mission::start_command nor ModeAuto::start_command knows."""
 
 
-@pytest.mark.parametrize(
+@each(
     ("table", "names"),
     [
         (firmware_items.PX4_PLACED, PX4_GLOBAL),
@@ -90,7 +90,7 @@ TAKEOFF = item(22, 0, 0, 0, None, LAT, LON, 20)
 WAYPOINT = item(16, 0, 0, 0, None, LAT, LON + 0.0005, 20)
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "given", "becomes", "said"),
     [
         ("px4", item(20, 0, 0, 0, 0, LAT, LON, 20), item(20, frame=2), "the position of NAV_RETURN_TO_LAUNCH"),
@@ -116,7 +116,7 @@ def test_conversion(family: Family, given: MissionItem, becomes: MissionItem | N
     assert len(texts) == (said is not None) and all(str(said) in text for text in texts)
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "given", "said"),
     [
         ("px4", item(18, 2, 0, 5, 0, LAT, LON, 20), "PX4 takes no NAV_LOITER_TURNS in a mission"),
@@ -147,7 +147,7 @@ def test_what_cannot_be_converted_is_an_error_of_the_check(family: Family, given
     assert any(text.startswith("mission item 2: ") and said in text for text in told), told
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "given", "said"),
     [
         ("px4", item(3000, 4), "unless the vehicle is a VTOL"),

@@ -16,6 +16,7 @@ from skygcs.core.mission.item import UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings, from_wire, to_wire
 from skygcs.errors import PlanFileError
 from support.public_data import present, public_file, public_folder
+from support.table import each
 
 # what the data's own README counts, home lines taken off: (mission, polygons, circles, has home)
 PUBLIC = {
@@ -86,14 +87,14 @@ def refusal(content: bytes, name: str = "a.plan") -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("name", present("missions", COUNTS))
+@each("name", present("missions", COUNTS))
 def test_a_file_imports_with_the_counts_that_were_counted_independently(name: str) -> None:
     plan = public(name).plan
     counts = (len(plan.mission), len(plan.fence.polygons), len(plan.fence.circles), plan.home is not None)
     assert counts == COUNTS[name]
 
 
-@pytest.mark.parametrize("name", present("missions", WRONG_VERSIONS))
+@each("name", present("missions", WRONG_VERSIONS))
 def test_only_the_files_of_a_wrong_version_are_refused(name: str) -> None:
     assert WRONG_VERSIONS[name] in refusal(public_file(f"missions/{name}").read_bytes(), name)
 
@@ -102,7 +103,7 @@ def test_every_public_file_is_in_this_test() -> None:
     assert {path.name for path in public_folder("missions")} <= COUNTS.keys() | WRONG_VERSIONS.keys()
 
 
-@pytest.mark.parametrize("name", present("missions", COUNTS))
+@each("name", present("missions", COUNTS))
 def test_import_export_import_is_identical(name: str) -> None:
     plan = public(name).plan
     assert read_plan(write_plan(plan, "out.plan").encode(), "out.plan").plan == plan
@@ -114,9 +115,7 @@ def test_import_export_import_is_identical(name: str) -> None:
         assert write_plan(again, "out.waypoints") == text
 
 
-@pytest.mark.parametrize(
-    "name", present("missions", ["made-survey.plan", "mavsdk-qgroundcontrol_sample_with_survey.plan"])
-)
+@each("name", present("missions", ["made-survey.plan", "mavsdk-qgroundcontrol_sample_with_survey.plan"]))
 def test_the_surveys_items_are_those_stored_in_the_file(name: str) -> None:
     stored = json.loads(public_file(f"missions/{name}").read_text())
     inner = stored["mission"]["items"][1]["TransectStyleComplexItem"]["Items"]
@@ -126,7 +125,7 @@ def test_the_surveys_items_are_those_stored_in_the_file(name: str) -> None:
     assert "12 stored items" in imported.notes[0]
 
 
-@pytest.mark.parametrize(
+@each(
     "name", present("missions", ["made-structure-scan.plan", "mavsdk-qgroundcontrol_sample_with_structured_scan.plan"])
 )
 def test_the_structure_scan_flies_round_the_outline_at_its_distance(name: str) -> None:
@@ -142,7 +141,7 @@ def test_the_structure_scan_flies_round_the_outline_at_its_distance(name: str) -
     assert 50.0 < min(distance_m(*corner, *known) for known in outline) < 100.0
 
 
-@pytest.mark.parametrize("name", present("missions", ["made-fenced.plan", "px4-geofence_avoid.plan"]))
+@each("name", present("missions", ["made-fenced.plan", "px4-geofence_avoid.plan"]))
 def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs(name: str) -> None:
     plan = public(name).plan
     assert [(p.inclusion, len(p.corners)) for p in plan.fence.polygons] == [(False, 4), (True, 4)]
@@ -151,7 +150,7 @@ def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs(name: str) ->
     assert fence_from_items(items) == plan.fence
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "said"),
     [
         (b"", "the file is empty"),
@@ -368,7 +367,7 @@ def old_mission(**changes: Any) -> bytes:
     return json.dumps({**root, **changes}).encode()
 
 
-@pytest.mark.parametrize("version", ["1.0", "1", 1, 1.0])
+@each("version", ["1.0", "1", 1, 1.0])
 def test_qgroundcontrols_first_mission_format(version: Any) -> None:
     plan = read_plan(old_mission(version=version), "old.mission").plan
     assert [item.command for item in plan.mission] == [22, 16, 177]
@@ -377,7 +376,7 @@ def test_qgroundcontrols_first_mission_format(version: Any) -> None:
     assert plan.home == PlannedHome(47.0, 8.0, 480.0) and plan.settings.firmware_type == 12
 
 
-@pytest.mark.parametrize(("version", "noted"), [(5, False), (2, False), (7, True), ("5", True), (None, True)])
+@each(("version", "noted"), [(5, False), (2, False), (7, True), ("5", True), (None, True)])
 def test_a_survey_of_an_unknown_version_is_noted_and_read(version: Any, noted: bool) -> None:
     stored = {"TransectStyleComplexItem": {"Items": [item_entry(2), item_entry(3)], "version": 1}}
     survey = {"type": "ComplexItem", "complexItemType": "survey", "version": version, **stored}

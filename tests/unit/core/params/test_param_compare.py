@@ -12,11 +12,12 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType, equal, float32,
 from skygcs.core.params.compare import diff, plan
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.params.param_file import Entry, parse
+from support.table import each
 
 I32, F32 = ParamType.INT32, ParamType.REAL32
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new"),
     [
         ("SYSID_THISMAV", "MAV_SYSID"),
@@ -36,7 +37,7 @@ def test_px4s_instances_are_no_generations() -> None:
     assert other_name("MAV_0_RATE") is None and other_name("MAV_SYS_ID") is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "sort"),
     [
         ("COMPASS_OFS_X", "calibration"),
@@ -123,7 +124,7 @@ def test_a_vehicles_own_file_differs_in_nothing(writer: str, values: list[float]
     assert diff(file.entries[: len(values)], held) == []
 
 
-@pytest.mark.parametrize("writer", WRITERS)
+@each("writer", WRITERS)
 def test_files_of_different_writers_agree_on_one_vehicle(writer: str) -> None:
     values = [float32(v) for v in (0.1, 1 / 3, 2e-5, 123456.789, -0.0087654321, 4.0)]
     for other in WRITERS:
@@ -177,7 +178,7 @@ def test_a_value_its_type_cannot_hold_is_a_problem_with_its_line() -> None:
     assert made.problems == ("line 2: FENCE_ENABLE: 0.5 is not whole; the parameter is INT8",)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "warning"),
     [
         ("# Onboard parameters for Vehicle 5\nRTL_ALT,1", "the file is of vehicle 5; this is vehicle 3"),

@@ -10,6 +10,7 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
 from skygcs.core.params.param_file import Entry, ParamFile, of_vehicle, parse, write
 from skygcs.errors import ConfigError
 from support.public_data import present, public_file, public_folder
+from support.table import each
 
 QGC = """# Onboard parameters for Vehicle 4
 #
@@ -34,7 +35,7 @@ def test_reads_qgroundcontrols() -> None:
     assert write(file) == QGC
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "value", "comment"),
     [
         ("WPNAV_SPEED,500", 500, ""),
@@ -50,7 +51,7 @@ def test_reads_every_way_in_which_the_others_write(line: str, value: float, comm
     assert (entry.name, entry.value, type(entry.value), entry.comment) == ("WPNAV_SPEED", value, type(value), comment)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "told"),
     [
         ("", "has no parameters"),
@@ -94,7 +95,7 @@ def test_comments_keep_their_places() -> None:
 FILES = public_folder("params")
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
+@each("path", FILES)
 def test_files_survive_a_round_trip(path: object) -> None:
     text = path.read_text()  # type: ignore[attr-defined]
     first = parse(text, str(path))
@@ -143,7 +144,7 @@ def test_other_components_entries_are_told_apart() -> None:
     assert [e.name for e in file.of_component(1)] == ["A"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "rounding"),
     [
         ("A                0.123457\nB                4\nC                0.000100\n", "6 decimals"),
@@ -177,6 +178,6 @@ ROUNDING = {
 }
 
 
-@pytest.mark.parametrize("name", present("params", ROUNDING))
+@each("name", present("params", ROUNDING))
 def test_who_rounds_in_files(name: str) -> None:
     assert parse(public_file(f"params/{name}").read_text(encoding="utf-8"), name).rounding == ROUNDING[name]

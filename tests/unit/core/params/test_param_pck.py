@@ -12,6 +12,8 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
 from skygcs.core.params.pck import MAX_BYTES, decode
 from skygcs.sim import param_table as sim
 from skygcs.sim.copter_files import packed
+from support.examples import examples
+from support.table import each
 
 TYPED = st.one_of(
     st.tuples(st.just(ParamType.INT8), st.integers(-128, 127)),
@@ -42,7 +44,7 @@ def test_default_values_are_told_where_they_are_there() -> None:
     assert [p.value for p in held.params] == [5, 7] and held.defaults == {"A": 2}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(SETS, st.integers(40, 239))
 def test_what_a_vehicle_packs_comes_out(values: dict[str, tuple[ParamType, float]], read_bytes: int) -> None:
     held = [Param(name, value, type_) for name, (type_, value) in sorted(values.items())]
@@ -50,7 +52,7 @@ def test_what_a_vehicle_packs_comes_out(values: dict[str, tuple[ParamType, float
     assert decode(data).params == tuple(held) and len(data) <= MAX_BYTES
 
 
-@pytest.mark.parametrize(
+@each(
     ("data", "words"),
     [
         (b"", "0 bytes are not a file"),
@@ -70,7 +72,7 @@ def test_what_is_no_such_file_is_told(data: bytes, words: str) -> None:
         decode(data)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.integers(0, 40), st.binary(max_size=200), st.booleans())
 def test_nothing_breaks_it(count: int, rest: bytes, defaults: bool) -> None:
     try:

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skygcs.core.plan import remedies
 from skygcs.core.plan.flight_findings import (
     Finding,
     FlightTime,
@@ -14,14 +15,16 @@ from skygcs.core.plan.flight_findings import (
     battery_finding,
     offered_heights,
     refusals,
+    refused,
     return_height_findings,
 )
 from skygcs.core.plan.flight_record import FlightRecord
+from support.table import each
 
 MEASURED = FlightTime(600.0, "measured in flight")
 
 
-@pytest.mark.parametrize(
+@each(
     ("percent", "plan_s", "level"),
     [(100, 240.0, Level.OK), (80, 240.0, Level.OK), (79, 240.0, Level.REFUSED), (None, 1.0, Level.REFUSED)],
 )
@@ -41,7 +44,7 @@ def test_return_heights_that_are_too_near_name_both_and_what_to_set() -> None:
     }
     found = return_height_findings(heights, 6.6)
     assert [(f.vehicle, f.level) for f in found] == [("delta", Level.REFUSED), ("bravo", Level.REFUSED)]
-    assert "alpha at 30 m" in found[1].text and "37 m" in found[1].todo and all(f.insist for f in found)
+    assert "alpha at 30 m" in found[1].text and "37 m" in found[1].text and all(f.insist for f in found)
     apart = {"alpha": heights["alpha"], "carol": heights["carol"]}
     assert [f.level for f in return_height_findings(apart, 6.6)] == [Level.OK]
 
@@ -56,8 +59,8 @@ def test_offered_heights_are_apart_and_never_lower(now: dict[str, float], apart_
 
 
 def test_force_passes_only_what_can_be_insisted_on() -> None:
-    battery = Finding("alpha", "battery", Level.REFUSED, "low", insist=True)
-    position = Finding("alpha", "position", Level.REFUSED, "unknown")
+    battery = refused("alpha", "battery", "low", remedies.again("charge it"), insist=True)
+    position = refused("alpha", "position", "unknown", remedies.leave_out("alpha", ["alpha", "bravo"]))
     fine = Finding("alpha", "link", Level.OK, "fine")
     assert refusals([battery, position, fine], force=False) == [battery, position]
     assert refusals([battery, position, fine], force=True) == [position]

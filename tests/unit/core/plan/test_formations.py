@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.plan.formations import SHAPES, WantedFormation, formation, placed
 from skygcs.errors import RefusedError
+from support.table import each
 
 NINETY = math.radians(90.0)
 
@@ -40,7 +41,7 @@ def test_points_are_moved_turned_and_scaled_about_their_middle() -> None:
     assert found[1] == pytest.approx((0.0, 4.0, 12.0))
 
 
-@pytest.mark.parametrize(
+@each(
     ("shape", "count", "spacing", "words"),
     [("star", 3, 1.0, "no formation 'star'"), ("line", 0, 1.0, "0 vehicles"), ("line", 3, math.nan, "spacing of nan")],
 )
@@ -77,7 +78,7 @@ def test_points_and_shapes_are_for_as_many_vehicles() -> None:
     assert [y for _, y, _ in shape.places(list(STARTS), {}).values()] == pytest.approx([6.0, 0.0, -6.0])
 
 
-@pytest.mark.parametrize(
+@each(
     ("wanted", "words"),
     [
         (WantedFormation("points", points_m=((0.0, 0.0, 0.0),)), "1 points for 3 vehicles"),

@@ -16,6 +16,7 @@ from skygcs.core.plan.plan_files import NamedFile, read_together
 from skygcs.core.trajectory import MotionLimits, motion_peaks
 from skygcs.errors import PlanFileError
 from support.public_data import present, public_file
+from support.table import each
 
 HOME = Origin(47.397742, 8.545594, 488.0)
 LIMITS = MotionLimits(speed_mps=5.0)
@@ -96,7 +97,7 @@ def test_speed_changes_hold_for_the_legs_that_follow_within_the_limits() -> None
     assert motion_peaks(climb).climb_mps.at_least == pytest.approx(0.5, rel=1e-3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("items", "words"),
     [
         ([item(TAKEOFF), item(2000)], "item 2: IMAGE_START_CAPTURE is no part of a path.*fly it as a mission"),
@@ -158,7 +159,7 @@ def test_a_fence_and_rally_points_that_are_not_read_are_named() -> None:
 HEIGHTS_M = {"px4-MC_mission_box.plan": 10.0, "px4-geofence_avoid.plan": 20.0}
 
 
-@pytest.mark.parametrize("name", present("missions", HEIGHTS_M))
+@each("name", present("missions", HEIGHTS_M))
 def test_missions_of_px4_are_read(name: str) -> None:
     found = read_mission_path(name, public_file(f"missions/{name}").read_bytes(), LIMITS)
     assert near(found.trajectory.end_enu_m, (0, 0, HEIGHTS_M[name]), 0.4)  # they return to, or land near, their home
@@ -186,7 +187,7 @@ def test_nothing_but_a_plan_file_error_leaves_it(value: Any, key: str) -> None:
         assert str(error).startswith("a.plan")
 
 
-@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, '{"version": ' + "9" * 5000 + "}", "null", '"Plan"'])
+@each("text", ["", "[", "[" * 100_000, '{"version": ' + "9" * 5000 + "}", "null", '"Plan"'])
 def test_text_that_is_no_plan_is_refused(text: str) -> None:
     with pytest.raises(PlanFileError):
         read_mission_path("a.plan", text.encode(), LIMITS)

@@ -13,22 +13,26 @@ from hypothesis import strategies as st
 from skygcs.core.plan.execution import (
     BARRIER_S,
     LATE_S,
+    POSITION_SILENT_S,
     SETTLED_S,
-    SILENT_S,
     Execution,
     Left,
     Order,
     OrderKind,
+    Pair,
     PlanState,
     Sight,
     Tubes,
     Why,
+    _pairs_text,
 )
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.flight_steps import FlightStep, StepKind, phased_steps, steps_of
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.errors import RefusedError
+from support.examples import examples
+from support.table import each
 
 NAMES = ("alpha", "bravo")
 STARTS = {"alpha": (0.0, 0.0, 10.0), "bravo": (6.0, 0.0, 10.0)}
@@ -56,7 +60,12 @@ class Told:
     """An execution, its clock and the vehicles, which do what they are ordered; a test changes what it wants."""
 
     def __init__(self, grounded: tuple[str, ...] = NAMES) -> None:
-        self.execution = Execution(steps(), grounded, tubes())
+        self.execution = Execution(
+            steps(),
+            grounded,
+            tubes(),
+            {n: GROUND[n] if n in grounded else place for n, place in steps()[0].starts().items()},
+        )
         self.now = 100.0
         self.clock: ClockState | None = None
         self.s = 0.0
@@ -263,10 +272,10 @@ def test_on_a_straight_way_it_may_be_anywhere_but_beside_it() -> None:
     assert told.state is PlanState.STOPPED and "from its way" in told.execution.reason
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "text"),
     [
-        ({"age_s": SILENT_S + 0.1}, "silent"),
+        ({"age_s": POSITION_SILENT_S + 0.1}, "silent"),
         ({"place_m": None}, "silent"),
         ({"left": Left(Why.PILOT, "its mode became POSCTL")}, "POSCTL"),
         ({"left": Left(Why.GUARD, "the guard holds it")}, "guard"),
@@ -405,7 +414,7 @@ class Judged(Told):
                     places = self.execution.step.starts()
                     for name in NAMES:
                         place = self.sights[name].place_m
-                        assert place is not None and self.sights[name].age_s <= SILENT_S
+                        assert place is not None and self.sights[name].age_s <= POSITION_SILENT_S
                         assert all(abs(a - b) <= 0.4 for a, b in zip(place, places[name], strict=True))
                 case OrderKind.DISARM:
                     # not forced: one that flies since the last tick, or since its arming was late, refuses it
@@ -473,7 +482,7 @@ class Judged(Told):
         self.take(orders)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(st.sampled_from([NAMES, ("alpha",), ()]), st.booleans(), st.lists(WHATS, max_size=60))
 def test_whatever_comes_in_whatever_order(
     grounded: tuple[str, ...], flying: bool, whats: list[tuple[Any, ...]]
@@ -502,7 +511,7 @@ def test_whatever_comes_in_whatever_order(
 
 def test_a_step_of_one_vehicle_that_stands_has_no_pairs() -> None:
     step = replace(steps()[0], trajectories={"alpha": steps()[0].trajectories["alpha"]})
-    execution = Execution([step], (), tubes(("alpha",)))
+    execution = Execution([step], (), tubes(("alpha",)), step.starts())
     assert execution.pairs_near("alpha", {"alpha": Sight((0.0, 0.0, 10.0))}) == ()
 
 
@@ -549,7 +558,7 @@ def test_an_abort_does_not_wait_for_the_hold_of_one_that_is_forgotten() -> None:
     assert any("bravo was ordered to hold, but: it was forgotten" in change.text for change in told.execution.changes)
 
 
-@pytest.mark.parametrize("last", [False, True])
+@each("last", [False, True])
 def test_a_landing_goes_on_below_nobody_that_is_forgotten(last: bool) -> None:
     told = Told()
     told.to_flying()
@@ -566,3 +575,11 @@ def test_a_landing_goes_on_below_nobody_that_is_forgotten(last: bool) -> None:
     if not last:
         assert "alpha was forgotten" in told.execution.reason
         assert told.take(told.execution.land()) == [] and told.tick() == [Order(OrderKind.CERTIFY_LANDING)]
+
+
+def test_a_pair_that_keeps_its_margin_is_the_nearest_and_not_too_near() -> None:
+    """Of two vehicles 8.5 m apart under a margin of 3.3 m it said "near each other"."""
+    apart, near = Pair(("a", "b"), 8.5, 3.3), Pair(("a", "c"), 3.2, 3.3)
+    assert _pairs_text(()) == ""
+    assert _pairs_text((apart,)) == "; the nearest to each other: a and b (8.5 m, margin 3.3 m)"
+    assert _pairs_text((near, apart)) == "; too near each other: a and c (3.2 m, margin 3.3 m)"

@@ -22,6 +22,8 @@ from skygcs.core.plan.skyc import read_skyc, write_skyc
 from skygcs.core.plan.trajectory_csv import read_log_csv, read_trajectory_csv, write_trajectory_csv
 from skygcs.core.trajectory import MotionLimits, Piece, TimedPoint, Trajectory, motion_peaks
 from skygcs.errors import PlanFileError, TrajectoryError
+from support.examples import examples
+from support.table import each
 
 LIMITS = MotionLimits()
 ORIGIN = Origin(47.4, 8.5, 400.0)
@@ -67,7 +69,7 @@ def test_rows_without_times_are_timed_within_the_limits() -> None:
     assert found["alpha"].end_enu_m == pytest.approx((50.0, 20.0, 5.0))
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         ("", "it is empty"),
@@ -119,7 +121,7 @@ def log_rows(integers: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("integers", [False, True])
+@each("integers", [False, True])
 def test_a_log_is_flown_again_in_degrees_or_in_the_integers_of_mavlink(integers: bool) -> None:
     found = read_log_csv("log.csv", log_rows(integers).encode(), ORIGIN, "alpha")["alpha"]
     assert found.duration_s == pytest.approx(6.0)
@@ -133,7 +135,7 @@ def test_a_log_may_have_clock_times() -> None:
     assert found.start_enu_m == pytest.approx((0.0, 0.0, 10.0), abs=1e-3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("row", "words"),
     [
         ("0,95,8.5,0", "95, 8.5 is no place on earth"),
@@ -178,7 +180,7 @@ def test_crazyswarm_that_is_none_is_refused() -> None:
 # --- shows ------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(trajectories, min_size=1, max_size=3))
 def test_a_show_is_read_as_it_was_written(fleet: list[Trajectory]) -> None:
     """Where a trajectory jumps between its pieces a show cannot: it begins each piece where the last one ended."""
@@ -217,7 +219,7 @@ def test_a_bezier_segment_of_a_show_is_the_curve_it_draws() -> None:
     assert found.at(7.5).pos_enu_m == pytest.approx((0.5, 0.0, 4.0))
 
 
-@pytest.mark.parametrize(
+@each(
     ("trajectory", "words"),
     [
         ({"version": 2, "points": [[0, [0, 0, 0], []]]}, "version 2; only 1 is known"),
@@ -261,7 +263,7 @@ def test_the_yaw_of_a_show_is_clockwise_from_its_x_axis() -> None:
     assert yaws == pytest.approx([-10.0, -10.0, -15.0, -20.0, -20.0])
 
 
-@pytest.mark.parametrize("seed", range(10))
+@each("seed", range(10))
 def test_a_yaw_is_written_within_a_tenth_of_a_degree(seed: int) -> None:
     """Curves of degree 3 with a jump between pieces, which takes 2 ms."""
     rng = Random(seed)
@@ -275,7 +277,7 @@ def test_a_yaw_is_written_within_a_tenth_of_a_degree(seed: int) -> None:
             assert abs(off) <= math.radians(0.1001)
 
 
-@pytest.mark.parametrize(
+@each(
     ("control", "words"),
     [
         ({"version": 2, "setpoints": []}, "yawControl of version 2; only 1 is known"),
@@ -330,7 +332,7 @@ def test_two_drones_of_one_name_and_too_many_files_are_refused() -> None:
 # --- our own ----------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(trajectories, min_size=1, max_size=3))
 def test_a_timed_plan_is_read_as_it_was_written(fleet: list[Trajectory]) -> None:
     plan = TimedPlan({f"v{i}": trajectory for i, trajectory in enumerate(fleet)})
@@ -355,7 +357,7 @@ def test_a_phased_plan_is_read_as_it_was_written() -> None:
 GOOD = {"format": "skygcs-plan", "version": 1, "kind": "timed", "vehicles": {"a": [[1.0, [0], [0], [5], None]]}}
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         ({"format": "x"}, "not a plan of skygcs"),
@@ -404,7 +406,7 @@ def test_a_fleet_has_a_bounded_number_of_pieces(monkeypatch: pytest.MonkeyPatch)
             read_plan(name, data, LIMITS, ORIGIN)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         (b'{"format": "skygcs-plan", "vehicles": {"a": 1, "a": 2}}', "'a' is there twice"),
@@ -456,14 +458,14 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(st.sampled_from(sorted(READERS)), st.one_of(st.binary(max_size=200), csv_texts))
 def test_only_our_error_leaves_a_reader(reader: str, data: bytes) -> None:
     with contextlib.suppress(PlanFileError):
         READERS[reader](data)
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(st.sampled_from(["version", "kind", "vehicles", "space", "starts", "phases"]), json_values, st.booleans())
 def test_only_our_error_leaves_the_reader_of_plans(key: str, value: object, phased: bool) -> None:
     content = GOOD | (
@@ -478,7 +480,7 @@ def test_only_our_error_leaves_the_reader_of_plans(key: str, value: object, phas
             READERS["json"](json.dumps(changed).encode())
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(json_values, json_values, st.integers(0, 400), st.binary(min_size=1, max_size=4))
 def test_only_our_error_leaves_the_reader_of_shows(trajectory: object, point: object, at: int, noise: bytes) -> None:
     points = {"version": 1, "points": [[0, [0, 0, 0], []], point]}

@@ -15,6 +15,7 @@ from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.plan.straight_flight import assigned, closest_pair, least_product, straight_trajectories
 from skygcs.core.trajectory import MotionLimits, require_within
 from skygcs.errors import RefusedError
+from support.examples import examples
 
 RULE = MarginRule(fixed_m=2.5)
 LIMITS = MotionLimits()
@@ -27,7 +28,7 @@ def task(starts, goals, **options) -> Task:
     return Task(dict(zip(names, starts, strict=True)), dict(zip(names, goals, strict=True)), **options)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(places, st.randoms(use_true_random=False))
 def test_an_assignment_has_no_negative_product(starts, rng) -> None:
     goals = [(rng.uniform(-50, 50), rng.uniform(-50, 50), rng.uniform(5, 30)) for _ in starts]
@@ -36,7 +37,7 @@ def test_an_assignment_has_no_negative_product(starts, rng) -> None:
     assert least_product(starts, [goals[i] for i in order], 2.0) >= -1e-7
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 40))
 def test_exchanged_goals_keep_the_separation_of_the_proposition(seed: int, count: int) -> None:
     """CAPT: at least the least spacing of starts and of goals, divided by √2."""

@@ -12,7 +12,9 @@ TUBES = Tubes({"v1": 1.65}, {"v1": 0.4}, {"v1": 0.4}, 2.0)
 def flying(*, timed: bool) -> Execution:
     """Along x with 2 m/s for 10 s; begun, at time 100."""
     way = Trajectory([Piece(10.0, (0.0, 2.0), (0.0,), (10.0,))])
-    execution = Execution([FlightStep("leg", StepKind.PLAN, {"v1": way}, timed=timed)], (), TUBES)
+    execution = Execution(
+        [FlightStep("leg", StepKind.PLAN, {"v1": way}, timed=timed)], (), TUBES, {"v1": way.start_enu_m}
+    )
     execution.begin()
     execution.outcome(OrderKind.ENGAGE, "v1", True, "")
     for at in (98.0, 99.0, 100.0):

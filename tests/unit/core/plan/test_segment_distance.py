@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 
 from bench.plans.checker import least_distance_of_legs
 from skygcs.core.plan.segment_distance import point_segment, segment_segment
+from support.examples import examples
+from support.table import each
 
 number = st.one_of(st.floats(-20, 20), st.integers(-3, 3).map(float))
 point = st.tuples(number, number, number)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(point, point, point, point)
 def test_the_distance_of_segments_is_the_independent_checkers(p, q, r, s) -> None:
     found, first, second = segment_segment(*(np.array([v]) for v in (p, q, r, s)))
@@ -24,7 +26,7 @@ def test_the_distance_of_segments_is_the_independent_checkers(p, q, r, s) -> Non
     assert np.linalg.norm(on_first - on_second) == pytest.approx(found[0], abs=1e-9)
 
 
-@pytest.mark.parametrize(
+@each(
     ("p", "q", "r", "s", "distance"),
     [
         ((0, 0, 0), (10, 0, 0), (5, -5, 1), (5, 5, 1), 1.0),  # crossing, one above the other

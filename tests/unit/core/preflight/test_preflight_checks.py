@@ -15,6 +15,8 @@ from skygcs.core.preflight.losses import LossWindow
 from skygcs.core.preflight.report import Report, Severity, Verdict, failed, passed, unknown
 from skygcs.core.preflight.rules import Rule
 from skygcs.core.preflight.table import CHECKS, examine, needed_messages, needed_params
+from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks
+from support.table import each
 
 STATE: dict[str, Any] = {
     "name": "alpha",
@@ -53,7 +55,7 @@ def test_nothing_told_is_no_pass() -> None:
     assert all(f.todo for f in report.complaints)
 
 
-@pytest.mark.parametrize("state", [{"connected": False}, {"replayed": True}, {"duplicate_sysid": True}])
+@each("state", [{"connected": False}, {"replayed": True}, {"duplicate_sysid": True}])
 def test_of_who_cannot_be_asked_only_that_is_said(state: dict[str, bool]) -> None:
     report = examine(facts(**state), WANTED)
     assert len(report.findings) == 3 and len(report.complaints) == 1
@@ -72,14 +74,14 @@ def test_worst_first_and_what_is_not_known_last() -> None:
     assert report.summary() == "c; b; and 2 more"
 
 
-@pytest.mark.parametrize("name", ["SYSID_THISMAV", "MAV_SYSID"])
+@each("name", ["SYSID_THISMAV", "MAV_SYSID"])
 def test_either_generations_name_is_found(name: str) -> None:
     answers = {"SYSID_THISMAV": Answer(Param(name, 9))}  # as VehicleParams answers: by the vehicle's own name
     finding = settings.sysid(Facts(state=STATE, answers=answers), WANTED)
     assert finding.verdict is Verdict.FAIL and f"set {name} to 1" in finding.todo
 
 
-@pytest.mark.parametrize(
+@each(
     ("answers", "verdict", "says"),
     [
         ({"RTL_ALT": 1500}, Verdict.PASS, "15 m"),
@@ -102,7 +104,7 @@ def test_the_fix_of_a_return_height_is_in_its_own_unit() -> None:
     assert (fix.name, fix.value) == ("RTL_ALT_M", 12.5)
 
 
-@pytest.mark.parametrize(
+@each(
     ("answers", "acts"),
     [
         ({"FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_ALT_MAX": 10.0}, True),
@@ -145,9 +147,13 @@ def test_a_setpoint_timeout_must_outlast_lost_setpoints_but_not_by_attitude() ->
 
 
 def test_sticks_save_who_has_them() -> None:
+    """Sticks of the telemetry, whatever the fleet file says: an unset `transmitter` counted as sticks."""
     px4 = facts({"COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 0}, autopilot="px4")
-    assert settings.setpoint_loss(px4, ATTITUDE).verdict is Verdict.PASS
-    assert settings.setpoint_loss(px4, Expectations(control="attitude", transmitter=False)).verdict is Verdict.FAIL
+    for sticks in Sticks:
+        finding = settings.setpoint_loss(replace(px4, sticks=sticks), ATTITUDE)
+        assert finding.verdict is (Verdict.PASS if sticks in SEEN_AT_ALL else Verdict.FAIL), sticks
+    off = replace(facts({"COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 4}, autopilot="px4"), sticks=Sticks.SEEN)
+    assert settings.setpoint_loss(off, ATTITUDE).verdict is Verdict.FAIL
 
 
 def test_a_transmitter_that_belongs_to_it_must_be_heard() -> None:
@@ -163,7 +169,7 @@ def test_an_answer_that_did_not_come_is_not_known() -> None:
     assert finding.verdict is Verdict.UNKNOWN and "no answer in 7 s" in finding.text
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@each("value", [float("nan"), float("inf")])
 def test_what_is_no_number_is_not_known(value: float) -> None:
     wanted = Expectations(control="attitude", params={"FENCE_TYPE": Rule(bits=1)})
     names = [n for group in needed_params("ardupilot", wanted) for n in group]
@@ -173,7 +179,7 @@ def test_what_is_no_number_is_not_known(value: float) -> None:
     assert {verdicts[check] for check in of_params} == {Verdict.UNKNOWN}
 
 
-@pytest.mark.parametrize(
+@each(
     ("firmware", "least", "ok"),
     [
         ("4.6.2", "4.6", True),
@@ -212,7 +218,7 @@ def test_sensors_by_name() -> None:
     assert health.sensors(facts(sensors={**part, "age_s": 60.0}), WANTED).verdict is Verdict.UNKNOWN
 
 
-@pytest.mark.parametrize(
+@each(
     ("autopilot", "firmware", "present", "healthy", "verdict"),
     [
         ("ardupilot", "4.6.2", True, True, Verdict.PASS),
@@ -237,9 +243,8 @@ def test_arming_checks(autopilot: str, firmware: str | None, present: bool, heal
     assert health.prearm(reported, WANTED).verdict is verdict
 
 
-def copter_in(mode: str, options: Answer | None = None, **state: Any) -> Facts:
-    answers = {} if options is None else {"AUTO_OPTIONS": options}
-    return Facts(state={**STATE, "mode": mode, **state}, answers=answers, copter=True)
+def copter_in(mode: str, **state: Any) -> Facts:
+    return Facts(state={**STATE, "mode": mode, **state}, answers={}, copter=True)
 
 
 FIRMWARE_ARMS = {
@@ -251,34 +256,28 @@ FIRMWARE_ARMS = {
 """What `Mode::allows_arming` answers to an arming by a ground station, read from ArduCopter 4.6.3 (mode.h)."""
 
 
-@pytest.mark.parametrize("mode", FIRMWARE_ARMS)
-def test_modes_in_which_arducopter_does_not_arm(mode: str) -> None:
-    finding = health.arming_mode(copter_in(mode), WANTED)
-    assert finding.verdict is (Verdict.PASS if FIRMWARE_ARMS[mode] else Verdict.FAIL)
-    if not FIRMWARE_ARMS[mode]:
-        assert mode in finding.text and "skygcs-cli mode alpha GUIDED" in finding.todo
+def test_a_mode_that_a_takeoff_leaves_first_is_no_fault_and_is_named() -> None:
+    """One judgement: `preflight`, `takeoff` and `plan run` take the mode from `autopilot.takes_off_from`."""
+    for mode, arms in {**FIRMWARE_ARMS, "AUTO": False}.items():
+        finding = health.arming_mode(copter_in(mode), WANTED)
+        assert finding.verdict is Verdict.PASS
+        assert (finding.text == f"arms in {mode}") is arms
+        assert arms or (mode in finding.text and "change to GUIDED first" in finding.text)
+    px4 = health.arming_mode(copter_in("AUTO.LAND", autopilot="px4"), WANTED)
+    assert px4.verdict is Verdict.PASS and "change to AUTO.LOITER first" in px4.text
 
 
-@pytest.mark.parametrize(
-    ("answer", "verdict"),
-    [
-        (Answer(Param("AUTO_OPTIONS", 0)), Verdict.FAIL),
-        (Answer(Param("AUTO_OPTIONS", 0x86)), Verdict.FAIL),
-        (Answer(Param("AUTO_OPTIONS", 0x81)), Verdict.PASS),
-        (Answer(absent=True), Verdict.FAIL),  # before 4.1 no AUTO armed
-        (Answer(why="no answer"), Verdict.UNKNOWN),
-    ],
-)
-def test_auto_arms_only_with_its_option(answer: Answer, verdict: Verdict) -> None:
-    assert health.arming_mode(copter_in("AUTO", answer), WANTED).verdict is verdict
-    assert ("AUTO_OPTIONS",) in needed_params("ardupilot", WANTED, "AUTO")
-    assert ("AUTO_OPTIONS",) not in needed_params("ardupilot", WANTED, "GUIDED")
+def test_a_px4s_arming_checks_are_not_reported_in_a_mode_in_which_nothing_arms() -> None:
+    part = {"present": [], "enabled": [], "health": [], "unhealthy": [], "age_s": 1.0}
+    landed = facts(autopilot="px4", firmware="1.16.0", sensors=part, mode="AUTO.LAND")
+    assert health.prearm(landed, WANTED).verdict is Verdict.PASS
+    said = [{"text": "Preflight Fail: No GPS", "severity": "critical", "level": 2, "age_s": 1.0}]
+    assert health.prearm(facts(**{**landed.state, "status_texts": said}), WANTED).verdict is Verdict.FAIL
 
 
 def test_the_mode_is_judged_of_a_disarmed_copter_only() -> None:
     assert health.arming_mode(copter_in("RTL", armed=True), WANTED).verdict is Verdict.SKIPPED
     assert health.arming_mode(facts(mode="RTL"), WANTED).verdict is Verdict.SKIPPED, "no copter"
-    assert health.arming_mode(copter_in("AUTO.RTL", autopilot="px4"), WANTED).verdict is Verdict.SKIPPED
     assert health.arming_mode(copter_in("RTL"), Expectations(prearm=False)).verdict is Verdict.SKIPPED
 
 
@@ -316,7 +315,7 @@ def test_each_autopilot_is_asked_for_its_own_estimator() -> None:
     assert "EKF_STATUS_REPORT" in needed_messages("ardupilot")
 
 
-@pytest.mark.parametrize("family", ["px4", "ardupilot"])
+@each("family", ["px4", "ardupilot"])
 def test_every_parameter_a_check_looks_at_is_asked_for(family: str) -> None:
     """A check that looks at more than its line of the table says would call it not known."""
     wanted = Expectations(control="attitude", transmitter=False, geofence_required=True)
@@ -350,7 +349,7 @@ INDOORS: dict[str, Value | None] = {
 }
 
 
-@pytest.mark.parametrize(
+@each(
     ("compasses", "verdict"),
     [
         ({"COMPASS_USE": 1, "COMPASS_USE2": 0, "COMPASS_USE3": 0}, Verdict.PASS),
@@ -367,9 +366,7 @@ def test_a_yaw_of_compasses_that_are_not_used(compasses: dict[str, Value | None]
     assert bool(finding.fixes) is (verdict is Verdict.FAIL)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "reboot"), [("EKF2_HGT_REF", 1, True), ("EKF2_GPS_CTRL", 7, False), ("EKF2_EV_CTRL", 0, False)]
-)
+@each(("name", "value", "reboot"), [("EKF2_HGT_REF", 1, True), ("EKF2_GPS_CTRL", 7, False), ("EKF2_EV_CTRL", 0, False)])
 def test_a_px4_is_rebooted_for_what_it_reads_at_its_start(name: str, value: int, reboot: bool) -> None:
     answers: dict[str, Value | None] = {"EKF2_EV_CTRL": 11, "EKF2_HGT_REF": 3, "EKF2_GPS_CTRL": 0, name: value}
     finding = external_vision.external_vision(facts(answers, autopilot="px4"), Expectations(mocap=True))
@@ -388,7 +385,7 @@ def test_a_companion_never_takes_the_ground_stations_place_in_the_failsafe() -> 
 OURS = 253
 
 
-@pytest.mark.parametrize(
+@each(
     ("answers", "verdict", "severity", "fix"),
     [
         ({"SYSID_MYGCS": OURS, "SYSID_ENFORCE": 1, "MAV_GCS_SYSID_HI": None}, Verdict.PASS, None, None),

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.mavlink.param_encoding import float32
 from skygcs.core.preflight.rules import Rule
+from support.table import each
 
 VALUES = st.integers(-1000, 1000) | st.floats(-1000, 1000, width=32)
 
 
-@pytest.mark.parametrize(
+@each(
     ("rule", "holds", "not_"),
     [
         (Rule(one_of=(4,)), [4, 4.0], [3, 5, 4.1]),
@@ -33,7 +33,7 @@ def test_what_holds(rule: Rule, holds: list[float], not_: list[float]) -> None:
     assert rule.empty is (rule == Rule())
 
 
-@pytest.mark.parametrize(
+@each(
     ("rule", "words"),
     [
         (Rule(one_of=(0, 2)), "0 or 2"),
@@ -48,7 +48,7 @@ def test_words(rule: Rule, words: str) -> None:
     assert str(rule) == words
 
 
-@pytest.mark.parametrize(
+@each(
     ("rule", "value", "fix"),
     [
         (Rule(one_of=(0, 2)), 3, 0),

@@ -23,6 +23,7 @@ from skygcs.core.protocols.command import (
     Location,
     Outcome,
 )
+from support.table import each
 
 ARM = CommandSpec(400, (1.0, 0.0))
 ACCEPTED = Ack(400, 0)
@@ -52,7 +53,7 @@ def test_an_accepted_command_ends_at_once() -> None:
 TWICE = CommandSpec(176, (1, 6, 0), answers_twice=True)
 
 
-@pytest.mark.parametrize(("second", "result"), [(0, "accepted"), (1, "temporarily_rejected")])
+@each(("second", "result"), [(0, "accepted"), (1, "temporarily_rejected")])
 def test_of_a_command_that_is_answered_twice_the_second_answer_is_the_result(second: int, result: str) -> None:
     exchange = CommandProtocol(TWICE)
     exchange.start(100.0)
@@ -94,7 +95,7 @@ def test_the_first_wait_outlasts_a_round_of_a_nine_node_radio() -> None:
     assert sum(EMERGENCY_TIMERS_S) <= 5.0
 
 
-@pytest.mark.parametrize(
+@each(
     ("result", "word"),
     [(1, "temporarily_rejected"), (2, "denied"), (3, "unsupported"), (4, "failed"), (6, "cancelled")],
 )
@@ -111,7 +112,7 @@ def test_a_refusal_waits_for_the_text_that_says_why(result: int, word: str) -> N
     assert outcome.status_texts == ("Pre-arm checks follow", "Arm: Throttle too high")
 
 
-@pytest.mark.parametrize(
+@each(
     ("result", "word", "said"),
     [(7, "unsupported", "COMMAND_LONG only"), (8, "unsupported", "COMMAND_INT only"), (77, "failed", "MAV_RESULT 77")],
 )
@@ -205,7 +206,7 @@ def test_texts_are_bounded_and_not_repeated() -> None:
     assert outcome_of(exchange).status_texts == tuple(f"text {n}" for n in range(50 - MAX_TEXTS, 50))
 
 
-@pytest.mark.parametrize(
+@each(
     ("target", "ours"),
     [((0, 0), True), ((255, 25), True), ((255, 0), True), ((255, 190), False), ((254, 25), False)],
 )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from skygcs.core.mavlink.ftp_payload import FRAME_BYTES, MAX_DATA_BYTES, Error, Op, Packet, decode, encode
 from skygcs.core.protocols.base import Effect, Finish, Send
 from skygcs.core.protocols.file_download import MAX_SESSIONS, MAX_TRIES, OPEN_TRIES, WINDOW, FileDownload
+from support.examples import examples
 from support.ftp_server import FtpServer, FtpWire
 from support.param_vehicle import Network
 
@@ -66,7 +67,7 @@ def test_exact_over_a_bad_network(seed: int, burst: bool) -> None:
     assert outcome.sent == len(wire.sent) <= MAX_SESSIONS * (OPEN_TRIES + 2 + blocks * (MAX_TRIES + 1))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 1 << 30), st.integers(0, 3000), st.floats(0.0, 0.9), st.booleans())
 def test_over_any_network_it_is_exact_or_says_that_it_is_not(seed: int, size: int, loss: float, burst: bool) -> None:
     server = FtpServer(content(size, seed), burst_packets=5)
@@ -136,7 +137,7 @@ def test_one_that_is_too_large_is_given_up(burst: bool) -> None:
     assert (outcome.ok, outcome.result, outcome.data) == (False, "too_large", b"")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 1 << 30), st.floats(0.0, 12.0), st.booleans())
 def test_stopped_at_any_moment_it_closes_its_session(seed: int, when_s: float, burst: bool) -> None:
     server = FtpServer(content(6000), burst_packets=4)
@@ -169,7 +170,7 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(PACKETS, max_size=60), st.booleans())
 def test_nothing_that_a_vehicle_sends_breaks_it(packets: list[Packet], burst: bool) -> None:
     exchange, now = download(burst=burst), 0.0

@@ -14,6 +14,7 @@ from skygcs.core.protocols.mission import CLEAR_TRIES, MAX_TRIES, MissionClear, 
 from skygcs.core.protocols.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import ANSWERS_PER_ITEM, LINGER_S, MAX_ROUNDS, SILENCE_S, MissionUpload
+from support.examples import examples
 from support.frames import dialect
 from support.mission_vehicle import (
     ArduPilotMission,
@@ -24,6 +25,7 @@ from support.mission_vehicle import (
     Reply,
     opaque_of,
 )
+from support.table import each
 
 VEHICLES = {"ardupilot": ArduPilotMission, "px4": Px4Mission}
 NETWORKS = {
@@ -54,7 +56,7 @@ def outcome_of(rig: MissionRig) -> MissionOutcome:
     return rig.exchange.outcome
 
 
-@pytest.mark.parametrize("family", VEHICLES)
+@each("family", VEHICLES)
 def test_an_upload_on_a_good_link_sends_each_item_once(family: str) -> None:
     vehicle = VEHICLES[family](items=mission(3, 50))
     items = mission(5)
@@ -68,7 +70,7 @@ def test_an_upload_on_a_good_link_sends_each_item_once(family: str) -> None:
     assert rig.reports == [16, 33, 50, 66, 83]
 
 
-@pytest.mark.parametrize("family", VEHICLES)
+@each("family", VEHICLES)
 def test_a_download_on_a_good_link_asks_for_each_item_once(family: str) -> None:
     items = mission(5)
     vehicle = VEHICLES[family](items=list(items))
@@ -79,9 +81,9 @@ def test_a_download_on_a_good_link_asks_for_each_item_once(family: str) -> None:
     assert [m for m, _ in rig.sent] == ["MISSION_REQUEST_LIST", *["MISSION_REQUEST_INT"] * 5, "MISSION_ACK"]
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize("family", VEHICLES)
+@each("seed", range(3))
+@each("network", NETWORKS)
+@each("family", VEHICLES)
 def test_two_hundred_items_go_up_and_down_exactly_over_a_bad_network(family: str, network: str, seed: int) -> None:
     vehicle = VEHICLES[family](items=mission(7, 1000))
     items = mission(200)
@@ -95,7 +97,7 @@ def test_two_hundred_items_go_up_and_down_exactly_over_a_bad_network(family: str
     assert outcome_of(down.run()).items == tuple(items)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     family=st.sampled_from(sorted(VEHICLES)),
     seed=st.integers(0, 2**32),
@@ -134,7 +136,7 @@ def test_any_upload_ends_bounded_and_tells_the_truth(
             raise AssertionError(other)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     family=st.sampled_from(sorted(VEHICLES)),
     seed=st.integers(0, 2**32),
@@ -194,7 +196,7 @@ def test_the_old_request_is_answered_with_an_integer_item() -> None:
     assert vehicle.items == mission(3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "state", "said"),
     [
         ("ardupilot", "partial", "items up to 2 are new and what follows is old: do not fly it"),
@@ -222,7 +224,7 @@ def test_a_mission_too_long_for_the_vehicle_is_refused_before_any_item() -> None
     assert [message for message, _ in rig.sent] == ["MISSION_COUNT"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "state", "said"),
     [
         ("ardupilot", "partial", "cancelled; items up to 3 are new and what follows is old"),
@@ -346,8 +348,8 @@ def test_an_item_no_plan_can_hold_ends_a_download_with_its_number() -> None:
     assert "item 0 of the vehicle's mission: param1" in exchange.outcome.message
 
 
-@pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize("family", VEHICLES)
+@each("network", NETWORKS)
+@each("family", VEHICLES)
 def test_clearing_works_over_a_bad_network(family: str, network: str) -> None:
     vehicle = VEHICLES[family](items=mission(3))
     rig = MissionRig(MissionClear(MissionType.MISSION), vehicle, NETWORKS[network], seed=3).run()
@@ -413,7 +415,7 @@ def test_a_list_that_never_stops_changing_is_given_up() -> None:
     assert f"not read in {DOWNLOAD_ROUNDS} rounds: its list changed while it was read" in exchange.outcome.message
 
 
-@pytest.mark.parametrize("result", [14, 15])
+@each("result", [14, 15])
 def test_a_list_is_read_when_a_broken_off_upload_has_timed_out(result: int) -> None:
     """An ArduPilot denies its list for 8 s from the last item of an upload, and then says that it gives it up."""
     exchange = MissionDownload(MissionType.MISSION)
@@ -442,7 +444,7 @@ def test_a_list_that_stays_denied_is_not_asked_for_without_end() -> None:
     assert 10.0 <= now < 14.0 and "8 s from an upload that was broken off" in exchange.outcome.message
 
 
-@pytest.mark.parametrize(("keeps_old", "state"), [(True, "unchanged"), (False, "partial")])
+@each(("keeps_old", "state"), [(True, "unchanged"), (False, "partial")])
 def test_a_refusal_of_the_last_item_is_no_riddle(keeps_old: bool, state: str) -> None:
     items = tuple(MissionItem.from_params(16, 3, (0.0, 0.0, 0.0, None, 1.0, 2.0, n), True) for n in (1.0, 2.0, 3.0))
     exchange = MissionUpload(MissionType.MISSION, items, keeps_old=keeps_old)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -15,6 +14,8 @@ from skygcs.core.protocols.mission import MAX_TRIES, MissionClear, MissionProtoc
 from skygcs.core.protocols.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import ANSWERS_PER_ITEM, MAX_ROUNDS, MissionUpload
+from support.examples import examples
+from support.table import each
 
 COUNT = 3
 ITEMS = [MissionItem(16, 3, (float(n), None, 0.0, None), 437800000 + n, -794600000, 10.0 + n) for n in range(COUNT)]
@@ -152,8 +153,8 @@ class ClearAny(AnyPeer):
         return MissionClear(MissionType.RALLY)
 
 
-@pytest.mark.parametrize("machine", [UploadToAny, DownloadFromAny, ClearAny])
+@each("machine", [UploadToAny, DownloadFromAny, ClearAny])
 def test_it_keeps_its_promises_whatever_comes(machine: Any) -> None:
     case = machine.TestCase()
-    case.settings = settings(max_examples=60, stateful_step_count=50)
+    case.settings = settings(max_examples=examples(60), stateful_step_count=50)
     case.runTest()

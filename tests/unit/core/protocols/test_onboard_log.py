@@ -18,6 +18,7 @@ from skygcs.core.protocols.onboard_log import (
     OnboardLogList,
 )
 from skygcs.sim.onboard_logs import OnboardLog, OnboardLogs
+from support.table import each
 
 TICK_S = 0.02
 
@@ -93,8 +94,8 @@ class Field:
         return machine.entries
 
 
-@pytest.mark.parametrize("px4", [True, False])
-@pytest.mark.parametrize("loss", [0.0, 0.05, 0.3])
+@each("px4", [True, False])
+@each("loss", [0.0, 0.05, 0.3])
 def test_lists_and_logs_are_whole_and_exact(px4: bool, loss: float) -> None:
     for seed in range(4):
         field = Field(px4=px4, loss=loss, seed=seed)
@@ -118,7 +119,7 @@ def test_a_good_network_needs_one_request_for_each_chunk() -> None:
     assert field.requests == ["LOG_REQUEST_DATA"] * chunks + ["LOG_REQUEST_END"]
 
 
-@pytest.mark.parametrize("px4", [True, False])
+@each("px4", [True, False])
 def test_it_goes_on_where_it_was_broken_off(px4: bool) -> None:
     field = Field(px4=px4)
     info = field.listed()[field.first + 1]

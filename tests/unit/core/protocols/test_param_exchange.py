@@ -13,7 +13,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, ParamValue
 from skygcs.core.protocols.base import Send
 from skygcs.core.protocols.parameter import LATE_VALUE_S, ParameterProtocol
+from support.examples import examples
 from support.param_vehicle import Network, ParamVehicle, Wire, big_set
+from support.table import each
 
 THR = Param("MPC_THR_HOVER", 0.5, ParamType.REAL32)
 ACT = Param("NAV_RCL_ACT", 2, ParamType.INT32)
@@ -69,7 +71,7 @@ def test_a_clamped_value_is_told_with_both() -> None:
     assert outcome.message == "it took 0.8 instead of 0.95 (it was 0.5)"
 
 
-@pytest.mark.parametrize(("value", "why"), [(1.5, "not whole"), (1 << 31, "not within")])
+@each(("value", "why"), [(1.5, "not whole"), (1 << 31, "not within")])
 def test_a_value_the_type_cannot_hold_is_refused_unsent(value: float, why: str) -> None:
     wire = Wire(vehicle(), Network())
     outcome = wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, value))
@@ -131,7 +133,7 @@ def test_stopped_while_setting_it_says_that_it_may_be_set() -> None:
     assert exchange.deadline is None and exchange.on_timer(9.0) == ()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.integers(0, 1 << 30), st.sampled_from([0, 1, 5]), st.booleans())
 def test_what_it_says_is_so_on_a_bad_network(seed: int, value: int, clamps: bool) -> None:
     """Delays of up to 2 s, 20 % lost each way, doubled, overtaking: it ends in time, and never says what is not so."""
@@ -218,7 +220,7 @@ class ParamMachine(RuleBasedStateMachine):
 
 
 TestParamMachine = ParamMachine.TestCase
-TestParamMachine.settings = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+TestParamMachine.settings = settings(max_examples=examples(60), deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def test_answers_may_still_come_for_a_while_after_a_timeout() -> None:

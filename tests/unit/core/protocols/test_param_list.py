@@ -15,6 +15,7 @@ from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, ParamType, Para
 from skygcs.core.protocols.base import Send
 from skygcs.core.protocols.parameter import LATE_VALUE_S
 from skygcs.core.protocols.parameter_list import MAX_RESTARTS, MAX_TRIES, SILENCE_S, VALUE_BYTES, WINDOW, ParamList
+from support.examples import examples
 from support.param_vehicle import Network, ParamVehicle, Wire, big_set
 
 BAD = Network(loss=0.2, duplicate=0.2, delay_s=(0.0, 2.0))
@@ -27,7 +28,7 @@ def test_all_of_them_in_the_vehicles_order() -> None:
     assert (outcome.ok, outcome.params, outcome.sent) == (True, tuple(params), 50)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 1 << 30), st.integers(1, 60), st.booleans())
 def test_complete_and_exact_over_a_bad_network(seed: int, count: int, burst: bool) -> None:
     params = big_set(count)
@@ -103,7 +104,7 @@ def test_values_without_an_index_do_not_count_but_are_newer() -> None:
     assert exchange.outcome is not None and exchange.outcome.params == (newer, *params[1:])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 1 << 30), st.sampled_from(["more", "fewer"]), st.floats(0.5, 8.0))
 def test_a_list_that_changes_under_way_is_read_anew(seed: int, change: str, when_s: float) -> None:
     """What comes out is one state of the vehicle, never a mixture of two. Of a list that lost its tail while only that
@@ -244,4 +245,4 @@ class ListMachine(RuleBasedStateMachine):
 
 
 TestListMachine = ListMachine.TestCase
-TestListMachine.settings = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+TestListMachine.settings = settings(max_examples=examples(60), deadline=None, suppress_health_check=list(HealthCheck))

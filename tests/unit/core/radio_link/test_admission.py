@@ -20,6 +20,7 @@ from skygcs.core.radio_link.admission import (
 from skygcs.core.radio_link.transmit_queue import BOUND, Priority, TxQueue
 from skygcs.core.radio_link.turn_gate import FILE_SILENCE_S, LONGEST_FILE_S
 from support.frames import dialect, frame
+from support.table import each
 
 QGC = 255 << 8 | 190
 MAVROS = 1 << 8 | 240
@@ -95,7 +96,7 @@ FORCED_DISARM = {"command": 400, "param2": 21196.0}
 # -- orders and emergencies
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@each("version", [1, 2])
 def test_an_operators_order_goes_as_an_order_and_a_request_behind_it(version: int) -> None:
     radio = Radio()
     assert radio.offer("COMMAND_LONG", version=version, **command()).priority is Priority.COMMAND
@@ -140,7 +141,7 @@ def test_the_same_of_parameters_that_are_set() -> None:
     assert [raw[10:14] for raw, _ in radio.sent()] == [b"\0\0\x80?", b"\0\0\0@", b"\0\0\x80?"]
 
 
-@pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
+@each("name", ["COMMAND_LONG", "COMMAND_INT"])
 def test_who_stops_motors_in_the_air_goes_before_all_and_is_never_refused(name: str) -> None:
     rules = ThirdPartyRules(rates_hz={76: 0.0, 75: 0.0})
     radio = Radio(rules)
@@ -171,9 +172,7 @@ def test_an_order_after_a_stop_does_not_overtake_it() -> None:
 # -- streams, heartbeats
 
 
-@pytest.mark.parametrize(
-    "name", ["SET_POSITION_TARGET_LOCAL_NED", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "ODOMETRY"]
-)
+@each("name", ["SET_POSITION_TARGET_LOCAL_NED", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "ODOMETRY"])
 def test_of_a_stream_the_newest_waits_for_each_vehicle_and_source(name: str) -> None:
     radio = Radio()
     field = {"MANUAL_CONTROL": "target", "ODOMETRY": None}.get(name, "target_system")
@@ -221,7 +220,7 @@ def test_clock_messages_are_thinned_per_source_and_it_is_told_how_fast_they_came
     assert radio.counts(MAVROS)["thinned"] > REPORT_AFTER
 
 
-@pytest.mark.parametrize("number", [3, 50])
+@each("number", [3, 50])
 def test_some_at_once_are_no_rate_to_tell_of(number: int) -> None:
     radio = Radio()
     for n in range(number):
@@ -293,7 +292,7 @@ def test_a_fleet_files_rate_is_laid_over_the_built_in_one_and_zero_refuses() -> 
 # -- refused
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "values"),
     [
         ("REQUEST_DATA_STREAM", {"req_stream_id": 0, "req_message_rate": 4, "start_stop": 1}),

@@ -13,6 +13,7 @@ from skygcs.core.radio_link.admission import MAX_SOURCES, RATE_BURST, ThirdParty
 from skygcs.core.radio_link.admission_frames import MAX_HZ, Kind, ThirdPartyFrame
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.core.radio_link.turn_gate import MAX_WAITING
+from support.examples import examples
 from support.frames import dialect
 
 IDS = [0, 2, 4, 11, 20, 21, 23, 40, 43, 47, 66, 70, 73, 75, 76, 84, 109, 110, 111, 117, 233, 244, 65000]
@@ -94,7 +95,7 @@ def test_emergencies_always_pass_and_nothing_else_goes_as_one(
 
 
 @given(OFFERS)
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_no_source_sends_more_of_a_message_than_its_rate(offers: list[tuple[float, Frame]]) -> None:
     traffic = ThirdPartyTraffic(ThirdPartyRules(rates_hz={109: 0.7}), 500.0, 0.0)
     went: defaultdict[tuple[int, int, int], list[float]] = defaultdict(list)
@@ -111,7 +112,7 @@ def test_no_source_sends_more_of_a_message_than_its_rate(offers: list[tuple[floa
 
 
 @given(OFFERS, st.floats(20, 2000))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_all_third_party_traffic_with_its_answers_keeps_to_its_share(
     offers: list[tuple[float, Frame]], rate: float
 ) -> None:
@@ -153,7 +154,7 @@ def test_all_third_party_traffic_with_its_answers_keeps_to_its_share(
 
 
 @given(st.lists(st.tuples(st.floats(0, 2), st.integers(0, 0xFFFF), st.binary(max_size=40)), max_size=400))
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 def test_memory_is_bounded_whatever_comes_from_whomever(offers: list[tuple[float, int, bytes]]) -> None:
     traffic = ThirdPartyTraffic(ThirdPartyRules(), 500.0, 0.0)
     now = 0.0

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.radio_link.capacity import (
+    FLOWN_HZ,
     FRAME_BYTES,
     GOTO,
     MAX_NODES,
@@ -19,14 +20,17 @@ from skygcs.core.radio_link.capacity import (
     plan_link,
     profile_bytes_per_s,
     round_s,
+    setpoint_bytes_per_s,
+    uplink_bytes_per_s,
 )
+from support.table import each
 
 
 def demand(vehicles: int, profile: str = "nav", **changes: object) -> LinkDemand:
     return LinkDemand(vehicles, profile=profile, rates_hz=PROFILES[profile], **changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
+@each(
     ("profile", "bytes_per_s", "vehicles"),
     [("monitor", 120.5, 23), ("nav", 200.5, 14), ("control", 245, 11), ("control-10", 445, 6), ("full", 845, 3)],
 )
@@ -37,7 +41,7 @@ def test_half_of_57600_baud_carries_what_the_published_table_says(
     assert plan_link(demand(1, profile, air_kbps=None)).most_vehicles == vehicles
 
 
-@pytest.mark.parametrize(
+@each(
     ("air_kbps", "nodes", "published_ms"),
     [
         *((64, n, ms) for n, ms in ((2, 181), (3, 262), (5, 424), (9, 749), (16, 1318))),
@@ -67,7 +71,7 @@ def test_offboard_for_ten_is_refused_with_its_figures_and_goto_is_proposed() -> 
     plan = plan_link(demand(10, setpoint="position", setpoint_hz=2.0))
     assert not plan.fits
     assert plan.problems == (
-        "up, the ground's slot carries 553 B/s, of which 276 may be planned with; 1,321 are wanted",
+        "up, the ground's slot carries 553 B/s, of which 259 may be planned with; 1,321 are wanted",
         "setpoints: the ground sends once a round, every 0.91 s; PX4 wants 2 Hz, and leaves OFFBOARD after 1 s "
         "without: one lost slot makes 1.82 s",
     )
@@ -78,6 +82,17 @@ def test_offboard_for_ten_is_refused_with_its_figures_and_goto_is_proposed() -> 
         "air speed 250 kbit/s for up to 7 vehicles",
     )
     assert plan.most_vehicles == 4
+
+
+def test_the_vehicles_that_are_flown_by_setpoints_are_those_whose_share_carries_them() -> None:
+    """The same arithmetic as a vehicle's share under way: half of 90 % of the slot, less our heartbeat."""
+    for air, most in ((64.0, 2), (125.0, 3), (250.0, 4)):
+        assert plan_link(demand(4, air_kbps=air)).most_streamed == most
+        for vehicles in (most, most + 1):
+            uplink = uplink_bytes_per_s(57600, air, vehicles + 1)
+            share = setpoint_bytes_per_s(uplink, FRAME_BYTES["HEARTBEAT"], vehicles)
+            needed = FLOWN_HZ["position"] * FRAME_BYTES["SET_POSITION_TARGET_LOCAL_NED"]
+            assert (share >= needed) == (vehicles == most), (air, vehicles, share)
 
 
 def test_a_round_longer_than_a_second_cannot_hold_offboard_at_all() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from skygcs.core.radio_link.corrections import (
 )
 from skygcs.core.radio_link.rtcm import RtcmDeframer, content_of
 from support.rtcm import STANDARD_1005, rtcm_frame, rtcm_payloads
+from support.table import each
 
 PLENTY = 1e6
 OVERHEAD = 14
@@ -67,7 +67,7 @@ class Receiver:
         return self.messages[before:]
 
 
-@pytest.mark.parametrize("body_bytes, fragments", [(174, 1), (175, 2), (354, 3), (500, 3), (534, 4), (714, 4)])
+@each("body_bytes, fragments", [(174, 1), (175, 2), (354, 3), (500, 3), (534, 4), (714, 4)])
 def test_a_message_goes_whole_when_all_of_it_has_come(body_bytes: int, fragments: int) -> None:
     corrections, receiver = Corrections(PLENTY, 0.0), Receiver()
     message = rtcm_frame(1077, body_bytes=body_bytes)
@@ -84,7 +84,7 @@ def test_a_message_goes_whole_when_all_of_it_has_come(body_bytes: int, fragments
     assert status["bytes"] == len(message) + fragments * OVERHEAD
 
 
-@pytest.mark.parametrize("piece", [1, 50, 100, 180])
+@each("piece", [1, 50, 100, 180])
 def test_however_the_sender_cut_its_stream_whole_messages_go(piece: int) -> None:
     corrections, receiver = Corrections(PLENTY, 0.0), Receiver()
     sent = [rtcm_frame(1005), rtcm_frame(1077, epoch=1, body_bytes=600), rtcm_frame(1087, epoch=1)]
@@ -118,14 +118,14 @@ def test_a_message_that_lost_a_fragment_is_left_out_and_costs_none_that_follow()
     assert corrections.status()["skipped_bytes"] > 500
 
 
-@pytest.mark.parametrize("payload", [b"\x08\xb5" + b"x" * 180, b"\x08\xff" + b"x" * 180])
+@each("payload", [b"\x08\xb5" + b"x" * 180, b"\x08\xff" + b"x" * 180])
 def test_what_cannot_be_a_fragment_is_refused(payload: bytes) -> None:
     corrections = Corrections(PLENTY, 0.0)
     assert not corrections.offer(BASE, payload, 0.0)
     assert corrections.status()["malformed"] == 1
 
 
-@pytest.mark.parametrize("payload", [b"", b"\x08", b"\x01\x00", b"\x00\x05noise"])
+@each("payload", [b"", b"\x08", b"\x01\x00", b"\x00\x05noise"])
 def test_what_holds_no_message_brings_nothing(payload: bytes) -> None:
     corrections = Corrections(PLENTY, 0.0)
     corrections.offer(BASE, payload, 0.0)

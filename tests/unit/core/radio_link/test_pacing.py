@@ -19,6 +19,7 @@ from skygcs.core.radio_link.pacing import (
     RadioReport,
     report_of,
 )
+from support.examples import examples
 
 
 def report(at: float, free: float) -> RadioReport:
@@ -66,7 +67,7 @@ def saturated(capacity: float, buffer_bytes: int, every_s: float, seconds: float
 
 
 @given(st.floats(150, 2800), st.integers(1000, 3000), st.floats(0.05, 0.9))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_a_saturated_radio_is_filled_without_loss_and_without_swing(
     capacity: float, buffer_bytes: int, every_s: float
 ) -> None:

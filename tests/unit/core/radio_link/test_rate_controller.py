@@ -11,7 +11,7 @@ from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.rate_controller import (
     GRACE_S,
     HINT_AFTER,
-    KEPT,
+    KEPT_MESSAGES,
     LISTEN_S,
     MAX_PAUSE_S,
     MIN_WINDOW_S,
@@ -124,7 +124,7 @@ def test_half_of_what_is_wanted_is_a_lossy_radio_and_twice_is_not() -> None:
 
 
 def test_answers_and_events_are_never_turned_off() -> None:
-    vehicle = Vehicle(planned({}), dict.fromkeys(KEPT - {"HEARTBEAT"}, 5.0))
+    vehicle = Vehicle(planned({}), dict.fromkeys(KEPT_MESSAGES - {"HEARTBEAT"}, 5.0))
     assert vehicle.live(60) == []
 
 

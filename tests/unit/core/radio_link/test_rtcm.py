@@ -20,6 +20,7 @@ from skygcs.core.radio_link.rtcm import (
     fragments_of,
 )
 from support.rtcm import GLONASS_BIASES_1230, STANDARD_1005, bitwise_crc24q, rtcm_frame
+from support.table import each
 
 MESSAGES = st.lists(
     st.builds(
@@ -160,12 +161,12 @@ def test_receivers_put_fragments_together_again(size: int, sequence: int) -> Non
     assert [int(v["flags"]) >> 1 & 3 for v in values] == list(range(len(values)))
 
 
-@pytest.mark.parametrize("size, fragments", [(180, 1), (181, 2), (360, 3), (540, 4), (720, 4)])
+@each("size, fragments", [(180, 1), (181, 2), (360, 3), (540, 4), (720, 4)])
 def test_a_message_of_full_fragments_ends_with_an_empty_one(size: int, fragments: int) -> None:
     assert len(list(fragments_of(bytes(size), 0))) == fragments
 
 
-@pytest.mark.parametrize("size", [0, 721])
+@each("size", [0, 721])
 def test_what_does_not_fit_is_refused(size: int) -> None:
     with pytest.raises(ValueError, match=r"takes 1 to 720"):
         fragments_of(bytes(size), 0)

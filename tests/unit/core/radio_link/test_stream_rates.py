@@ -24,6 +24,8 @@ from skygcs.core.radio_link.stream_rates import (
     plan_bytes_per_s,
     profile_rates,
 )
+from support.examples import examples
+from support.table import each
 
 SIZES = dict(FRAME_BYTES) | {"VFR_HUD": 32, "RAW_IMU": 41, "EXTENDED_SYS_STATE": 14, "ALTITUDE": 44}
 NAV = profile_rates("nav")
@@ -77,7 +79,7 @@ RATES = st.dictionaries(st.sampled_from(sorted(set(SIZES) - {"HEARTBEAT"})), st.
     st.floats(0, 6000),
     st.floats(0, 3000),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_no_plan_is_above_what_is_wanted_or_what_there_is(
     wanted: list[tuple[dict[str, float], float]], room: float, each: float
 ) -> None:
@@ -100,7 +102,7 @@ def test_every_profile_is_asked_for_without_the_heartbeat() -> None:
         assert profile_rates(name) == {m: hz for m, hz in rates.items() if m != "HEARTBEAT"}
 
 
-@pytest.mark.parametrize(("hz", "below"), [(2.0, 2.0), (1.9, 1.33), (0.01, 0.05), (100.0, 50.0)])
+@each(("hz", "below"), [(2.0, 2.0), (1.9, 1.33), (0.01, 0.05), (100.0, 50.0)])
 def test_rates_are_rounded_down_to_a_grid(hz: float, below: float) -> None:
     assert on_grid(hz) == below
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Hashable
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.radio_link.transmit_queue import BOUND, DROPS_OLDEST, Priority, TxQueue
+from support.table import each
 
 
 def drained(queue: TxQueue[object]) -> list[tuple[object, Priority]]:
@@ -46,7 +46,7 @@ def test_keyed_entries_do_not_wait_for_ever_behind_plain_ones() -> None:
     assert queue.pop(0.0) == ("keyed", Priority.FORWARDED)
 
 
-@pytest.mark.parametrize("priority", list(Priority))
+@each("priority", list(Priority))
 def test_a_full_class_drops_its_oldest_or_refuses_and_counts_it(priority: Priority) -> None:
     queue: TxQueue[object] = TxQueue()
     bound = BOUND[priority]

@@ -17,6 +17,8 @@ from skygcs.core.radio_link.transmit_queue import (
     Waits,
 )
 from skygcs.core.token_bucket import TokenBucket
+from support.examples import examples
+from support.table import each
 
 Offer = tuple[float, Priority, int, int]
 """Seconds since the one before, class, bytes, vehicle."""
@@ -53,7 +55,7 @@ def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tu
 
 
 @given(OFFERS, st.floats(20, 6000), st.floats(60, 1000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
     offers: list[Offer], bytes_per_s: float, burst: float
 ) -> None:
@@ -66,7 +68,7 @@ def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
 
 
 @given(OFFERS, st.floats(20, 6000), st.floats(600, 1000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
     offers: list[Offer], bytes_per_s: float, burst: float
 ) -> None:
@@ -78,7 +80,7 @@ def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
 
 
 @given(OFFERS, st.floats(100, 6000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_everything_that_was_taken_goes_in_the_end(offers: list[Offer], bytes_per_s: float) -> None:
     queue: TxQueue[int] = TxQueue(TokenBucket(bytes_per_s, 300.0))
     sent = run(queue, offers)
@@ -122,7 +124,7 @@ def test_a_stop_for_each_of_ten_vehicles_leaves_within_the_burst_and_the_rest_wi
     assert now - start <= (450 - RESERVED_SHARE * 500) / 500 + 0.01
 
 
-@pytest.mark.parametrize("flood", [Priority.COMMAND, Priority.SETPOINT, Priority.PROTOCOL])
+@each("flood", [Priority.COMMAND, Priority.SETPOINT, Priority.PROTOCOL])
 def test_heartbeats_go_under_any_flood_and_any_budget(flood: Priority) -> None:
     queue: TxQueue[str] = TxQueue(TokenBucket(60.0, 120.0))
     sent = []

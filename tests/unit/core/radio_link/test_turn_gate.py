@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from skygcs.core.radio_link.turn_gate import (
     ParameterListGate,
     TurnGate,
 )
+from support.table import each
 
 QGC = 255 << 8 | 190
 NO_INDEX = 0xFFFF
@@ -56,7 +56,7 @@ def test_a_list_of_all_components_is_the_autopilots() -> None:
     assert lists.ask(request(2), 1.0) == "send"
 
 
-@pytest.mark.parametrize("values", [0, 1, 10])
+@each("values", [0, 1, 10])
 def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int) -> None:
     lists = ParameterListGate()
     lists.ask(request(1), 0.0)

@@ -6,6 +6,7 @@ import pytest
 
 from skygcs.core.routing.authority import MAX_VALID_S, NO_TARGET, AuthorityGate, target_of
 from support.routed import DIALECT
+from support.table import each
 
 ALPHA, BRAVO, OWN = 7, 8, 9
 AIR = 1
@@ -30,7 +31,7 @@ def test_a_vehicle_is_closed_until_it_is_granted_and_again_when_the_time_is_over
     assert g.passes(AIR, OWN, (), 11.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("held", "target", "others", "passes"),
     [
         ((), 0, (OWN,), False),
@@ -80,7 +81,7 @@ def test_a_grant_that_was_under_way_too_long_grants_nothing_and_keeps_what_is_in
     assert not g.is_closed(ALPHA, 11.9)
 
 
-@pytest.mark.parametrize("until", [10.0 + MAX_VALID_S + 0.2, float("inf"), float("nan")])
+@each("until", [10.0 + MAX_VALID_S + 0.2, float("inf"), float("nan")])
 def test_no_grant_outlives_a_lease(until: float) -> None:
     with pytest.raises(ValueError, match="one clock"):
         gate().grant("alpha", until, 10.0, token=1)
@@ -141,7 +142,7 @@ def test_state_shows_authority_and_what_was_blocked() -> None:
     assert (lapsed["held"], lapsed["commander"]) == (False, None)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "fields", "target"),
     [
         ("COMMAND_LONG", {"target_system": 7}, 7),

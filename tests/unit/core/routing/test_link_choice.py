@@ -17,6 +17,8 @@ from skygcs.core.routing.link_choice import (
     LinkChoice,
     LinkHealth,
 )
+from support.examples import seeds
+from support.table import each
 
 WIFI, RADIO = 1, 2
 
@@ -139,7 +141,7 @@ def test_each_fault_soon_after_the_last_makes_the_next_trial_longer_and_two_good
     assert both.wifi.health.trial_s() == TRIAL_S
 
 
-@pytest.mark.parametrize("seed", range(20))
+@each("seed", seeds(20))
 def test_loss_below_the_marks_changes_nothing(seed: int) -> None:
     both = Both(seed)
     both.wifi.loss = both.radio.loss = 0.04
@@ -147,7 +149,7 @@ def test_loss_below_the_marks_changes_nothing(seed: int) -> None:
     assert both.changes == []
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", seeds(5))
 def test_a_link_that_loses_a_third_is_left_and_at_risk_before(seed: int) -> None:
     both = Both(seed)
     both.run(30)
@@ -165,7 +167,7 @@ def test_a_link_that_loses_a_third_is_left_and_at_risk_before(seed: int) -> None
     assert len(both.changes) == 1
 
 
-@pytest.mark.parametrize("seed", range(10))
+@each("seed", seeds(10))
 def test_two_links_that_lose_a_fifth_do_not_alternate(seed: int) -> None:
     both = Both(seed)
     both.wifi.loss = both.radio.loss = 0.2

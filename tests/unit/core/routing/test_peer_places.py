@@ -7,7 +7,15 @@ from collections import Counter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.routing.peer_places import AUTOPILOT_SILENT_S, LET_IN, REFUSED, SILENT_S, Judgement, Peer, PeerPlaces
+from skygcs.core.routing.peer_places import (
+    AUTOPILOT_SILENT_S,
+    LET_IN,
+    PEER_SILENT_S,
+    REFUSED,
+    Judgement,
+    Peer,
+    PeerPlaces,
+)
 
 NOW = 1000.0
 
@@ -25,7 +33,7 @@ def autopilot(key: str, host: str = "v", silent_s: float = 0.0) -> Peer:
 
 
 def test_the_peer_without_an_autopilot_that_is_silent_for_longest_gives_way() -> None:
-    table = places(3, gcs("x", silent_s=SILENT_S), gcs("y", silent_s=9.0), autopilot("v", silent_s=50.0))
+    table = places(3, gcs("x", silent_s=PEER_SILENT_S), gcs("y", silent_s=9.0), autopilot("v", silent_s=50.0))
     assert table.judge("a", autopilot=False, now=NOW) == Judgement(True, "y")
     assert table.judge("b", autopilot=True, now=NOW) == Judgement(True, "y")
 
@@ -41,6 +49,13 @@ def test_an_autopilot_takes_the_place_of_one_that_speaks_but_not_of_an_autopilot
     table = places(2, autopilot("v", silent_s=9.0), autopilot("w", silent_s=8.0))
     assert table.judge("b", autopilot=True, now=NOW) is REFUSED
     assert table.judge("b", autopilot=True, now=NOW + AUTOPILOT_SILENT_S - 9.0) == Judgement(True, "v")
+
+
+def test_the_last_way_to_a_vehicle_in_the_air_is_never_put_out() -> None:
+    flying = autopilot("v", silent_s=900.0)._replace(kept=True)
+    table = places(2, flying, autopilot("w", silent_s=AUTOPILOT_SILENT_S))
+    assert table.judge("b", autopilot=True, now=NOW) == Judgement(True, "w")
+    assert places(1, flying).judge("b", autopilot=True, now=NOW) is REFUSED
 
 
 def test_a_flood_of_autopilots_leaves_an_eighth_to_ground_stations_that_speak() -> None:
@@ -89,6 +104,14 @@ def test_a_flood_of_strangers_costs_one_look_at_the_peers_in_a_tenth_of_a_second
     assert looks == 2
 
 
+def test_an_autopilot_heard_since_the_last_review_keeps_its_place() -> None:
+    peers = [autopilot("v", "a", AUTOPILOT_SILENT_S)]
+    table = PeerPlaces(1, lambda: peers)
+    assert table.judge("a", autopilot=False, now=NOW) is REFUSED  # a review that shows it silent
+    peers[:] = [autopilot("v", "a", -0.01)]
+    assert table.judge("a", autopilot=True, now=NOW + 0.02) is REFUSED
+
+
 STEPS = st.lists(
     st.tuples(
         st.sampled_from(["a", "b", "c", "d"]),
@@ -118,7 +141,7 @@ def test_whoever_comes_the_bounds_hold_and_no_autopilot_that_is_heard_goes(
                 gone = peers.pop(out)
                 assert admitted
                 assert not gone.autopilot or (is_autopilot and now - gone.heard_at >= AUTOPILOT_SILENT_S)
-                if not gone.autopilot and not is_autopilot and now - gone.heard_at < SILENT_S:
+                if not gone.autopilot and not is_autopilot and now - gone.heard_at < PEER_SILENT_S:
                     by_host = Counter(p.host for p in peers.values())
                     assert by_host[gone.host] + 1 >= by_host[host] + 2
             elif admitted:

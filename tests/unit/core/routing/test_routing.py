@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+from support.examples import examples
 from support.routed import RoutedNet, five_ports, heartbeat, message
 
 VEHICLE = ChannelPolicy(role="vehicle")
@@ -358,6 +359,23 @@ def test_system_time_going_back_clears_the_routes_of_that_system_only() -> None:
     assert [n.sysid for n in net.router.notes if n.kind == "cleared"] == [1]
 
 
+def test_the_last_route_to_a_vehicle_in_the_air_does_not_expire() -> None:
+    """Its downlink may be lost alone; the older one of two ways goes."""
+    net = five_ports()
+    net.router.may_fly = lambda source: source == 1 << 8 | 1
+    net.now += 5
+    net.datagram("V2", heartbeat(1, seq=9))
+    net.now += 300
+    net.router.expire(net.now)
+    net.datagram("G0", heartbeat(249, gcs=True))
+    net.clear()
+    net.datagram("G0", to(1))
+    assert net.reached() == {"V2"}
+    net.clear()
+    net.datagram("G0", to(2))
+    assert not net.reached()
+
+
 def test_routes_expire_and_say_so_once() -> None:
     net = five_ports()
     net.now += 59
@@ -453,7 +471,7 @@ def test_a_byte_budget_slows_broadcasts_but_never_commands_or_heartbeats() -> No
     assert sum(len(raw) for raw in net.got["thin"] if raw[7] == 30) <= 500 * 10 + 280
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.lists(
         st.tuples(
@@ -488,3 +506,158 @@ def test_whatever_comes_no_frame_returns_to_its_channel_and_targets_stay_private
             assert net.reached() <= heard.get(target, set())
         if sysid:
             heard.setdefault(sysid, set()).add(port)
+
+
+# -- what the fast path may carry, what is counted, and what is noted
+
+
+def entry(net: RoutedNet, name: str, data: bytes) -> tuple[int, ...] | None:
+    """Destinations of all further frames like this one, which is routed first; None where each has to be decided."""
+    (frame,) = net.parsers[name].feed_datagram(data)
+    net.router.decide(net.ids[name], frame, net.now)
+    found = net.router.forwarding_entry(net.ids[name], frame)
+    return None if found is None else found.destinations
+
+
+def test_the_fast_path_carries_frames_whose_decision_stays_the_same() -> None:
+    net = five_ports()
+    g0, g1, v1, v2 = (net.ids[name] for name in ("G0", "G1", "V1", "V2"))
+    assert entry(net, "V0", message("ATTITUDE", 1, seq=7)) == (v1, v2, g0, g1)
+    blocked = MessageFilter(block_msgids=frozenset({30}))
+    for why, name, policy, data in (
+        ("a clock may show a restart", "V0", None, message("SYSTEM_TIME", 1)),
+        ("its own id", "V0", None, heartbeat(255, 25)),
+        ("a recording", "R", ChannelPolicy(replayed=True), message("ATTITUDE", 9)),
+        ("a limit on what comes", "L", ChannelPolicy(default_hz_in=5.0), message("ATTITUDE", 9)),
+        ("a filter keeps it out", "F", ChannelPolicy(filter_in=blocked), message("ATTITUDE", 9)),
+        ("an id of no dialect", "V0", None, bytes((0xFD, 1, 0, 0, 9, 1, 1, 0x40, 0xEE, 0x02)) + b"a\x12\x34"),
+    ):
+        net = five_ports()
+        if policy is not None:
+            net.open(name, policy)
+        assert entry(net, name, data) is None, why
+    for why, policy, carried in (
+        ("a limit on what goes", ChannelPolicy(default_hz_out=5.0), False),
+        ("a filter that keeps it back", ChannelPolicy(filter_out=blocked), False),
+        ("a filter that passes it", ChannelPolicy(filter_out=MessageFilter(block_msgids=frozenset({31}))), True),
+        ("both", ChannelPolicy(filter_out=MessageFilter(block_msgids=frozenset({31})), default_hz_out=5.0), False),
+    ):
+        net = five_ports()
+        net.open("gcs", policy)
+        assert (entry(net, "V0", message("ATTITUDE", 1)) is not None) is carried, why
+
+    net = RoutedNet()
+    net.open("alone")
+    assert entry(net, "alone", message("ATTITUDE", 1)) is None, "nobody to forward to, and no copies to compare"
+    net.open("b")
+    assert entry(net, "alone", message("ATTITUDE", 1, seq=1)) == (net.ids["b"],)
+    net.open("gcs", GCS)
+    net.datagram("b", message("ATTITUDE", 1, seq=2))
+    assert entry(net, "alone", message("ATTITUDE", 1, seq=3)) is None, "it is heard on two channels"
+
+
+def test_the_fast_path_never_carries_what_a_ground_station_hands_back() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("gcs", GCS)
+    net.datagram("radio", heartbeat(1))
+    (frame,) = net.parsers["gcs"].feed_datagram(message("ATTITUDE", 1, seq=5))
+    net.router.decide(net.ids["gcs"], frame, net.now)
+    assert net.router.forwarding_entry(net.ids["gcs"], frame) is None
+
+
+def test_a_limit_on_what_comes_in_drops_what_is_above_it_and_counts_that() -> None:
+    net = RoutedNet()
+    net.open("v", ChannelPolicy(default_hz_in=2.0))
+    net.open("gcs", GCS)
+    for tick in range(100):
+        net.now = 100.0 + tick * 0.1
+        net.datagram("v", message("ATTITUDE", 1, seq=tick))
+        net.datagram("v", message("COMMAND_ACK", 1, 1, tick, command=400, target_system=250))
+    passed = len([raw for raw in net.got["gcs"] if raw[7] == 30])
+    assert 20 <= passed <= 22
+    assert net.router.port_counters(net.ids["v"])["rate_limited"] == 100 - passed
+    assert net.router.counters[RoutingVerdict.FILTERED_IN] == 100 - passed
+    assert net.router.counters[RoutingVerdict.UNKNOWN_TARGET] == 100, "what is addressed is not slowed down"
+
+
+def test_an_unknown_channel_is_no_fault() -> None:
+    router = five_ports().router
+    assert router.port_counters(99) == {} and not router.hears(99, 1) and router.autopilots_on(99) == ()
+    router.close(99)
+    net = five_ports()
+    assert net.router.hears(net.ids["V0"], 1) and not net.router.hears(net.ids["V0"], 2)
+    assert net.router.autopilots_on(net.ids["V1"]) == {2 << 8 | 1}
+
+
+def test_notes_name_source_and_channel_and_what_is_not_reported_is_counted() -> None:
+    net = RoutedNet()
+    net.open("hostile")
+    net.datagram("hostile", heartbeat(7, 3))
+    net.datagram("hostile", heartbeat(255, 25))
+    assert [(n.kind, n.sysid, n.compid, n.channel_id) for n in net.router.notes] == [
+        ("learned", 7, 3, net.ids["hostile"]),
+        ("conflict", 255, 25, net.ids["hostile"]),
+    ]
+    for again_s, conflicts in ((60.0, 1), (60.25, 2)):
+        net.now += again_s
+        net.datagram("hostile", heartbeat(255, 25))
+        assert [n.kind for n in net.router.notes].count("conflict") == conflicts
+    net.router.notes.clear()
+    for number in range(300):
+        net.datagram("hostile", message("ATTITUDE", 1 + number // 200, 1 + number % 200))
+    learned = [n.kind for n in net.router.notes].count("learned")
+    assert 0 < learned < 300 and net.router.unreported_routes == 300 - learned
+
+
+def test_a_clock_that_goes_back_is_a_restart_only_if_it_began_just_now_or_goes_back_far() -> None:
+    for before_ms, after_ms, cleared in (
+        (600_000, 597_000, False),
+        (600_000, 596_999, True),
+        (12_000, 10_000, False),
+        (12_000, 9_999, True),
+        (9_000, 9_000, False),
+        (9_000, 9_001, False),
+        (9_000, 8_999, True),
+    ):
+        net = five_ports()
+        net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=before_ms))
+        net.datagram("V0", message("SYSTEM_TIME", 1, 1, 4, time_boot_ms=after_ms))
+        assert ("cleared" in [n.kind for n in net.router.notes]) is cleared, (before_ms, after_ms)
+
+
+def test_a_restart_leaves_the_routes_on_which_it_was_heard_within_two_seconds() -> None:
+    for silent_s, stays in ((2.0, True), (2.25, False)):
+        net = five_ports()
+        net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
+        net.datagram("V2", message("ATTITUDE", 1, 7))
+        net.now += silent_s
+        net.datagram("V0", message("SYSTEM_TIME", 1, 1, 4, time_boot_ms=1_000))
+        assert net.router.hears(net.ids["V2"], 1) is stays, silent_s
+
+
+def test_what_every_change_of_a_route_does_to_the_fast_path() -> None:
+    """Each of these makes earlier entries wrong."""
+    net = five_ports()
+    changes: list[str] = []
+    net.router.on_change = lambda: changes.append("changed")
+
+    def changed(happening: str, happens: bool) -> None:
+        assert bool(changes) is happens, happening
+        changes.clear()
+
+    net.datagram("V0", message("ATTITUDE", 1, seq=9))
+    changed("a frame of a known source", False)
+    net.datagram("V0", message("ATTITUDE", 9, 5))
+    changed("a new source without a vehicle", False)
+    net.datagram("V1", message("ATTITUDE", 9, 5, 1))
+    changed("the same source on a second channel", True)
+    net.datagram("V0", heartbeat(9, 6))
+    changed("a new vehicle", True)
+    net.datagram("V2", message("ATTITUDE", 1, seq=9))
+    changed("a copy, and a second channel", True)
+    net.now += 61
+    net.router.expire(net.now)
+    changed("a route that expired", True)
+    net.close("G1")
+    changed("a channel that closed", True)

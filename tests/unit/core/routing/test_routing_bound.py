@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
 from support.frames import unknown_frame
 from support.routed import RoutedNet, heartbeat, message
+from support.table import each
 
 PROGRAM = (255, 0)
 """What every pymavlink program calls itself; our own system id, and another component."""
@@ -84,7 +83,7 @@ def test_an_order_of_ours_for_a_component_met_behind_a_bound_channel_does_not_go
 # -- from a bound channel
 
 
-@pytest.mark.parametrize("component", [0, 1, 154])
+@each("component", [0, 1, 154])
 def test_it_reaches_its_vehicle(component: int) -> None:
     net = one_radio()
     assert sent(net, "P1", order(1, target_component=component)) == {"radio"}
@@ -92,7 +91,7 @@ def test_it_reaches_its_vehicle(component: int) -> None:
     assert sent(net, "P12", order(2, target_component=component)) == {"radio"}
 
 
-@pytest.mark.parametrize("target", [2, 3, 4, 9, 250, 255])
+@each("target", [2, 3, 4, 9, 250, 255])
 def test_it_reaches_nobody_else_and_not_us(target: int) -> None:
     net = one_radio()
     net.router.notes.clear()
@@ -112,8 +111,8 @@ def test_a_parameter_set_at_us_is_not_set() -> None:
     assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
 
 
-@pytest.mark.parametrize("name", ["COMMAND_LONG", "MANUAL_CONTROL", "PARAM_REQUEST_LIST", "COMMAND_ACK"])
-@pytest.mark.parametrize("version", [1, 2])
+@each("name", ["COMMAND_LONG", "MANUAL_CONTROL", "PARAM_REQUEST_LIST", "COMMAND_ACK"])
+@each("version", [1, 2])
 def test_what_is_for_all_is_for_none_of_several(name: str, version: int) -> None:
     net = one_radio()
     assert sent(net, "P12", message(name, *PROGRAM, version=version)) == set()
@@ -126,7 +125,7 @@ def test_manual_control_names_its_target_too() -> None:
     assert sent(net, "P1", message("MANUAL_CONTROL", *PROGRAM, target=2)) == set()
 
 
-@pytest.mark.parametrize("name", ["HEARTBEAT", "SYSTEM_TIME", "GPS_RTCM_DATA"])
+@each("name", ["HEARTBEAT", "SYSTEM_TIME", "GPS_RTCM_DATA"])
 def test_what_is_for_nobody_by_name_stays_out_of_a_radio_that_others_hear(name: str) -> None:
     net = one_radio()
     values = {"type": 6, "autopilot": 8} if name == "HEARTBEAT" else {}
@@ -204,7 +203,7 @@ def test_an_answer_goes_to_the_programs_of_who_answers() -> None:
     assert sent(net, "radio", message("COMMAND_ACK", 3, 1, 1, **answer)) == {"P3", "qgc"}
 
 
-@pytest.mark.parametrize("program", [(245, 190), (1, 240)], ids=["MAVSDK", "MAVROS"])
+@each("program", [(245, 190), (1, 240)])
 def test_answers_to_other_ids_go_the_same_way(program: tuple[int, int]) -> None:
     """MAVROS calls itself a component of system 1, which is another program's vehicle here."""
     net = one_radio()

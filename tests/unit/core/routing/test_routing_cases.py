@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.mavlink.frame import encode_payload
 from support.routed import DIALECT, RoutedNet, five_ports, heartbeat, message
+from support.table import each
 
 
 def command(target: int, component: int, sysid: int = 250, compid: int = 190, seq: int = 1) -> bytes:
@@ -33,7 +32,7 @@ def unknown_frame(sysid: int, compid: int) -> bytes:
 ATTITUDE = message("ATTITUDE", 1, seq=5, roll=0.5)
 
 
-@pytest.mark.parametrize(
+@each(
     ("case", "port", "frame", "expected"),
     [
         ("01 broadcast without target", "V0", heartbeat(1, seq=1), {"V1", "V2", "G0", "G1"}),
@@ -71,7 +70,7 @@ def test_one_frame_reaches_exactly_these_channels(case: str, port: str, frame: b
     assert all(got == [frame] for got in net.got.values()), "forwarded bytes are the received bytes"
 
 
-@pytest.mark.parametrize("count", [5, 33])
+@each("count", [5, 33])
 def test_case_15_and_16_every_frame_of_a_datagram_is_forwarded(count: int) -> None:
     net = five_ports()
     frames = [message("ATTITUDE", 1, seq=n, roll=n * 0.01) for n in range(count)]
@@ -80,7 +79,7 @@ def test_case_15_and_16_every_frame_of_a_datagram_is_forwarded(count: int) -> No
     assert net.got["G1"] == frames
 
 
-@pytest.mark.parametrize("transport", ["datagram", "stream"])
+@each("transport", ["datagram", "stream"])
 def test_case_17_a_corrupt_length_byte_does_not_cost_the_good_frames_behind_it(transport: str) -> None:
     net = five_ports()
     frames = [message("ATTITUDE", 1, seq=n, roll=n * 0.01) for n in range(7)]

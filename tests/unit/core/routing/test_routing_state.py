@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.routing.filters import ChannelPolicy
 from support.routed import RoutedNet, heartbeat, message
+from support.table import each
 
 GCS = ChannelPolicy(role="gcs", link="gcs")
 KEY = 1 << 8 | 1
@@ -73,7 +72,7 @@ def test_a_channel_whose_table_is_full_supplies_nothing_either() -> None:
     assert net.counted == [("flood", False)]
 
 
-@pytest.mark.parametrize("role", ["peer", "gcs"])
+@each("role", ["peer", "gcs"])
 def test_a_bound_program_never_supplies_the_state_of_its_vehicle(role: str) -> None:
     net = RoutedNet()
     net.open("air", ChannelPolicy(link="air", role=role))
@@ -117,3 +116,50 @@ def test_the_channel_that_supplies_the_state_comes_first() -> None:
         net.router.expire(net.now)
     assert net.router.channels_of(KEY) == (net.ids["b"], net.ids["a"])
     assert "replaced" in [n.kind for n in net.router.notes]
+
+
+def test_a_setpoint_also_goes_over_the_other_link_while_the_first_is_in_doubt() -> None:
+    net = RoutedNet()
+    for name in ("a", "b"):
+        net.open(name, ChannelPolicy(link=name))
+    a, b = net.ids["a"], net.ids["b"]
+    for n in range(60):
+        net.now += 0.5
+        for name, offset in (("a", 0), ("b", 128)):
+            seq = (2 * n + offset) & 0xFF
+            net.datagram(name, heartbeat(1, seq=seq))
+            net.datagram(name, message("ATTITUDE", 1, 1, seq + 1, time_boot_ms=round(net.now * 1000)))
+        net.router.choose_links(net.now)
+        net.router.expire(net.now)
+    assert net.router.route_own(1, 1, net.now, setpoint=True) == (a,)
+    assert set(net.router.route_own(1, 1, net.now, everywhere=True)) == {a, b}
+    net.now += 0.75
+    net.datagram("b", message("ATTITUDE", 1, 1, 7, time_boot_ms=round(net.now * 1000)))
+    assert net.router.route_own(1, 1, net.now, setpoint=True) == (a, b), "it is silent"
+    assert net.router.route_own(1, 1, net.now) == (a,)
+    net.datagram("a", message("ATTITUDE", 1, 1, 9, time_boot_ms=round(net.now * 1000)))
+    assert net.router.route_own(1, 1, net.now, setpoint=True) == (a,)
+    net.router.uplink_lost(KEY)
+    switched: list[tuple[int, int]] = []
+    net.router.on_switched = lambda source, channel_id: switched.append((source, channel_id))
+    net.router.choose_links(net.now)
+    assert switched == [(KEY, b)]
+    assert net.router.route_own(1, 1, net.now) == (b,)
+    (note,) = [n for n in net.router.notes if n.kind == "switched"]
+    assert (note.sysid, note.compid, note.channel_id, note.present_id) == (1, 1, b, a)
+    assert net.router.links_to_probe(net.now + 5.0) == [(KEY, a)]
+    net.router.uplink_lost(9 << 8 | 1)  # one that is heard on one link, or not at all
+
+
+def test_what_is_recorded_unknown_or_handed_back_supplies_no_state() -> None:
+    net = two_vehicles()
+    net.open("replay", ChannelPolicy(link="replay", replayed=True))
+    net.open("gcs", GCS)
+    net.open("bound", ChannelPolicy(link="bound", role="gcs", vehicles=frozenset({1})))
+    (beat,) = net.parsers["replay"].feed_datagram(heartbeat(1, seq=77))
+    for name in ("replay", "gcs", "bound"):
+        assert not net.router.supplies(net.ids[name], beat, net.now, copy=False), name
+    assert net.router.supplies(net.ids["a"], beat, net.now, copy=False)
+    unknown = bytes((0xFD, 1, 0, 0, 9, 1, 1, 0x40, 0xEE, 0x02)) + b"a\x12\x34"
+    (frame,) = net.parsers["a"].feed_datagram(unknown)
+    assert frame.info is None and not net.router.supplies(net.ids["a"], frame, net.now, copy=False)

@@ -10,6 +10,7 @@ from skygcs.core.routing.source_statistics import BURST_MAX, FIRST_NUMBERS, WIND
 from skygcs.tlog.reading import LogReader
 from support.frames import dialect
 from support.public_data import capture, own_capture
+from support.table import each
 
 
 def fed(seqs: list[int], sysid: int = 1, compid: int = 1) -> SourceStats:
@@ -175,7 +176,7 @@ def test_a_burst_of_the_most_frames_in_order_is_counted_at_once(monkeypatch: pyt
     assert (stats.lost, stats.frames) == (0, 1 + 2 * BURST_MAX)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "lossless"),
     [
         ("px4-late-frames", {11, 12, 1, 2, 3}),
@@ -198,7 +199,7 @@ def test_captures_of_links_that_lost_nothing_show_no_loss(name: str, lossless: s
     assert stats[1, 1].lost <= 1
 
 
-@pytest.mark.parametrize(("sysid", "compid"), [(1, 190), (255, 190), (51, 68)])
+@each(("sysid", "compid"), [(1, 190), (255, 190), (51, 68)])
 def test_relays_and_the_radio_are_counted_without_loss(sysid: int, compid: int) -> None:
     stats = fed([1, 50, 3, 200], sysid, compid)
     assert (stats.lost, stats.frames) == (0, 4)

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.routing.state_source import KNOWN_BY, MAX_CHANNELS, SourceReport, StateSource
+from support.examples import examples
 from support.routed import DIALECT, message
+from support.table import each
 
 AIR, WIFI, PEER = 1, 2, 3
 ARDUPILOT, PX4 = 3, 12
@@ -183,7 +185,7 @@ def test_without_a_clock_of_its_own_another_channel_waits_until_the_vehicle_is_l
     assert net.kinds() == ["switched"]
 
 
-@pytest.mark.parametrize(("other", "kinds"), [(Machine(), []), (Machine(booted_at=600.0), ["replaced"])])
+@each(("other", "kinds"), [(Machine(), []), (Machine(booted_at=600.0), ["replaced"])])
 def test_one_that_took_over_unseen_is_compared_as_soon_as_it_shows_a_clock(other: Machine, kinds: list[str]) -> None:
     net, vehicle = Net(), Machine()
     net.second(vehicle, AIR, seconds=5)
@@ -220,7 +222,7 @@ def test_what_was_known_before_there_was_a_second_channel_counts() -> None:
         assert state.accepts(WIFI, "wifi", other.attitude(1000.1), 1000.1) is taken
 
 
-@pytest.mark.parametrize(
+@each(
     ("rival", "why"),
     [
         (Machine(booted_at=600.0), "boot time"),
@@ -396,7 +398,7 @@ def test_channels_are_bounded_and_one_that_agrees_is_kept() -> None:
     assert net.state.present_id == WIFI
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     st.lists(
         st.tuples(
@@ -440,3 +442,238 @@ def test_changes_that_are_too_many_to_report_take_place_and_are_told_with_the_ne
     net.state.take_over(WIFI, net.now)
     net._take()
     assert not net.reports[-1].quiet and net.reports[-1].count == 14
+
+
+# The limits, each from both sides
+
+
+def heard_twice(other: Machine, vehicle: Machine | None = None, **position: float) -> Net:
+    """The vehicle on one channel and another machine on the second, both at one moment."""
+    net = Net()
+    vehicle = vehicle or Machine()
+    for channel_id, machine in ((AIR, vehicle), (WIFI, other)):
+        net.hear(channel_id, machine.heartbeat())
+        net.hear(channel_id, machine.position(net.now, **position))
+    return net
+
+
+def test_clocks_within_3_s_and_places_within_reach_are_those_of_one_vehicle() -> None:
+    wrap_s = 2**32 / 1000
+    for booted_at, one in ((3.0, True), (-3.0, True), (3.25, False), (-3.25, False), (3.0 - wrap_s, True)):
+        assert heard_twice(Machine(booted_at)).state.may_be(WIFI) is one, booted_at
+    # 10 m, and 0.3 s of motion at this speed and at 5 m/s²
+    near = ((10.2, 0.0, True), (10.3, 0.0, False), (-10.3, 0.0, False), (13.2, 10.0, True), (13.3, 10.0, False))
+    for east_m, speed_mps, one in near:
+        net = heard_twice(Machine(east_m=east_m), speed_mps=speed_mps)
+        assert net.state.may_be(WIFI) is one, (east_m, speed_mps)
+        assert net.state.is_original(WIFI) is one
+    assert not heard_twice(Machine(type=13)).state.may_be(WIFI)
+    assert Net().state.may_be(WIFI), "nothing is known of it"
+
+
+def test_a_place_is_compared_over_the_time_between_both() -> None:
+    """2 s later the vehicle may be 10 m + 2.3 s · 10 m/s + 2.5 · 2.3² m away; with other clocks 1.5 s count more."""
+    for east_m, one in ((46.2, True), (46.3, False)):
+        net, vehicle = Net(), Machine()
+        net.hear(AIR, vehicle.position(net.now, speed_mps=10.0))
+        net.now += 2.0
+        vehicle.east_m = east_m
+        net.hear(WIFI, vehicle.position(net.now))
+        assert net.state.may_be(WIFI) is one, east_m
+    for east_m, why in ((15.6, "boot time differ"), (15.7, "boot time and position differ")):
+        net, vehicle, rival = Net(), Machine(), Machine(booted_at=600.0, east_m=east_m)
+        for _ in range(6):
+            net.now += 1.0
+            net.hear(AIR, vehicle.position(net.now))
+            net.hear(WIFI, rival.position(net.now))
+        assert [(r.kind, r.why) for r in net.reports] == [("duplicate", why)]
+
+
+def test_speed_and_height_count_in_all_directions() -> None:
+    def place(net: Net, channel_id: int, **values: float) -> None:
+        fields = {"time_boot_ms": 1_000_000, "lat": 437800000, "lon": -794600000, "alt": 190000, **values}
+        net.hear(channel_id, parsed(message("GLOBAL_POSITION_INT", 1, 1, 9, **fields)))
+
+    for alt, one in ((200_200, True), (200_300, False), (179_800, True), (179_700, False)):
+        net = Net()
+        place(net, AIR)
+        place(net, WIFI, alt=alt)
+        assert net.state.may_be(WIFI) is one, alt
+    for moving in ({"vx": 1000}, {"vy": -1000}, {"vz": 1000}, {"vx": 800, "vz": -600}):
+        for alt, one in ((203_200, True), (203_300, False)):
+            net = Net()
+            place(net, AIR, **moving)
+            place(net, WIFI, alt=alt)
+            assert net.state.may_be(WIFI) is one, (moving, alt)
+    for nowhere in ({"lat": 0, "lon": 0}, {"lat": 900_000_001}):
+        net = Net()
+        place(net, AIR)
+        place(net, WIFI, **nowhere)
+        assert net.state.may_be(WIFI), "it is no place"
+    for somewhere in ({"lat": 0}, {"lon": 0}, {"lat": 900_000_000}, {"lat": -900_000_000}):
+        net = Net()
+        place(net, AIR)
+        place(net, WIFI, **somewhere)
+        assert not net.state.may_be(WIFI), somewhere
+
+
+def test_another_channel_takes_over_when_the_present_one_was_silent_for_longer_than_the_timeout() -> None:
+    for lost_s, silent_s, taken in ((5.0, 5.0, False), (5.0, 5.25, True), (8.0, 8.0, False), (8.0, 8.25, True)):
+        net, rival = Net(lost_s=lost_s), Machine(booted_at=600.0)
+        net.hear(AIR, Machine().attitude(net.now))
+        net.hear(WIFI, rival.attitude(net.now))
+        net.now += silent_s
+        assert net.hear(WIFI, rival.heartbeat()) is taken, (lost_s, silent_s)
+        assert net.kinds() == (["replaced"] if taken else [])
+        if taken:
+            assert net.reports[0].why == f"silent for {silent_s:.1f} s"
+            assert (net.reports[0].channel_id, net.reports[0].present_id) == (WIFI, AIR)
+    # It has to hear the autopilot itself
+    net = Net()
+    net.hear(WIFI, Machine().heartbeat())
+    net.now += 5.25
+    assert not net.hear(WIFI, Machine().attitude(net.now))
+
+
+def test_a_duplicate_is_three_contradictions_over_4_s_and_over_5_s_after_the_last() -> None:
+    rival = Machine(booted_at=600.0)
+
+    def contradict(net: Net, *pauses_s: float) -> list[str]:
+        for pause_s in pauses_s:
+            net.now += pause_s
+            net.hear(AIR, Machine().attitude(net.now))
+            net.hear(WIFI, rival.attitude(net.now))
+        return net.kinds()
+
+    assert contradict(Net(), 1.0, 2.0, 2.0) == ["duplicate"]
+    assert contradict(Net(), 1.0, 2.0, 1.75) == []
+    assert contradict(Net(), 1.0, 4.0) == [], "two are too few"
+    assert contradict(Net(), 1.0, 4.25, 2.0) == [], "after a pause it begins anew"
+    net = Net()
+    contradict(net, 1.0, 2.0, 2.0)
+    assert (net.reports[0].channel_id, net.reports[0].present_id, net.reports[0].count) == (WIFI, AIR, 2)
+    assert net.reports[0].why == "boot time differ"
+    for pause_s, kinds in ((4.0, ["duplicate"]), (0.75, ["duplicate"]), (0.5, ["duplicate", "duplicate_over"])):
+        net.now += pause_s
+        net.hear(AIR, Machine().attitude(net.now))
+        net.state.tick(net.now)
+        net._take()
+        assert net.kinds() == kinds
+    assert net.reports[-1].present_id == AIR
+
+
+def test_contradictions_while_the_present_channel_is_silent_are_none() -> None:
+    for silent_s, noted in ((2.5, True), (2.75, False)):
+        net, rival = Net(), Machine(booted_at=600.0)
+        net.hear(AIR, Machine().attitude(net.now))
+        net.now += silent_s
+        net.hear(WIFI, rival.attitude(net.now))
+        net.state.tick(net.now + 4.25)
+        net._take()
+        assert net.kinds() == (["ignored"] if noted else []), silent_s
+
+
+def test_an_old_position_is_not_compared_with_another_channels() -> None:
+    for old_s, noted in ((3.0, True), (3.25, False)):
+        net, vehicle, rival = Net(), Machine(), Machine(east_m=900.0)
+        net.hear(AIR, vehicle.position(net.now))
+        net.now += old_s
+        net.hear(AIR, vehicle.heartbeat())
+        net.hear(WIFI, rival.position(net.now))
+        net.state.tick(net.now + 4.25)
+        net._take()
+        assert [r.why for r in net.reports] == (["position"] if noted else []), old_s
+
+
+def test_what_was_ignored_is_reported_once_a_minute_with_its_number() -> None:
+    net = Net()
+    bench = Machine(autopilot=8, type=18)
+    for at in (0.0, 1.0, 59.75, 60.0):
+        net.now = 1000.0 + at
+        net.hear(AIR, Machine().heartbeat())
+        net.hear(WIFI, bench.heartbeat())
+    assert [(r.kind, r.why, r.channel_id, r.present_id, r.count) for r in net.reports] == [
+        ("ignored", "firmware", WIFI, AIR, 0),
+        ("ignored", "firmware", WIFI, AIR, 3),
+    ]
+
+
+def test_three_heartbeats_that_were_only_copies_show_a_ground_stations_channel() -> None:
+    for copies, original in ((2, False), (3, True)):
+        net, vehicle = Net(), Machine()
+        for _ in range(copies):
+            net.hear(WIFI, vehicle.heartbeat())
+            net.hear(AIR, vehicle.heartbeat(), of=WIFI)
+        assert net.state.is_original(WIFI) is original
+        assert not net.state.is_original(AIR) and not net.state.is_original(PEER)
+        net.hear(AIR, vehicle.heartbeat())
+        assert not net.state.is_original(WIFI), "one of its own"
+    net.state.take_over(WIFI, net.now)
+    net._take()
+    assert net.reports[-1].why == "a ground station's link, which returns its frames"
+
+
+def test_what_channels_had_is_counted_and_shown() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, WIFI, seconds=3)
+    net.now += 0.5
+    net.hear(WIFI, vehicle.heartbeat(), of=AIR)
+    assert net.state.counts(AIR) == {0: 3, 30: 3, 33: 3} and net.state.counts(WIFI)[0] == 4
+    assert net.state.counts(PEER) == {} and net.state.link_status(PEER, net.now) == {}
+    assert net.state.heard_elsewhere_at() == net.now and Net().state.heard_elsewhere_at() == -math.inf
+    assert set(net.state.links()) == {AIR, WIFI}
+    shown = net.state.link_status(AIR, net.now)
+    assert (shown["chosen"], shown["since_s"], shown["deaf"], shown["changes"]) == (True, 3.5, False, 0)
+    assert net.state.link_status(WIFI, net.now)["chosen"] is False
+    net.state.take_over(WIFI, net.now)
+    shown = net.state.link_status(WIFI, net.now + 2.0)
+    assert (shown["chosen"], shown["since_s"], shown["changes"]) == (True, 2.0, 1)
+
+
+def test_a_channel_is_behind_by_its_least_delay_of_the_last_seconds() -> None:
+    net, vehicle = Net(), Machine()
+    late = Machine(booted_at=0.75)  # its frames come three quarters of a second later
+    net.second(vehicle, AIR, seconds=1)
+    net.hear(WIFI, late.attitude(net.now))
+    net.tick()
+    assert [net.state.link_status(c, net.now)["behind_s"] for c in (AIR, WIFI)] == [0.0, 0.75]
+    for seconds, behind_s in ((4.0, 0.75), (1.0, 0.75), (5.0, 0.25)):  # forgotten after twice the window
+        late.booted_at = 0.25 if seconds == 5.0 else 1.25
+        net.now += seconds
+        net.hear(AIR, vehicle.attitude(net.now))
+        net.hear(WIFI, late.attitude(net.now))
+        net.tick()
+        assert net.state.link_status(WIFI, net.now)["behind_s"] == behind_s, seconds
+    far = Machine(booted_at=61.0)
+    net.hear(PEER, far.attitude(net.now))
+    net.tick()
+    assert net.state.link_status(PEER, net.now)["behind_s"] is None, "another clock"
+
+
+def test_the_channel_that_agrees_least_and_was_silent_for_longest_makes_room() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR)
+    for number in range(MAX_CHANNELS - 1):
+        net.now += 0.01
+        net.links[10 + number] = "udp"
+        net.hear(10 + number, Machine(booted_at=600.0 if number in (3, 5) else 0.0).attitude(net.now))
+    for channel_id, gone in ((50, 13), (51, 15), (52, 10)):
+        net.links[channel_id] = "udp"
+        net.hear(channel_id, vehicle.attitude(net.now))
+        assert gone not in net.state.links() and channel_id in net.state.links() and AIR in net.state.links()
+        assert len(net.state.links()) == MAX_CHANNELS
+
+
+def test_a_mode_that_the_vehicle_showed_lately_explains_a_late_heartbeat() -> None:
+    """Of the last eight states; an older one is a contradiction."""
+    for states, kinds in ((7, []), (8, ["ignored"])):
+        net, vehicle = Net(), Machine()
+        net.second(vehicle, AIR, WIFI, seconds=3)
+        old = vehicle.heartbeat()
+        for mode in range(states):
+            net.now += 0.01
+            net.hear(AIR, vehicle.heartbeat(custom_mode=100 + mode))
+        net.hear(WIFI, old)
+        net.state.tick(net.now + 4.25)
+        net._take()
+        assert net.kinds() == kinds, states

@@ -17,7 +17,9 @@ from skygcs.core.mavlink.header import INCOMPAT_SIGNED
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign
 from skygcs.core.routing.sysid_translation import SysidTranslator, readdressed
+from support.examples import examples
 from support.frames import dialect, random_values, unknown_frame
+from support.table import each
 
 PYMAVLINK = set(ardupilotmega.mavlink_map)
 TARGETED = [m for m in dialect().messages.values() if m.target_system_offset >= 0 and m.msgid in PYMAVLINK]
@@ -55,9 +57,8 @@ def same_but_for_ids(before: bytes, after: bytes, sysid: int, target: int, info:
     assert after[0] == before[0], "MAVLink 1 stays MAVLink 1"
 
 
-@pytest.mark.parametrize("info", TARGETED, ids=lambda m: m.name)
-@settings(max_examples=12)
-@given(st.sampled_from([1, 2]), st.integers(0, 1 << 32), IDS, IDS, IDS)
+@settings(max_examples=examples(400))
+@given(st.sampled_from(TARGETED), st.sampled_from([1, 2]), st.integers(0, 1 << 32), IDS, IDS, IDS)
 def test_all_but_the_ids_is_read_as_before(
     info: MessageInfo, version: int, seed: int, sysid: int, real: int, shown: int
 ) -> None:
@@ -71,9 +72,8 @@ def test_all_but_the_ids_is_read_as_before(
     assert translator.outward(meant) == said.raw, "and turned back it is what it was"
 
 
-@pytest.mark.parametrize("info", TARGETED, ids=lambda m: m.name)
-@settings(max_examples=12)
-@given(st.sampled_from([1, 2]), st.integers(0, 1 << 32), IDS)
+@settings(max_examples=examples(400))
+@given(st.sampled_from(TARGETED), st.sampled_from([1, 2]), st.integers(0, 1 << 32), IDS)
 def test_a_target_of_0_becomes_the_one_vehicle(info: MessageInfo, version: int, seed: int, vehicle: int) -> None:
     if version == 1 and (info.msgid > 255 or info.target_system_offset >= info.min_length):
         version = 2
@@ -101,7 +101,7 @@ def test_the_target_of_an_ack_in_mavlink_1_has_no_place() -> None:
     assert translator.retargeted == 0
 
 
-@pytest.mark.parametrize("target", [0, 9, 4])
+@each("target", [0, 9, 4])
 def test_several_vehicles_are_left_as_they_are(target: int) -> None:
     said = make(dialect().find("COMMAND_LONG"), 2, 1, 255, target)
     translator = SysidTranslator([4, 5])
@@ -117,7 +117,7 @@ def test_ids_change_places_so_that_none_stands_for_two() -> None:
     assert (meant.sysid, meant.target()[0]) == (1, 1), "who says 5 there means none of the program's vehicles"
 
 
-@pytest.mark.parametrize("shown", [None, 1])
+@each("shown", [None, 1])
 def test_a_signature_goes_where_a_frame_is_changed_and_nowhere_else(shown: int | None) -> None:
     plain = encode(dialect().find("COMMAND_LONG"), {"target_system": 1, "command": 400}, sysid=255, compid=0, seq=3)
     signed = parsed(sign(plain, dialect().find("COMMAND_LONG").crc_extra_byte, bytes(32), 1, 12345))

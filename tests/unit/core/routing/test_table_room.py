@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.table_room import KEPT_ROUTES, MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES, ROUTE_NOTES
+from support.examples import examples
 from support.routed import RoutedNet, heartbeat, message
 
 NET = ChannelPolicy(link="net")
@@ -43,7 +44,7 @@ def test_peers_of_one_link_keep_some_routes_each_whatever_the_others_send() -> N
     net = RoutedNet()
     for number in range(6):
         net.open(f"hostile{number}", NET)
-        flood(net, f"hostile{number}", 2000, autopilot=True)
+        flood(net, f"hostile{number}", 1100, autopilot=True)
     in_link = len(net.router.routes())
     assert in_link == MAX_LINK_ROUTES + 2 * KEPT_ROUTES
     net.open("vehicle", NET)
@@ -191,7 +192,7 @@ def test_what_is_wrong_on_channels_that_come_and_go_is_noted_now_and_then_only()
 LINKS = {"a1": "a", "a2": "a", "a3": "a", "b1": "b"}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     st.lists(
         st.tuples(

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks, require_within
 from skygcs.core.trajectory.bernstein import derivative, error_bound, from_power, halves, product, to_power
 from skygcs.errors import TrajectoryError
+from support.examples import examples
+from support.table import each
 
 coefficients = st.lists(st.floats(-20, 20), min_size=1, max_size=9).map(tuple)
 pieces = st.builds(Piece, st.floats(0.1, 2.5), coefficients, coefficients, coefficients)
@@ -38,7 +40,7 @@ def test_products_derivatives_and_halves_of_a_known_polynomial() -> None:
     assert (left, right) == ([0.0, 0.0, 1.0], [1.0, 2.0, 4.0])
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(trajectories)
 def test_the_peaks_are_never_below_any_sample_and_are_reached(trajectory: Trajectory) -> None:
     peaks = motion_peaks(trajectory)
@@ -92,7 +94,7 @@ def test_limits_name_what_where_and_how_much() -> None:
         require_within(sinking, MotionLimits(descent_mps=2.0), speed_factor=1.5)
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, 1e9])
+@each("value", [0.0, -1.0, math.nan, 1e9])
 def test_a_limit_that_is_none_is_refused(value: float) -> None:
     with pytest.raises(TrajectoryError, match="speed_mps"):
         MotionLimits(speed_mps=value)

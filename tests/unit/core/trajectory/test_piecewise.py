@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from skygcs.core.trajectory import Piece, Trajectory, hover, joints, require_continuous
 from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_PIECES
 from skygcs.errors import TrajectoryError
+from support.table import each
 
 coefficients = st.lists(st.floats(-20, 20), min_size=1, max_size=9).map(tuple)
 pieces = st.builds(Piece, st.floats(0.1, 2.5), coefficients, coefficients, coefficients, coefficients)
@@ -61,7 +62,7 @@ def test_outside_its_time_the_vehicle_stands_at_the_nearest_end() -> None:
     assert trajectory.at(2.0).vel_enu_mps == (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("piece", "words"),
     [
         (Piece(0.0, (0.0,), (0.0,), (0.0,)), "piece 2: a duration of 0 s"),

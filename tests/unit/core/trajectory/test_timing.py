@@ -17,6 +17,8 @@ from skygcs.core.trajectory import (
     straight_lines,
 )
 from skygcs.errors import TrajectoryError
+from support.examples import examples
+from support.table import each
 
 Point = tuple[float, float, float]
 
@@ -27,7 +29,7 @@ limits = st.builds(
 )
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(st.lists(point, min_size=1, max_size=6), limits)
 def test_an_untimed_path_is_flown_within_its_limits_and_through_its_points(
     points: list[Point], allowed: MotionLimits
@@ -95,7 +97,7 @@ def test_timed_points_are_joined_by_straight_lines() -> None:
     assert jumps == pytest.approx([0.0, 2.0, math.hypot(2.0, 4.0), 4.0])
 
 
-@pytest.mark.parametrize(
+@each(
     ("times", "words"),
     [
         ((0.0, 1.0, 1.0), "piece 2: from 1 s to 1 s; times ascend"),
@@ -111,7 +113,7 @@ def test_times_that_do_not_ascend_are_refused(times: tuple[float, ...], words: s
     assert str(refused.value).startswith(words)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@each("bad", [math.nan, math.inf])
 def test_coordinates_that_are_no_numbers_are_refused(bad: float) -> None:
     for place in ((bad, 0.0, 0.0), (0.0, 0.0, bad)):
         with pytest.raises(TrajectoryError):

@@ -17,6 +17,8 @@ from skygcs.core.trajectory import (
 )
 from skygcs.core.trajectory.trajectory_clock import ClockState
 from skygcs.errors import RefusedError, TrajectoryError
+from support.examples import examples
+from support.table import each
 
 SQUARE = path_within(
     [(0.0, 0.0, 5.0), (20.0, 0.0, 5.0), (20.0, 20.0, 8.0), (0.0, 20.0, 5.0), (0.0, 0.0, 5.0)], MotionLimits()
@@ -101,7 +103,7 @@ def test_the_speed_factor_ramps() -> None:
     assert clock.at(30.0).rate == 2.0
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf, 5.0])
+@each("factor", [0.0, -1.0, math.nan, math.inf, 5.0])
 def test_a_speed_factor_that_is_none_is_refused(factor: float) -> None:
     with pytest.raises(RefusedError, match="speed factor"):
         TrajectoryClock(10.0, 1.0, speed_factor=factor)
@@ -111,7 +113,7 @@ def test_a_speed_factor_that_is_none_is_refused(factor: float) -> None:
     assert clock.at(2.0)[:2] == (2.0, 1.0)
 
 
-@pytest.mark.parametrize("at_s", [9.9, math.nan, math.inf, 1e6])
+@each("at_s", [9.9, math.nan, math.inf, 1e6])
 def test_a_start_in_the_past_or_never_is_refused(at_s: float) -> None:
     clock = TrajectoryClock(10.0, 1.0)
     with pytest.raises(RefusedError, match="ahead"):
@@ -168,7 +170,7 @@ orders = st.lists(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(orders, st.floats(0.05, 3.0), st.sampled_from([SQUARE, LINE]))
 def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(
     steps: list[tuple[float, str | float]], factor: float, trajectory: Trajectory
@@ -224,7 +226,7 @@ def test_a_time_that_goes_back_or_is_no_number_does_not_move_it() -> None:
     assert clock.at(12.0).trajectory_s == pytest.approx(11.0)
 
 
-@pytest.mark.parametrize(("duration_s", "limit"), [(0.0, 1.0), (math.nan, 1.0), (10.0, 0.0), (10.0, math.nan)])
+@each(("duration_s", "limit"), [(0.0, 1.0), (math.nan, 1.0), (10.0, 0.0), (10.0, math.nan)])
 def test_a_clock_of_no_time_or_no_limit_is_refused(duration_s: float, limit: float) -> None:
     with pytest.raises(TrajectoryError):
         TrajectoryClock(duration_s, limit)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for
+from support.table import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "todo"),
     [
         ("Arm: LAND mode not armable", "skygcs-cli mode alpha GUIDED"),
@@ -18,6 +17,8 @@ from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for
         ("Preflight Fail: Gyro 0 uncalibrated", "calibrate"),
         ("PreArm: Compass calibrated requires reboot", "skygcs-cli reboot alpha"),
         ("Preflight Fail: Kill switch engaged", "kill switch"),
+        ("Arm: Leaning", "set it up"),
+        ("Preflight Fail: Attitude failure (roll)", "skygcs-cli reboot alpha"),
         ("PreArm: Battery 1 below minimum arming voltage", "battery"),
     ],
 )
@@ -26,7 +27,7 @@ def test_a_lasting_reason_names_what_cures_it(text: str, todo: str) -> None:
     assert reported is not None and todo in reported
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "Arm: Need Position Estimate",

@@ -10,6 +10,7 @@ from skygcs.core.vehicle import stop
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
 
 NOW = 100.0
@@ -21,8 +22,8 @@ def heard(autopilot: int, *, kind: int = 2) -> Vehicle:
     return vehicle
 
 
-@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
-@pytest.mark.parametrize(("action", "command"), [("hold", 176), ("land", 21), ("kill", 400)])
+@each("autopilot", [PX4, ARDUPILOT])
+@each(("action", "command"), [("hold", 176), ("land", 21), ("kill", 400)])
 def test_every_action_is_an_emergency_that_persists_also_for_a_lost_vehicle(
     autopilot: int, action: stop.Action, command: int
 ) -> None:
@@ -48,7 +49,7 @@ def test_a_recording_is_not_stopped_and_what_has_no_hold_says_so() -> None:
     vehicle.replayed = True
     with pytest.raises(RefusedError, match="recording"):
         stop.stop(vehicle, NOW, "kill")
-    with pytest.raises(RefusedError, match="no mode"):
+    with pytest.raises(RefusedError, match="knows only PX4 and ArduPilot"):
         stop.stop(heard(0), NOW, "hold")
 
 
@@ -65,7 +66,7 @@ def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
         stop.require_confirmed("kill", dict.fromkeys(f"v{n}" for n in range(30)), "kill-2")
 
 
-@pytest.mark.parametrize("action", ["kill", "disarm"])
+@each("action", ["kill", "disarm"])
 def test_a_duplicate_id_counts_twice_and_its_links_are_named(action: str) -> None:
     where = "on udp (10.0.0.5:14550) and on udp (10.0.0.9:14550)"
     vehicles = {"alpha": None, "bravo": where}

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.vehicle import fence_params
 from skygcs.errors import RefusedError
+from support.table import each
 
 PX4 = {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0, "GF_ACTION": 0.0}
 COPTER = {"FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0, "FENCE_ACTION": 1.0, "FENCE_TYPE": 4.0, "FENCE_ENABLE": 0.0}
@@ -60,7 +61,7 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
     assert all(changed[name] != COPTER[name] for name in back), "what was not changed is not put back"
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "reported"),
     [
         ("Geofence violation: exceeding maximum distance to Home", True),

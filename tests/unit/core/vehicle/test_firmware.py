@@ -1,11 +1,10 @@
 from __future__ import annotations
 
-import pytest
-
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
+from support.table import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("number", "text"),
     [
         (0x040501FF, "4.5.1"),
@@ -21,7 +20,7 @@ def test_versions_read_as_their_makers_write_them(number: int, text: str | None)
     assert firmware_from_version(number) == text
 
 
-@pytest.mark.parametrize(
+@each(
     ("banner", "text"),
     [
         ("ArduCopter V4.5.1 (f4a2dcba)", "4.5.1"),

@@ -11,6 +11,7 @@ from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying,
 from skygcs.core.vehicle.orders import reboot, set_home
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -38,7 +39,7 @@ EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
 }
 
 
-@pytest.mark.parametrize("what", EVIDENCE)
+@each("what", EVIDENCE)
 def test_what_contradicts_a_disarmed_heartbeat_keeps_dangerous_orders_out(what: str) -> None:
     vehicle, voice = disarmed()
     assert why_not_idle(vehicle, NOW) is None

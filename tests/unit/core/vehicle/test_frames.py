@@ -14,6 +14,7 @@ from skygcs.core.control.cascade import Reference
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.vehicle.frames import setpoint_from_world, shown, yaw_enu_rad
 from skygcs.errors import RefusedError
+from support.table import each
 
 origins = st.builds(
     Origin, st.floats(-80, 80), st.floats(-179, 179), st.floats(-100, 3000), x_heading_deg=st.floats(-360, 360)
@@ -127,7 +128,7 @@ def test_axes_that_follow_a_velocity_have_no_place() -> None:
     assert reported["pos_enu_m"] == [None, None, pytest.approx(7.0, abs=1e-3)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("pos", "vel", "acc", "yaw", "why"),
     [
         ((1.0, None, 2.0), None, None, None, "x and y together"),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from skygcs.core.control import ControlConfig
 from skygcs.core.control.gains import GRAVITY_MPS2
 from skygcs.core.vehicle.handover_attitude import BRAKING_MPS2, handover_attitude
+from support.table import each
 
 LAW = ControlConfig()
 
@@ -23,7 +24,7 @@ def acceleration(attitude_ned_frd: tuple[float, float, float, float], thrust: fl
     return -east * push, -north * push, down * push - GRAVITY_MPS2
 
 
-@pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -2.5])
+@each("yaw_rad", [0.0, 1.0, -2.5])
 def test_a_fast_one_is_braked_with_what_the_autopilot_brakes_with(yaw_rad: float) -> None:
     east, north, up = acceleration(*handover_attitude(LAW, (0.0, 0.0, 0.0), (3.0, -4.0, 2.0), yaw_rad, 1.0))
     assert (east, north, up) == pytest.approx((-0.6 * BRAKING_MPS2, 0.8 * BRAKING_MPS2, 0.0), abs=1e-9)

@@ -21,6 +21,7 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.errors import RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4
 from unit.core.vehicle.test_offboard_controller import Flight, place, texts
 
@@ -90,7 +91,7 @@ def test_a_reference_without_a_velocity_stands_whatever_its_acceleration() -> No
     assert reference.ahead(5.0) is reference
 
 
-@pytest.mark.parametrize("control_mode", [ATTITUDE, VELOCITY, POSITION])
+@each("control_mode", [ATTITUDE, VELOCITY, POSITION])
 def test_between_setpoints_it_moves_on_in_every_control_mode_and_not_beyond_its_deadline(
     control_mode: ControlMode,
 ) -> None:
@@ -256,7 +257,7 @@ def test_after_a_yaw_rate_alone_it_keeps_the_yaw_it_has_by_then() -> None:
 # --- stopping
 
 
-@pytest.mark.parametrize(("autopilot", "limits"), [(PX4, PX4_BRAKING), (ARDUPILOT, COPTER_BRAKING)])
+@each(("autopilot", "limits"), [(PX4, PX4_BRAKING), (ARDUPILOT, COPTER_BRAKING)])
 def test_a_stream_that_ends_ends_where_the_vehicle_comes_to_rest(autopilot: int, limits: BrakingLimits) -> None:
     flight = Flight(autopilot).fly(VELOCITY)
     flight.pinged(RTT_S)
@@ -304,7 +305,7 @@ def test_where_it_would_come_to_rest_beyond_the_fence_it_stays_where_it_was() ->
 # --- the fence
 
 
-@pytest.mark.parametrize(("autopilot", "timeout_s", "a"), [(PX4, 1.0, 3.0), (ARDUPILOT, 3.0, 2.5)])
+@each(("autopilot", "timeout_s", "a"), [(PX4, 1.0, 3.0), (ARDUPILOT, 3.0, 2.5)])
 def test_a_velocity_towards_a_wall_counts_for_as_long_as_the_autopilot_goes_on_with_it(
     autopilot: int, timeout_s: float, a: float
 ) -> None:
@@ -376,7 +377,7 @@ def test_an_origin_of_another_site_is_none() -> None:
     assert origin.local_enu_m(GeodeticPosition(*HOME)) is None and "25 km" in str(origin.distrusted)
 
 
-@pytest.mark.parametrize(("off_m", "trusted"), [(0.3, True), (2.0, False)])
+@each(("off_m", "trusted"), [(0.3, True), (2.0, False)])
 def test_a_local_position_that_contradicts_the_one_on_earth_ends_it(off_m: float, trusted: bool) -> None:
     flight = Flight(ARDUPILOT)
     flight.at(3.0, -4.0, 10.0)
@@ -392,7 +393,7 @@ def test_a_local_position_that_contradicts_the_one_on_earth_ends_it(off_m: float
 # --- what is refused
 
 
-@pytest.mark.parametrize("rate", [math.nan, math.inf, 7.0])
+@each("rate", [math.nan, math.inf, 7.0])
 def test_no_yaw_rate_that_is_none(rate: float) -> None:
     with pytest.raises(RefusedError, match="yaw rate"):
         setpoint.velocity_target((0, 0, 0), None, 0, yaw_rate_enu_radps=rate)

@@ -24,6 +24,8 @@ from skygcs.core.vehicle.offboard_controller import OLD_S, OffboardConfig, Offbo
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from support.examples import examples
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -130,7 +132,7 @@ def test_without_a_position_it_is_not_taken_over() -> None:
     assert flight.pilot.state is OffboardState.OFF
 
 
-@pytest.mark.parametrize("control_mode", CONTROL_MODES)
+@each("control_mode", CONTROL_MODES)
 def test_engaging_streams_stay_where_you_are_wherever_that_is(control_mode: ControlMode) -> None:
     flight = Flight()
     flight.pilot.engage(control_mode, FENCE)
@@ -180,7 +182,7 @@ def test_entered_means_something_only_while_engaging() -> None:
     assert flight.pilot.memory is memory
 
 
-@pytest.mark.parametrize("engaging", [True, False])
+@each("engaging", [True, False])
 def test_release_ends_it_at_once_and_says_why_once(engaging: bool) -> None:
     flight = Flight()
     if engaging:
@@ -202,7 +204,7 @@ RELEASES: dict[str, tuple[Callable[[Flight], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("what", RELEASES)
+@each("what", RELEASES)
 def test_what_is_not_ours_any_more_is_released_and_given_no_order(what: str) -> None:
     flight = Flight().fly(ControlMode.ATTITUDE)
     happen, why = RELEASES[what]
@@ -245,7 +247,7 @@ HOLDS: dict[str, tuple[Callable[[Flight], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("what", HOLDS)
+@each("what", HOLDS)
 def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
     flight = Flight().fly(ControlMode.ATTITUDE)
     happen, why = HOLDS[what]
@@ -258,7 +260,7 @@ def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
     assert flight.pilot.guard_falls == {"hold": 1}
 
 
-@pytest.mark.parametrize("what", HOLDS)
+@each("what", HOLDS)
 def test_what_would_be_a_hold_only_ends_an_attempt_to_take_it_over(what: str) -> None:
     flight = Flight()
     flight.pilot.engage(ControlMode.POSITION, FENCE)
@@ -289,8 +291,8 @@ def test_what_is_held_may_be_engaged_again_or_released() -> None:
 # --- ways
 
 
-@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
-@pytest.mark.parametrize("control_mode", CONTROL_MODES)
+@each("autopilot", [PX4, ARDUPILOT])
+@each("control_mode", CONTROL_MODES)
 def test_the_message_is_that_of_the_way_and_the_pace_too(control_mode: ControlMode, autopilot: int) -> None:
     flight = Flight(autopilot).fly(control_mode)
     tick = flight.tick()
@@ -458,7 +460,7 @@ def test_a_stream_leads_it_until_its_deadline_and_then_it_stays_where_it_is() ->
     assert ended.message is not None and ended.message[1]["vy"] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("control_mode", [ControlMode.VELOCITY, ControlMode.POSITION])
+@each("control_mode", [ControlMode.VELOCITY, ControlMode.POSITION])
 def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_position(
     control_mode: ControlMode,
 ) -> None:
@@ -601,7 +603,7 @@ happenings = st.one_of(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(st.sampled_from([PX4, ARDUPILOT]), st.booleans(), st.lists(happenings, max_size=30))
 def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
     autopilot: int, fly: bool, happening: list[Happening]
@@ -640,8 +642,8 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
         pilot.status(flight.now)
 
 
-@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(0.0, 8.5), (47.4, 0.0)])
-@pytest.mark.parametrize("control_mode", CONTROL_MODES)
+@each(("lat_deg", "lon_deg"), [(0.0, 8.5), (47.4, 0.0)])
+@each("control_mode", CONTROL_MODES)
 def test_the_equator_and_the_first_meridian_are_places_like_any_other(
     lat_deg: float, lon_deg: float, control_mode: ControlMode
 ) -> None:
@@ -663,7 +665,7 @@ def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
     assert after[1]["thrust"] == pytest.approx(before[1]["thrust"], abs=1e-6)
 
 
-@pytest.mark.parametrize("control_mode", [ControlMode.VELOCITY, ControlMode.ATTITUDE])
+@each("control_mode", [ControlMode.VELOCITY, ControlMode.ATTITUDE])
 def test_an_old_state_is_compared_with_where_the_reference_was_then(control_mode: ControlMode) -> None:
     """The reference moves on by 2 m/s while no state comes: it must not pull ever more."""
     flight = Flight().fly(control_mode)

@@ -13,9 +13,13 @@ from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.order_plan import ParamKnown
 from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_POSCTL, PX4_TAKEOFF, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
+RECEIVER = 1 << 16
+"""MAV_SYS_STATUS_SENSOR_RC_RECEIVER."""
+
 NOW = 100.0
 PX4_OFFBOARD = 6 << 16
 STABILIZE, AUTO, GUIDED, BRAKE = 0, 3, 4, 17
@@ -44,7 +48,7 @@ def bytewise(voice: Voice, name: str, value: int) -> Frame:
     return param(voice, name, struct.unpack("<f", struct.pack("<i", value))[0], INT32)
 
 
-@pytest.mark.parametrize(("autopilot", "mode"), [(PX4, PX4_OFFBOARD), (ARDUPILOT, GUIDED)])
+@each(("autopilot", "mode"), [(PX4, PX4_OFFBOARD), (ARDUPILOT, GUIDED)])
 def test_it_follows_in_one_mode_only(autopilot: int, mode: int) -> None:
     vehicle, voice = flying(autopilot, mode)
     assert offboard_entry.guided_mode(vehicle) == mode and offboard_entry.is_following(vehicle)
@@ -60,7 +64,7 @@ def test_a_plane_knows_guided_by_another_number_and_a_stranger_none() -> None:
     assert "PX4 and ArduPilot" in str(offboard_entry.entry_refusal(stranger, NOW))
 
 
-@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+@each("autopilot", [PX4, ARDUPILOT])
 def test_one_that_flies_and_knows_where_may_be_taken_over_also_from_a_pilot(autopilot: int) -> None:
     assert offboard_entry.entry_refusal(flying(autopilot)[0], NOW) is None
     assert (
@@ -89,9 +93,7 @@ def test_who_may_not_be_taken_over_is_told_why() -> None:
     assert "fixed wing" in str(offboard_entry.entry_refusal(flying(ARDUPILOT, 15, kind=1)[0], NOW))
 
 
-@pytest.mark.parametrize(
-    ("options", "said"), [(0, "set bit 3 (GUID_OPTIONS to 8)"), (5, "GUID_OPTIONS to 13"), (8, None), (13, None)]
-)
+@each(("options", "said"), [(0, "set bit 3 (GUID_OPTIONS to 8)"), (5, "GUID_OPTIONS to 13"), (8, None), (13, None)])
 def test_arducopter_is_sent_attitude_only_if_thrust_is_thrust(options: int, said: str | None) -> None:
     vehicle, voice = flying(ARDUPILOT)
     assert "not known" in str(offboard_entry.attitude_refusal(vehicle))
@@ -100,14 +102,14 @@ def test_arducopter_is_sent_attitude_only_if_thrust_is_thrust(options: int, said
     assert (refusal is None) if said is None else said in str(refusal)
 
 
-@pytest.mark.parametrize("kind", [0, 20, 29])
+@each("kind", [0, 20, 29])
 def test_px4_of_a_type_whose_thrust_it_drops_is_sent_no_attitude(kind: int) -> None:
     """generic, tailsitter, dodecarotor: fill_thrust leaves their thrust at 0, or it is none of a multirotor."""
     assert offboard_entry.attitude_refusal(flying(PX4, kind=2)[0]) is None
     assert "MAV_TYPE" in str(offboard_entry.attitude_refusal(flying(PX4, kind=kind)[0]))
 
 
-@pytest.mark.parametrize(
+@each(
     ("autopilot", "name", "timeout_s", "refused"),
     [
         (ARDUPILOT, "GUID_TIMEOUT", 3.0, True),
@@ -129,19 +131,39 @@ def test_who_leans_on_for_long_after_the_last_setpoint_is_flown_by_attitude_only
 
 def test_an_operator_is_told_what_a_vehicle_left_alone_would_do() -> None:
     px4, voice = flying(PX4)
-    assert offboard_entry.loss_note(px4) is None
+    assert offboard_entry.loss_note(px4, NOW) is None and "is not known" in offboard_entry.loss_text(px4, NOW)
     px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 0), NOW)
-    assert "Position mode" in str(offboard_entry.loss_note(px4))
+    note = str(offboard_entry.loss_note(px4, NOW))
+    assert "Position mode" in note and "whether a pilot's sticks reach it is not known" in note
+    assert offboard_entry.loss_text(px4, NOW) == note
     px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 5), NOW)
-    assert offboard_entry.loss_note(px4) is None
+    assert offboard_entry.loss_note(px4, NOW) is None and "it holds" in offboard_entry.loss_text(px4, NOW)
     copter, voice = flying(ARDUPILOT)
     copter.on_frame(param(voice, "FS_GCS_ENABLE", 0), NOW)
-    assert "FS_GCS_ENABLE is 0" in str(offboard_entry.loss_note(copter))
+    assert "FS_GCS_ENABLE is 0" in str(offboard_entry.loss_note(copter, NOW))
     copter.on_frame(param(voice, "FS_GCS_ENABLE", 5), NOW)
-    assert offboard_entry.loss_note(copter) is None
+    assert offboard_entry.loss_note(copter, NOW) is None
+    assert "FS_GCS_ENABLE 5" in offboard_entry.loss_text(copter, NOW)
 
 
-@pytest.mark.parametrize(
+@each(
+    ("health", "throttle_us", "said"),
+    [(0, 1500, "no sticks are seen"), (RECEIVER, 1500, ""), (RECEIVER, 1000, "the throttle of its sticks is down")],
+)
+def test_sticks_that_are_seen_decide_whether_a_mode_of_sticks_is_dangerous(
+    health: int, throttle_us: int, said: str
+) -> None:
+    """A PX4 without a transmitter sank from 12.4 to 4.5 m in Position mode after the daemon was killed."""
+    px4, voice = flying(PX4)
+    px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 0), NOW)
+    px4.on_frame(voice.say(mav.MAVLink_sys_status_message(RECEIVER, RECEIVER, health, *[0] * 10)), NOW)
+    channels = [1500, 1500, throttle_us, *[1500] * 5, *[65535] * 10]
+    px4.on_frame(voice.say(mav.MAVLink_rc_channels_message(0, 8, *channels, 255)), NOW)
+    note = offboard_entry.loss_note(px4, NOW)
+    assert said in str(note) if said else note is None
+
+
+@each(
     ("text", "refuses"),
     [
         ("SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99", True),  # both as PX4 1.16 said them
@@ -190,9 +212,7 @@ def test_what_attitude_needs_is_asked_by_name_and_anew() -> None:
     assert step.expect.met(copter, NOW + 2)
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "following", "params"), [(PX4, PX4_OFFBOARD, (1, 6, 0)), (ARDUPILOT, GUIDED, (1, 4, 0))]
-)
+@each(("autopilot", "following", "params"), [(PX4, PX4_OFFBOARD, (1, 6, 0)), (ARDUPILOT, GUIDED, (1, 4, 0))])
 def test_entering_is_one_mode_switch_and_none_if_it_follows(
     autopilot: int, following: int, params: tuple[float, ...]
 ) -> None:
@@ -208,7 +228,7 @@ PAUSE = (-1, 1, 0, math.nan, math.nan, math.nan, math.nan)
 """Of DO_REPOSITION: PX4's Navigator stops where it is."""
 
 
-@pytest.mark.parametrize(
+@each(
     ("autopilot", "was", "then"),
     [
         (PX4, PX4_LOITER, (1, 4, 3)),
@@ -225,7 +245,7 @@ def test_it_is_given_back_to_a_mode_that_flies_by_itself_and_holds_otherwise(
     autopilot: int, was: int | None, then: tuple[float, ...]
 ) -> None:
     vehicle, _ = flying(autopilot, PX4_OFFBOARD if autopilot == PX4 else GUIDED)
-    *before, step = offboard_entry.leave(vehicle, was).steps
+    *before, step = offboard_entry.leave(vehicle, was, 0.0).steps
     assert step.command is not None and step.command.params == pytest.approx(then, nan_ok=True)
     # GUIDED does nothing in a copter that is in it already: it stops first
     assert [s.command.params for s in before if s.command] == ([(1, BRAKE, 0)] if then == (1, GUIDED, 0) else [])
@@ -233,4 +253,4 @@ def test_it_is_given_back_to_a_mode_that_flies_by_itself_and_holds_otherwise(
 
 def test_one_that_somebody_took_out_of_it_is_left_alone() -> None:
     vehicle, _ = flying(PX4, PX4_POSCTL)
-    assert offboard_entry.leave(vehicle, PX4_LOITER).steps == ()
+    assert offboard_entry.leave(vehicle, PX4_LOITER, 0.0).steps == ()

@@ -13,6 +13,7 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -97,7 +98,7 @@ def test_both_autopilots_are_sent_to_the_same_point_in_space(offset: tuple[float
     assert px4[2] - HOME[2] == pytest.approx(copter[2], abs=1e-6)
 
 
-@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+@each("autopilot", [PX4, ARDUPILOT])
 def test_a_goto_to_the_ground_is_refused_unless_insisted_on(autopilot: int) -> None:
     vehicle = flying(autopilot)
     for place in ({"lat_deg": HOME[0], "lon_deg": HOME[1], "height_m": 0.0}, {"enu_m": [5.0, 5.0, 0.0]}):
@@ -130,21 +131,18 @@ def test_a_takeoff_height_is_above_nothing_and_at_most_500_m(height: float) -> N
     except RefusedError:
         assert not 0 < height <= 500
     else:
-        spec = plan.steps[-1].command
-        assert spec is not None
-        assert spec.params[6] == pytest.approx(HOME[2] + height)
+        late = plan.steps[-1].late
+        assert late is not None
+        assert late.command(vehicle, NOW).params[6] == pytest.approx(HOME[2] + height)
         assert 0 < height <= 500
 
 
-def test_px4_does_not_take_off_without_knowing_its_altitude_and_arducopter_does() -> None:
+def test_nothing_takes_off_without_knowing_the_ground_it_stands_on() -> None:
     for autopilot in (PX4, ARDUPILOT):
         vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
         vehicle.on_frame(Voice(1).beat(autopilot, 0), NOW)
-        if autopilot == PX4:
-            with pytest.raises(RefusedError, match="altitude is not known"):
-                orders.takeoff(vehicle, NOW, 5)
-        else:
-            assert orders.takeoff(vehicle, NOW, 5)
+        with pytest.raises(RefusedError, match="position is not known yet"):
+            orders.takeoff(vehicle, NOW, 5)
 
 
 def test_a_position_that_is_too_old_is_none() -> None:
@@ -164,7 +162,7 @@ def test_a_rover_goes_somewhere_without_being_in_the_air() -> None:
     vehicle.on_frame(voice.position(rel_m=-0.4), NOW)
     plan = orders.goto(vehicle, NOW, lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], limit_m=LIMIT_M)
     assert place_of(plan)[3] == 3
-    with pytest.raises(RefusedError, match="PX4 and ArduCopter only"):
+    with pytest.raises(RefusedError, match="rover of ArduPilot does not take off"):
         orders.takeoff(vehicle, NOW, 5)
     assert orders.hold(vehicle, NOW).done == "holding in HOLD"
 
@@ -179,7 +177,7 @@ def test_an_autopilot_skygcs_does_not_know_is_armed_and_landed_but_not_guessed_a
             refused(vehicle, NOW)
 
 
-@pytest.mark.parametrize("order", ["arm", "disarm", "land", "rtl", "hold", "reboot", "set_home"])
+@each("order", ["arm", "disarm", "land", "rtl", "hold", "reboot", "set_home"])
 def test_nothing_but_a_forced_disarm_is_sent_to_a_lost_vehicle(order: str) -> None:
     vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
     make: Any = getattr(orders, order)
@@ -193,7 +191,7 @@ def test_nothing_but_a_forced_disarm_is_sent_to_a_lost_vehicle(order: str) -> No
     assert orders.disarm(vehicle, NOW + 7, force=True).emergency
 
 
-@pytest.mark.parametrize(
+@each(
     ("wrong", "hint"),
     [
         ("NOSUCHCMD", "give a name of MAV_CMD, as NAV_LAND, or a number"),
@@ -227,7 +225,7 @@ def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> N
         orders.command_plan(dialect, 192, [], int_frame="NOWHERE")
 
 
-@pytest.mark.parametrize("mode", [4 << 16 | 4 << 24, 4 << 16 | 2 << 24])
+@each("mode", [4 << 16 | 4 << 24, 4 << 16 | 2 << 24])
 def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) -> None:
     vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
     vehicle.on_frame(voice.beat(PX4, mode), NOW)
@@ -236,3 +234,41 @@ def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) 
     assert orders.arm(vehicle, NOW, force=True).steps
     vehicle.on_frame(voice.beat(PX4, PX4_LOITER), NOW)
     assert orders.arm(vehicle, NOW).steps
+
+
+@each("force", [False, True])
+def test_a_place_beyond_every_reach_is_not_insisted_on(force: bool) -> None:
+    """goto with swapped coordinates: "15435938 m away ... insist with force", which was then accepted."""
+
+    def sent(lat_deg: float, lon_deg: float) -> object:
+        vehicle = flying(PX4)
+        return orders.goto(vehicle, NOW, lat_deg=lat_deg, lon_deg=lon_deg, height_m=10.0, limit_m=500.0, force=force)
+
+    with pytest.raises(
+        RefusedError, match="beyond what any vehicle can reach; did you swap latitude and longitude"
+    ) as e:
+        sent(HOME[1], HOME[0])
+    assert "insist" not in str(e.value)
+    with pytest.raises(RefusedError, match="beyond what any vehicle can reach"):
+        orders.set_home(flying(PX4), NOW, lat_deg=HOME[1], lon_deg=HOME[0], limit_m=500.0, force=True)
+    if force:
+        assert sent(HOME[0] + 0.05, HOME[1])
+    else:
+        with pytest.raises(RefusedError, match="limit is 500 m; insist"):
+            sent(HOME[0] + 0.05, HOME[1])
+
+
+@each("autopilot", [PX4, ARDUPILOT])
+def test_one_that_is_down_already_is_not_sent_into_a_landing(autopilot: int) -> None:
+    """ "ok landing" of a PX4 on the ground, which then stayed in AUTO.LAND and did not arm."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(autopilot, 0), NOW)
+    for order in (orders.land, orders.rtl):
+        assert order(vehicle, NOW).steps, "whether it is on the ground is not known"
+    vehicle.on_frame(voice.landed(1), NOW)
+    vehicle.on_frame(voice.position(), NOW)
+    for order in (orders.land, orders.rtl):
+        plan = order(vehicle, NOW + 1.0)
+        assert plan.steps == () and "on the ground and disarmed already" in plan.done
+    vehicle.on_frame(voice.landed(2), NOW + 1.0)
+    assert orders.land(vehicle, NOW + 1.0).steps

@@ -13,6 +13,7 @@ from skygcs.core.vehicle import origin as origins
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -36,7 +37,7 @@ def its_origin(vehicle: Vehicle, voice: Voice, lat: float = HOME[0], alt: float 
     vehicle.on_frame(voice.say(message), now)
 
 
-@pytest.mark.parametrize(
+@each(
     ("origin", "why"),
     [
         (Origin(0.0, 0.0, 100.0), "zero coordinate"),
@@ -81,7 +82,7 @@ def test_a_vehicle_gives_its_place_and_if_wanted_its_heading() -> None:
     assert origins.from_vehicle(vehicle, 101.0, heading=True).x_heading_deg == 123.45
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "now", "force", "why"),
     [
         ({}, 103.5, True, r"3\.5 s old; 3 s is the limit"),

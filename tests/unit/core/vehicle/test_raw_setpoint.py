@@ -17,6 +17,7 @@ from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, raw_from_wo
 from skygcs.core.vehicle.raw_source import RawSource
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
+from support.table import each
 
 NORTH_UP = Origin(47.4, 8.5, 400.0, x_heading_deg=90.0)
 """x is east."""
@@ -45,7 +46,7 @@ def test_a_quaternion_is_the_attitude_of_its_angles() -> None:
     assert by_quaternion.attitude_ned_frd == pytest.approx(by_angles.attitude_ned_frd)
 
 
-@pytest.mark.parametrize(
+@each(
     "wrong",
     [
         {},
@@ -80,7 +81,7 @@ def test_what_is_exactly_at_a_limit_is_flown() -> None:
         assert raw_from_world(NORTH_UP, **given_).refusal(limits) is None  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
+@each(
     "wrong",
     [{"tilt_max_deg": 0.0}, {"thrust_min": 0.5, "thrust_max": 0.5}, {"acc_max_mps2": math.nan}, {"rate_max_deg_s": -1}],
 )

@@ -17,6 +17,7 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.setpoint import Message
 from skygcs.errors import RefusedError
 from support.pymav import PymavPeer
+from support.table import each
 from support.vehicles import HOME, flight_dialect
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -63,7 +64,7 @@ def test_a_thrust_for_a_vehicle_that_boosts_by_tilt_comes_out_as_it_was_meant(
     assert boosted == pytest.approx(thrust, abs=1e-6)
 
 
-@pytest.mark.parametrize(
+@each(
     ("quaternion", "thrust"),
     [
         ((0.9, 0, 0, 0), 0.5),
@@ -90,7 +91,7 @@ def test_a_velocity_target_is_ned_and_nothing_but_velocity() -> None:
     assert m.yaw == pytest.approx(math.pi / 2), "east"
 
 
-@pytest.mark.parametrize("family", ["px4", "ardupilot"])
+@each("family", ["px4", "ardupilot"])
 def test_a_position_target_is_a_place_above_sea_level(family: Any) -> None:
     m = read(setpoint.position_target(GeodeticPosition(*HOME), math.pi / 2, 5, family))
     assert (m.coordinate_frame, m.type_mask) == (5, 0x9F8)
@@ -161,7 +162,7 @@ def test_whatever_numbers_come_it_is_a_finite_setpoint_or_a_refusal(
             assert m.lat_int != 0 and m.lon_int != 0
 
 
-@pytest.mark.parametrize(
+@each(
     ("lat", "lon", "alt"),
     [(0.0, 8.5, 500.0), (47.0, 0.0, 500.0), (1.8e-9, 8.5, 500.0), (47.0, 8.5, 1e6), (91.0, 8.5, 0.0)],
 )

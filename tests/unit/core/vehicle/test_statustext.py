@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import random
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from skygcs.core.vehicle.statustext import (
     StatusText,
     StatusTextAssembler,
 )
+from support.table import each
 
 alphabet = st.characters(min_codepoint=0x21, max_codepoint=0x7E)
 words = st.text(alphabet, min_size=1, max_size=CHUNK_BYTES * 6 - 1)
@@ -99,7 +99,7 @@ def test_nothing_makes_it_raise_or_grow(story: list[tuple[bytes, int, int]]) -> 
     assert not assembler._open
 
 
-@pytest.mark.parametrize("seq", [MAX_CHUNKS, 255])
+@each("seq", [MAX_CHUNKS, 255])
 def test_a_chunk_far_out_is_ignored(seq: int) -> None:
     assembler = StatusTextAssembler()
     assert assembler.on_text(6, b"x" * 50, 5, seq, 0.0) == []

@@ -14,6 +14,7 @@ from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.steady_thrust import FRESH_S, THROTTLE_FRESH_S, SteadyThrust
 from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -51,7 +52,7 @@ def test_nothing_heard_is_nothing_remembered() -> None:
     assert Hovering().observed.memory(LAW, 100.0) == Memory()
 
 
-@pytest.mark.parametrize(
+@each(
     ("roll", "pitch", "yaw", "expected"),
     [
         (0.0, -0.1, 0.0, (0.0, 0.45 * math.sin(0.1))),  # nose down, heading north: pushes north
@@ -89,7 +90,7 @@ def test_a_target_counts_before_the_throttle_while_it_is_fresh() -> None:
     assert here.integral()[2] == pytest.approx(0.305 - 0.45)
 
 
-@pytest.mark.parametrize("boosts", [True, False])
+@each("boosts", [True, False])
 def test_arducopters_target_is_the_vertical_part_where_it_boosts(boosts: bool) -> None:
     here = Hovering(ARDUPILOT)
     if not boosts:
@@ -99,7 +100,7 @@ def test_arducopters_target_is_the_vertical_part_where_it_boosts(boosts: bool) -
     assert here.integral()[2] == pytest.approx(0.40 * (1.0 if boosts else math.cos(0.5)) - 0.45, abs=1e-6)
 
 
-@pytest.mark.parametrize("throttle", [None, 0, 3, 120])
+@each("throttle", [None, 0, 3, 120])
 def test_without_a_throttle_the_lean_alone_counts(throttle: int | None) -> None:
     here = Hovering()
     if throttle is not None:

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.vehicle.targets import MAX_PARTS, select
+from skygcs.core.vehicle.targets import MAX_PARTS, absent_sysids, expression_of, select
 from skygcs.errors import TargetError
+from support.table import each
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ def sysids(expression: str | int | list[str | int]) -> list[int]:
     return [v.sysid for v in select(expression, FLEET)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("expression", "expected"),
     [
         ("1", [1]),
@@ -56,7 +57,7 @@ def test_expressions_name_vehicles_by_system_id_each_once(
     assert sysids(expression) == expected
 
 
-@pytest.mark.parametrize("bad", ["7", "delta", "6-8", "red,7", "ALL", "-1", "1.5"])
+@each("bad", ["7", "delta", "6-8", "red,7", "ALL", "-1", "1.5"])
 def test_a_part_that_names_none_is_named_with_what_there_is(bad: str) -> None:
     with pytest.raises(TargetError) as caught:
         sysids(bad)
@@ -71,7 +72,7 @@ def test_a_backward_range_says_what_was_meant() -> None:
         sysids("5-2")
 
 
-@pytest.mark.parametrize("empty", ["", ",", " , ", []])
+@each("empty", ["", ",", " , ", []])
 def test_nothing_is_not_everything(empty: str | list[str | int]) -> None:
     with pytest.raises(TargetError, match="no target"):
         sysids(empty)
@@ -113,3 +114,23 @@ def test_a_mixture_is_the_union_of_its_parts(parts: list[str]) -> None:
     for part in parts:
         union |= set(sysids(part))
     assert set(sysids(",".join(parts))) == union
+
+
+def test_a_misspelt_name_or_group_gets_a_proposal() -> None:
+    for wrong, right in (("alhpa", "alpha"), ("bravo1", "bravo"), ("bleu", "blue")):
+        with pytest.raises(TargetError, match=f"no vehicle '{wrong}'; did you mean '{right}'"):
+            select(wrong, FLEET)
+
+
+def test_ids_of_ranges_without_a_vehicle_are_found() -> None:
+    ids = [v.sysid for v in FLEET]
+    assert absent_sysids("1-6,alpha", ids) == [4, 6]
+    assert absent_sysids("1-3", ids) == absent_sysids("all,7", ids) == []
+
+
+@each(
+    ("sysids", "expression"),
+    [([], ""), ([4], "4"), ([9, 8, 7, 4, 8], "4,7-9"), ([1, 2, 4, 5, 250], "1-2,4-5,250")],
+)
+def test_ids_are_written_as_an_expression(sysids: list[int], expression: str) -> None:
+    assert expression_of(sysids) == expression

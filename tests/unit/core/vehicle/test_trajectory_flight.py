@@ -18,6 +18,7 @@ from skygcs.core.vehicle.trajectory_flight import (
     require_speed,
 )
 from skygcs.errors import ConfigError, RefusedError, TrajectoryError
+from support.table import each
 
 WORLD = Origin(47.4, 8.5, 400.0, x_heading_deg=0.0)
 """x is north."""
@@ -55,7 +56,7 @@ def test_without_a_yaw_it_keeps_the_one_it_has() -> None:
     assert TrajectoryFlight(loaded, clock, WORLD, LOCAL).reference(0.0, 1.25).yaw_rad == 1.25
 
 
-@pytest.mark.parametrize(
+@each(
     ("loaded", "limits", "factor", "why"),
     [
         (along_x(), TrajectoryLimits(), 1.0, None),

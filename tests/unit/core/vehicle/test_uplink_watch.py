@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import random
 
-import pytest
-
 from skygcs.core.vehicle.uplink_watch import UplinkWatch
+from support.examples import seeds
+from support.table import each
 
 TICK_S = 0.2
 
@@ -44,7 +44,7 @@ class Air:
                     self.answers.append((self.now + self.trip_s, token))
 
 
-@pytest.mark.parametrize(
+@each(
     ("up", "down", "trip_s", "thin", "within_s"),
     [
         (0.0, 0.0, 0.05, False, 2.2),
@@ -69,11 +69,11 @@ def test_a_dead_uplink_is_reported_soon(up: float, down: float, trip_s: float, t
     assert sum(delays) / len(delays) <= within_s, delays
 
 
-@pytest.mark.parametrize(("up", "down"), [(0.2, 0.0), (0.2, 0.2)])
-@pytest.mark.parametrize(("thin", "trip_s"), [(False, 0.05), (True, 0.4)])
+@each(("up", "down"), [(0.2, 0.0), (0.2, 0.2)])
+@each(("thin", "trip_s"), [(False, 0.05), (True, 0.4)])
 def test_loss_is_no_dead_uplink(up: float, down: float, thin: bool, trip_s: float) -> None:
     """Ten hours in the air: 0.1 alarms are expected of all of it at most."""
-    for seed in range(10):
+    for seed in seeds(10):
         air = Air(up=up, down=down, trip_s=trip_s, thin=thin, seed=seed)
         air.run(3600)
         assert air.changes == []

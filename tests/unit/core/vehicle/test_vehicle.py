@@ -19,6 +19,7 @@ from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.core.vehicle.vehicle import MAX_STATUS_TEXTS, Vehicle
 from skygcs.events import Event
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LAND, PX4_POSCTL, PX4_TAKEOFF, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -264,7 +265,7 @@ def test_a_mission_has_a_count_and_the_last_word_on_its_transfer() -> None:
         assert state["mission"]["count"] == count
 
 
-@pytest.mark.parametrize("name", [b"SYSID_MYGCS", b"MAV_GCS_SYSID"])
+@each("name", [b"SYSID_MYGCS", b"MAV_GCS_SYSID"])
 def test_whose_heartbeats_the_failsafe_watches_is_known_from_its_parameter(name: bytes) -> None:
     vehicle, voice = new()
     assert (

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.xbee import api_frames as api
 from skygcs.core.xbee.api_frames import ApiParser
+from support.table import each
 
 NODE = 0x0013A20041A7B2C3
 
@@ -67,7 +68,7 @@ def test_the_split_changes_nothing(escaped: bool, payloads: list[bytes], cuts: l
     assert parser.stats.skipped_bytes == len(noise) and not parser.pending
 
 
-@pytest.mark.parametrize("escaped", [False, True])
+@each("escaped", [False, True])
 def test_a_thousand_mutated_frames_raise_nothing_and_hide_nothing(escaped: bool) -> None:
     rng = random.Random(7)
     parser = ApiParser(api.decode, escaped=escaped)

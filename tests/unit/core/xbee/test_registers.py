@@ -13,9 +13,10 @@ from skygcs.core.xbee.registers import (
     same_value,
     show_setting,
 )
+from support.table import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "value", "shown"),
     [
         ("BD", "115200", b"\x07", "115200"),
@@ -32,7 +33,7 @@ def test_settings_are_read_and_shown(name: str, text: str, value: bytes, shown: 
     assert show_setting(name, value) == shown
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "why"),
     [
         ("NP", "72", "can only be read"),

@@ -11,6 +11,7 @@ import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
 import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
 import { StopButton } from "./stop.tsx";
+import { StopBoard } from "./stop_board.tsx";
 import type { State, Store } from "./store.ts";
 import { FleetTable } from "./table.tsx";
 import { FleetView } from "./view/fleet_view.ts";
@@ -48,6 +49,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
         <Shortcuts store={store} view={view} />
         <StopButton store={store} connection={connection} />
       </header>
+      <StopBoard store={store} />
       <Banner store={store} connection={connection} />
       {panels.filter((panel) => panel.place === "dock").map((panel) => (
         <section key={panel.id} class="dock" aria-label={panel.title}><LazyPanel panel={panel} {...props} /></section>

@@ -1,6 +1,8 @@
 // The WebSocket: JSON-RPC calls, orders with a deadline, notifications, and a new socket with back-off when one is lost.
 // An order is sent once or not at all: what was pending when a socket was lost is reported as such, never sent again.
 
+import type { Outcome } from "./types.ts";
+
 export const FIRST_RETRY_MS = 500;
 export const LONGEST_RETRY_MS = 5_000;
 /** A socket on which nothing came for so long is dead: while a daemon is there, states come several times a second. */
@@ -81,10 +83,21 @@ export const BROWSER: Surroundings = {
   random: () => Math.random(),
 };
 
+/** What is reported of an order under way: the vehicles that it goes to, or the outcome of one of them. */
+export interface Report {
+  request: number;
+  vehicles?: readonly string[];
+  vehicle?: string;
+  outcome?: Outcome;
+}
+
+export type OnReport = (report: Report) => void;
+
 interface Pending {
   resolve: (value: unknown) => void;
   reject: (error: Error) => void;
   cancelTimer: () => void;
+  onReport: OnReport | undefined;
 }
 
 interface Incoming {
@@ -171,11 +184,13 @@ export class Connection {
     return this.request<T>({ method, params }, options.timeoutMs === undefined ? CALL_TIMEOUT_MS : options.timeoutMs);
   }
 
-  /** A request that changes something: the server refuses it once `withinS` have passed. Sent once, never again. */
-  order<T>(method: string, params: object, withinS = ORDER_DEADLINE_S): Promise<T> {
+  /** A request that changes something: the server refuses it once `withinS` have passed. Sent once, never again.
+   * `onReport` gets what becomes of each vehicle while the order is under way. */
+  order<T>(method: string, params: object, withinS = ORDER_DEADLINE_S, onReport?: OnReport): Promise<T> {
     const now_s = this.serverNowS();
     if (now_s === null) return Promise.reject(new NotConnected());
-    return this.request<T>({ method, params, deadline_s: round3(now_s + withinS) }, null);
+    const message = { method, params, deadline_s: round3(now_s + withinS) };
+    return onReport === undefined ? this.request<T>(message, null) : this.request<T>({ ...message, report: true }, null, onReport);
   }
 
   /** Reports that a person touched the page: at most once a second, and only what the browser itself calls trusted. */
@@ -191,7 +206,7 @@ export class Connection {
     return this.clock === null ? null : this.clock.now_s + (this.env.nowMs() - this.clock.atMs) / 1000;
   }
 
-  private request<T>(message: object, timeoutMs: number | null): Promise<T> {
+  private request<T>(message: object, timeoutMs: number | null, onReport?: OnReport): Promise<T> {
     const socket = this.socket;
     if (!this.open || socket === null) return Promise.reject(new NotConnected());
     const id = this.nextId++;
@@ -203,7 +218,7 @@ export class Connection {
               this.pending.delete(id);
               reject(new NoAnswer(timeoutMs / 1000));
             }, timeoutMs);
-      this.pending.set(id, { resolve: resolve as (value: unknown) => void, reject, cancelTimer });
+      this.pending.set(id, { resolve: resolve as (value: unknown) => void, reject, cancelTimer, onReport });
       try {
         socket.send(JSON.stringify({ jsonrpc: "2.0", id, ...message }));
       } catch {
@@ -265,6 +280,10 @@ export class Connection {
       return; // only our own server writes here; what it cannot mean is left out
     }
     if (typeof message.method === "string") {
+      if (message.method === "order.begun" || message.method === "order.outcome") {
+        this.takeReport(message.params as Report | undefined);
+        return;
+      }
       this.takeClock(message.params);
       for (const handler of this.handlers.get(message.method) ?? []) (handler as (params: unknown) => void)(message.params);
       return;
@@ -280,6 +299,10 @@ export class Connection {
     } else {
       waiting.reject(new RpcError(message.error.code, message.error.message, message.error.data));
     }
+  }
+
+  private takeReport(report: Report | undefined): void {
+    if (typeof report?.request === "number") this.pending.get(report.request)?.onReport?.(report);
   }
 
   private takeClock(from: unknown): void {

@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { ageText, namesText } from "./format.ts";
 import { useStore, useTick } from "./hooks.ts";
-import { askOutcomes } from "./orders.ts";
+import { askOutcomes, isStop } from "./orders.ts";
 import { groupOutcomes } from "./outcomes.ts";
 import type { OrderRun, Store } from "./store.ts";
 
@@ -17,12 +17,12 @@ interface ListProps {
   connection: Connection;
 }
 
-/** The newest orders, above everything else. */
+/** The newest orders, above everything else; STOP has its board. */
 export function OrderList({ store, connection }: ListProps) {
   const orders = useStore(store, (state) => state.orders);
   useTick(500);
   const now = performance.now();
-  const shown = orders.filter((order) => order.dismissed !== true && !(order.state === "done" && now - (order.endedMs ?? now) > DONE_SHOWN_MS)).slice(0, SHOWN);
+  const shown = orders.filter((order) => !isStop(order) && order.dismissed !== true && !(order.state === "done" && now - (order.endedMs ?? now) > DONE_SHOWN_MS)).slice(0, SHOWN);
   return (
     <div class="toasts" role="log" aria-label="Orders" aria-live="polite">
       {shown.map((order) => <OrderCard key={order.id} order={order} store={store} connection={connection} />)}
@@ -77,9 +77,12 @@ function StateMark({ order }: { order: OrderRun }) {
 
 function OutcomeList({ order, store, connection }: OrderProps) {
   if (order.error !== null) return <p class="outcome bad">{order.error}</p>;
-  if (order.state === "pending") return <p class="outcome muted">sent {ageText((performance.now() - order.startedMs) / 1000)} ago</p>;
+  const waiting = order.state === "pending" ? order.targets.filter((name) => order.outcomes[name] === undefined) : [];
   return (
     <ul class="outcomes">
+      {order.state === "pending" && (
+        <li class="outcome muted">waiting for {waiting.length === 0 ? "the answer" : namesText(waiting)}, {ageText((performance.now() - order.startedMs) / 1000)}</li>
+      )}
       {groupOutcomes(order.outcomes).map(({ ok, unknown, text, names }) => (
         <li key={names[0]} class={ok ? "outcome" : unknown ? "outcome open" : "outcome bad"}>
           <span class="who">{ok ? namesText(names) : names.join(", ")}</span> {text}

@@ -21,6 +21,8 @@ export interface OrderRequest {
 type OrderStore = Pick<Store, "state" | "dispatch">;
 type Sender = Pick<Connection, "order">;
 
+const STOP_METHOD = "vehicles.stop";
+
 let nextId = 1;
 
 /** Questions at once: a page has 16 requests without an answer, and other parts of it ask, too. */
@@ -54,6 +56,10 @@ export async function sendOrder(store: OrderStore, connection: Sender, request: 
       request.method,
       params,
       request.withinS ?? ORDER_DEADLINE_S,
+      ({ vehicles = [], vehicle, outcome }) => {
+        const outcomes = vehicle === undefined || outcome === undefined ? {} : { [vehicle]: outcome };
+        store.dispatch({ type: "orderReported", id, vehicles, outcomes });
+      },
     );
     const outcomes = answer?.outcomes ?? {};
     return end(stateOf(outcomes), outcomes, null);
@@ -63,11 +69,17 @@ export async function sendOrder(store: OrderStore, connection: Sender, request: 
   }
 }
 
+export function isStop(order: Pick<OrderRun, "method">): boolean {
+  return order.method === STOP_METHOD;
+}
+
 /** STOP: all vehicles hold where they are, by every link. Those of other sites get it as an order of their own: ours wait
  *  for no hub. */
 export function sendStop(store: Store, connection: Connection): void {
   const { names, sites } = store.state;
-  const stop = { method: "vehicles.stop", params: {}, withinS: STOP_DEADLINE_S };
+  // the board shows the newest press
+  for (const order of store.state.orders) if (isStop(order) && order.dismissed !== true) store.dispatch({ type: "orderDismissed", id: order.id });
+  const stop = { method: STOP_METHOD, params: {}, withinS: STOP_DEADLINE_S };
   const others = names.filter((name) => siteOf(name) !== "");
   const ours = others.length === 0 ? null : names.filter((name) => siteOf(name) === "");
   if (ours === null || ours.length > 0) void sendOrder(store, connection, { ...stop, label: "STOP all", targets: ours, to: "all" });

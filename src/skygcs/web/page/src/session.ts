@@ -3,10 +3,12 @@
 import type { Connection } from "./connection.ts";
 import { viewParams } from "./levels.ts";
 import type { Store } from "./store.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
+import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
 
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
+const ALARM = "alarm";
+const ALARMS_AFTER_MS = 50;
 const GREET_AGAIN_MS = 1_000;
 const VIEW_EVERY_MS = 250;
 
@@ -15,6 +17,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   let seq: number | null = null;
   let originGeneration: number | null = null;
   let view = "";
+  let alarmsAsked = false;
 
   async function subscribe(): Promise<void> {
     seq = (await connection.call<{ seq: number }>("web.subscribe", { rate_hz: UPDATES_HZ })).seq;
@@ -28,7 +31,17 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   async function fetchEvents(): Promise<void> {
     const askedAfter = store.state.eventsSeen;
     const events = await connection.call<FleetEvent[]>("events.recent", { limit: RECENT_EVENTS });
-    store.dispatch({ type: "recentEvents", events, askedAfter });
+    store.dispatch({ type: "recentEvents", events: events.filter((event) => event.kind !== ALARM), askedAfter });
+  }
+
+  /** A change of the alarms is an event; of several at once one question is enough. */
+  async function fetchAlarms(): Promise<void> {
+    if (alarmsAsked) return;
+    alarmsAsked = true;
+    await new Promise((resolve) => setTimeout(resolve, ALARMS_AFTER_MS));
+    alarmsAsked = false;
+    const { alarms } = await connection.call<{ alarms: Alarm[] }>("alarms.list");
+    store.dispatch({ type: "alarms", alarms });
   }
 
   async function greet(): Promise<void> {
@@ -53,7 +66,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
 
   /** Without a daemon these are refused; they are asked for again when it is there. */
   async function fetchFromDaemon(): Promise<void> {
-    await Promise.allSettled([fetchOrigin(), fetchEvents()]);
+    await Promise.allSettled([fetchOrigin(), fetchEvents(), fetchAlarms()]);
   }
 
   function onBatch(batch: StateBatch): void {
@@ -94,7 +107,10 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     connection.on<StateBatch>("web.state", onBatch),
     connection.on<DaemonLink>("web.daemon", onDaemon),
     connection.on<PlanStatus>("web.plan", (plan) => store.dispatch({ type: "plan", plan })),
-    connection.on<{ event: FleetEvent }>("event", ({ event }) => store.dispatch({ type: "event", event })),
+    connection.on<{ event: FleetEvent }>("event", ({ event }) => {
+      if (event.kind === ALARM) fetchAlarms().catch(ignore);
+      else store.dispatch({ type: "event", event });
+    }),
   ];
   const viewing = setInterval(sendView, VIEW_EVERY_MS);
   connection.begin();

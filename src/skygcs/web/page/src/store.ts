@@ -3,7 +3,7 @@
 import type { ClockSample, Phase } from "./connection.ts";
 import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
 import { stateOf } from "./outcomes.ts";
-import type { DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, SiteCounts, StateBatch, Vec3, VehicleState } from "./types.ts";
+import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, SiteCounts, StateBatch, Vec3, VehicleState } from "./types.ts";
 import { Trails } from "./trails.ts";
 
 /** A vehicle of which nothing came for so long is shown as not heard, whatever was last said of it. */
@@ -69,6 +69,8 @@ export interface State {
   shown: string | null;
   events: readonly NumberedEvent[];
   eventsSeen: number;
+  /** Those of the daemon, open ones first. */
+  alarms: readonly Alarm[];
   orders: readonly OrderRun[];
   /** Where this page sent vehicles, until they are there or get another order. */
   goals: ReadonlyMap<string, Vec3>;
@@ -94,6 +96,7 @@ export const EMPTY: State = {
   shown: null,
   events: [],
   eventsSeen: 0,
+  alarms: [],
   orders: [],
   goals: new Map(),
   generation: 0,
@@ -112,6 +115,7 @@ export type Action =
   | { type: "unfold"; site: string }
   | { type: "event"; event: FleetEvent }
   | { type: "recentEvents"; events: readonly FleetEvent[]; askedAfter: number }
+  | { type: "alarms"; alarms: readonly Alarm[] }
   | { type: "goals"; goals: ReadonlyMap<string, Vec3> }
   | { type: "orderBegun"; order: OrderRun }
   | {
@@ -122,6 +126,7 @@ export type Action =
       outcomes: Readonly<Record<string, Outcome>>;
       error: string | null;
     }
+  | { type: "orderReported"; id: number; vehicles: readonly string[]; outcomes: Readonly<Record<string, Outcome>> }
   | { type: "outcomesFound"; id: number; atMs: number; outcomes: Readonly<Record<string, Outcome>> }
   | { type: "orderDismissed"; id: number };
 
@@ -157,6 +162,8 @@ export function reduce(state: State, action: Action): State {
       return addEvents(state, [action.event]);
     case "recentEvents":
       return addEvents({ ...state, events: [] }, [...action.events, ...cameMeanwhile(state, action)]);
+    case "alarms":
+      return { ...state, alarms: action.alarms };
     case "goals":
       return { ...state, goals: new Map([...state.goals, ...action.goals]) };
     case "orderBegun":
@@ -167,6 +174,8 @@ export function reduce(state: State, action: Action): State {
       };
     case "orderEnded":
       return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
+    case "orderReported":
+      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withReport(order, action) : order)) };
     case "outcomesFound":
       return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withOutcomes(order, action) : order)) };
     case "orderDismissed":
@@ -263,7 +272,15 @@ function addEvents(state: State, events: readonly FleetEvent[]): State {
 }
 
 function endOrder(order: OrderRun, end: Extract<Action, { type: "orderEnded" }>): OrderRun {
-  return { ...order, state: end.state, outcomes: end.outcomes, error: end.error, endedMs: end.atMs };
+  // what was reported before a connection was lost stays true
+  return { ...order, state: end.state, outcomes: { ...order.outcomes, ...end.outcomes }, error: end.error, endedMs: end.atMs };
+}
+
+/** What has come of an order that is under way; an order that has ended has all of it. */
+function withReport(order: OrderRun, report: Extract<Action, { type: "orderReported" }>): OrderRun {
+  if (order.endedMs !== null) return order;
+  const targets = [...order.targets, ...report.vehicles.filter((name) => !order.targets.includes(name))];
+  return { ...order, targets, outcomes: { ...order.outcomes, ...report.outcomes } };
 }
 
 function withOutcomes(order: OrderRun, found: Extract<Action, { type: "outcomesFound" }>): OrderRun {

@@ -184,6 +184,24 @@ export interface FleetEvent {
   data: Readonly<Record<string, unknown>>;
 }
 
+/** An alarm of the daemon: the same on every page, acknowledged once. */
+export interface Alarm {
+  number: number;
+  kind: string;
+  vehicle: string | null;
+  severity: "alarm" | "warning";
+  text: string;
+  raised_unix_s: number;
+  /** Its condition lasts. */
+  active: boolean;
+  count: number;
+  /** What followed from it and is no alarm of its own, by kind. */
+  consequences: Readonly<Record<string, number>>;
+  /** Null: nobody has seen it. */
+  acknowledged_by: string | null;
+  acknowledged_unix_s: number | null;
+}
+
 export interface DaemonLink {
   connected: boolean;
   /** Connected, and it has not answered for a while. */

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { groupOf, matches, parseValue, rangeOf, sameValue, valueText } from "../src/panels/param_values.ts";
+import { aboutText, groupOf, matches, meaningText, outsideText, parseValue, rangeOf, sameValue, valueText, type ParamMetadata } from "../src/panels/param_values.ts";
 
 test("a value has to fit its type", () => {
   assert.deepEqual(rangeOf("INT8"), { least: -128, most: 127, whole: true });
@@ -36,4 +36,17 @@ test("search takes words anywhere in the name, and patterns for all of it", () =
   assert.ok(matches("ANY", ""));
   assert.equal(groupOf("MPC_XY_P"), "MPC");
   assert.equal(groupOf("FRAME"), "FRAME");
+});
+
+test("a value outside its range is said, as the daemon judges it", () => {
+  const cruise: ParamMetadata = { unit: "m/s", least: 3, greatest: 20, range: "3 to 20 m/s", reboot: false, values: { "-1": "off" }, bits: {}, description: "Cruise" };
+  assert.equal(outsideText(500, cruise, "px4"), "outside its range of 3 to 20 m/s");
+  for (const good of [3, 20, -1]) assert.equal(outsideText(good, cruise, "px4"), null, String(good));
+  assert.equal(outsideText(0, cruise, "ardupilot"), null);
+  assert.notEqual(outsideText(0, cruise, "px4"), null);
+  assert.equal(outsideText(Math.fround(0.1), { ...cruise, least: 0.1 }, "px4"), null);
+  assert.equal(outsideText(1e9, undefined, "px4"), null);
+  assert.equal(meaningText(-1, cruise), "off");
+  assert.equal(meaningText(4, cruise), null);
+  assert.equal(aboutText({ ...cruise, reboot: true }), "Cruise; 3 to 20 m/s; takes effect after a reboot");
 });

@@ -25,6 +25,7 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   const { data } = event;
   switch (event.kind) {
     case "fault":
+    case "takeoff":
       return "alarm";
     case "statustext":
       return textSeverity(event.text, data["level"]);
@@ -32,6 +33,7 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
       return data["failsafe"] === false ? "info" : "alarm";
     case "vehicle_lost":
       return data["forgotten"] === true || armed === false ? "warning" : "alarm";
+    case "unattended":
     case "uplink_lost":
       return armed === false ? "warning" : "alarm";
     case "separation":

@@ -2,6 +2,8 @@
 
 import { useReducer, useState } from "preact/hooks";
 import { timeText } from "../format.ts";
+import { refusalText } from "../orders.ts";
+import type { Alarm } from "../types.ts";
 import { useChanges, useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
 import { keyOf, SEVERITIES, shownEvents, type JudgedEvent, type Severity } from "./event_severity.ts";
@@ -11,7 +13,7 @@ import { canSound, playAlarm } from "./sound.ts";
 const NAMES: Readonly<Record<Severity, string>> = { alarm: "Alarms", warning: "Warnings", info: "Reports" };
 const SHOWN = 300;
 
-export default function EventsPanel({ store }: PanelProps) {
+export default function EventsPanel({ store, connection }: PanelProps) {
   useChanges(alarmLog);
   const selection = useStore(store, (state) => state.selection);
   const [severities, setSeverities] = useState<ReadonlySet<Severity>>(new Set(SEVERITIES));
@@ -23,6 +25,7 @@ export default function EventsPanel({ store }: PanelProps) {
   const counts = new Map(SEVERITIES.map((one) => [one, alarmLog.events.filter((event) => event.severity === one).length]));
   return (
     <div class="panel eventspanel">
+      <AlarmList store={store} connection={connection} />
       <div class="row wrap">
         {SEVERITIES.map((one) => (
           <button
@@ -58,6 +61,38 @@ export default function EventsPanel({ store }: PanelProps) {
       {rows.length > SHOWN && <p class="note">{rows.length - SHOWN} older ones; search for them.</p>}
     </div>
   );
+}
+
+/** The daemon's alarms: one for each cause, the same on every page, acknowledged once. */
+function AlarmList({ store, connection }: Pick<PanelProps, "store" | "connection">) {
+  const alarms = useStore(store, (state) => state.alarms);
+  const mayOrder = useStore(store, (state) => state.hello?.role === "command");
+  const [problem, setProblem] = useState<string | null>(null);
+  if (alarms.length === 0) return null;
+  const seen = (number: number): void => {
+    connection.order("alarms.acknowledge", { numbers: [number], by: "web page" }).then(() => setProblem(null), (error: unknown) => setProblem(refusalText(error)));
+  };
+  return (
+    <section class="alarms" aria-label="Alarms of the daemon">
+      {problem !== null && <p class="bad" role="alert">{problem}</p>}
+      <ul>
+        {alarms.map((alarm) => (
+          <li key={alarm.number} data-severity={alarm.severity} data-open={alarm.acknowledged_by === null}>
+            <time class="muted">{timeText(alarm.raised_unix_s)}</time> <b>{alarm.vehicle ?? "–"}</b> {alarm.kind}: {alarm.text}
+            <span class="muted">{alarmNotes(alarm)}</span>
+            {alarm.acknowledged_by === null && mayOrder && <button type="button" aria-label={`Seen: ${alarm.vehicle ?? ""} ${alarm.kind}`} onClick={() => seen(alarm.number)}>Seen</button>}
+          </li>
+        ))}
+      </ul>
+    </section>
+  );
+}
+
+/** "; over; 12 more followed from it; seen by mia@field". */
+function alarmNotes({ active, consequences, acknowledged_by }: Alarm): string {
+  const followed = Object.values(consequences).reduce((sum, count) => sum + count, 0);
+  const notes = [active ? "" : "over", followed > 0 ? `${followed} more followed from it` : "", acknowledged_by === null ? "" : `seen by ${acknowledged_by}`];
+  return notes.filter(Boolean).map((note) => `; ${note}`).join("");
 }
 
 function EventRow({ event, acknowledged, select }: { event: JudgedEvent; acknowledged: boolean; select: (name: string) => void }) {

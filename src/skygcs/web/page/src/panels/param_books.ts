@@ -1,9 +1,13 @@
 // What the page knows of vehicles' parameters: values, edits that wait, what was set here. It outlives the panel.
 
-import type { ParamEntry } from "./param_values.ts";
+import type { ParamEntry, ParamMetadata } from "./param_values.ts";
 
 export interface ParamBook {
   params: readonly ParamEntry[];
+  /** By name; empty until it came, and for a firmware without any. */
+  metadata: Readonly<Record<string, ParamMetadata>>;
+  /** Where the metadata come from. */
+  source: string;
   edits: ReadonlyMap<string, number>;
   /** Set from this page: marked. */
   setHere: ReadonlySet<string>;
@@ -16,9 +20,9 @@ export interface ParamBook {
   failure: string | null;
 }
 
-const EMPTY_BOOK: ParamBook = { params: [], edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic", reading: false, failure: null };
+const EMPTY_BOOK: ParamBook = { params: [], metadata: {}, source: "", edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic", reading: false, failure: null };
 
-/** Vehicles whose parameters are kept: 100 kB each. */
+/** Vehicles whose parameters are kept: some 300 kB each. */
 export const MAX_BOOKS = 20;
 
 export class ParamBooks {

@@ -24,7 +24,42 @@ const BITS: Readonly<Record<string, readonly [bits: number, signed: boolean]>> =
   INT32: [32, true],
 };
 
-/** What the type can hold. Autopilots send no ranges of their own over the parameter protocol. */
+/** Metadata of one parameter, of params.metadata. */
+export interface ParamMetadata {
+  unit: string;
+  least: number | null;
+  greatest: number | null;
+  /** The range as text, with the unit; empty without one. */
+  range: string;
+  reboot: boolean;
+  values: Readonly<Record<string, string>>;
+  bits: Readonly<Record<string, string>>;
+  description: string;
+}
+
+/** Why the daemon refuses a value unless somebody insists; null: it is within its range. As the daemon judges it: a value
+ * with a meaning of its own is never outside, nor is the 0 of an ArduPilot, where it is "off". */
+export function outsideText(value: number, known: ParamMetadata | undefined, autopilot: string): string | null {
+  if (known === undefined || meaningText(value, known) !== null || (autopilot === "ardupilot" && value === 0)) return null;
+  const low = known.least !== null && value < Math.min(known.least, Math.fround(known.least));
+  const high = known.greatest !== null && value > Math.max(known.greatest, Math.fround(known.greatest));
+  return low || high ? `outside its range of ${known.range}` : null;
+}
+
+/** The meaning of a listed value; null: it has none of its own. */
+export function meaningText(value: number, known: ParamMetadata): string | null {
+  const found = Object.entries(known.values).find(([key]) => sameValue(Number(key), value));
+  return found === undefined ? null : found[1];
+}
+
+/** One line about a parameter: what it is, its range, and whether a change needs a reboot. */
+export function aboutText(known: ParamMetadata | undefined): string {
+  if (known === undefined) return "";
+  const parts = [known.description, known.range, known.reboot ? "takes effect after a reboot" : ""];
+  return parts.filter((part) => part !== "").join("; ");
+}
+
+/** What the type can hold. */
 export function rangeOf(type: string): ValueRange {
   const known = BITS[type];
   if (known === undefined) return { least: -FLOAT_MOST, most: FLOAT_MOST, whole: false };

@@ -7,7 +7,7 @@ import { useChanges, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
 import { contentOf, DropZone, Failure, keepFile, useAsk, usePolled } from "./parts.tsx";
-import { matches, parseValue, rangeText, sameValue, valueText, type ParamEntry } from "./param_values.ts";
+import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
 import { paramBooks, type ParamBook } from "./param_books.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
@@ -15,6 +15,10 @@ const SHOWN = 150;
 
 interface ParamList {
   lists: Readonly<Record<string, { ok: boolean; message: string; params: readonly ParamEntry[] | null; compid: number; sysid: number; autopilot: string }>>;
+}
+
+interface MetadataAnswer {
+  vehicles: Readonly<Record<string, { source: string; parameters: Readonly<Record<string, ParamMetadata>> }>>;
 }
 
 interface ParamStatus {
@@ -82,6 +86,7 @@ export function VehicleParams(props: VehicleProps) {
           <Edits {...props} book={book} keep={keep} enabled={orders} />
           <FileDifference {...props} book={book} keep={keep} />
           <ParamTable book={book} rows={shown} keep={keep} enabled={orders} />
+          {book.source !== "" && <p class="muted">Units and ranges: {book.source}</p>}
         </>
       )}
     </>
@@ -113,10 +118,21 @@ async function readList({ store, connection, name }: VehicleProps, keep: Keep): 
     if (found !== undefined && found.params !== null && found.params.length > 0) {
       const { params, sysid, compid, autopilot } = found;
       keep((book) => ({ ...book, params: [...params].sort((a, b) => a.name.localeCompare(b.name)), sysid, compid, autopilot }));
+      await readMetadata({ store, connection, name }, params.map((one) => one.name), keep);
     }
   } catch (failed) {
     keep((book) => ({ ...book, reading: false, failure: refusalText(failed) }));
   }
+}
+
+/** The daemon's limit of names in one request. */
+const MOST_NAMES = 2000;
+
+/** Units, ranges and descriptions of what is shown; without them the values are shown all the same. */
+async function readMetadata({ store, connection, name }: Pick<VehicleProps, "store" | "connection" | "name">, names: readonly string[], keep: Keep): Promise<void> {
+  const request = { targets: [name], names: names.slice(0, MOST_NAMES) };
+  const found = (await ask<MetadataAnswer>(store, connection, "params.metadata", request)).vehicles[name];
+  if (found !== undefined) keep((book) => ({ ...book, metadata: found.parameters, source: found.source }));
 }
 
 async function cancelList({ store, connection, name }: VehicleProps, keep: Keep): Promise<void> {
@@ -131,15 +147,19 @@ async function cancelList({ store, connection, name }: VehicleProps, keep: Keep)
 
 function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & { book: ParamBook; keep: (change: (book: ParamBook) => ParamBook) => void; enabled: boolean }) {
   const [busy, setBusy] = useState(false);
+  const [insisting, setInsisting] = useState(false);
   if (book.edits.size === 0) return null;
+  const outside = [...book.edits].filter(([param, value]) => outsideText(value, book.metadata[param], book.autopilot) !== null);
+  const force = insisting && outside.length > 0;
   const apply = async (): Promise<void> => {
     setBusy(true);
     const params = Object.fromEntries(book.edits);
     const label = book.edits.size === 1 ? `Set ${[...book.edits.keys()].join()}` : `Set ${book.edits.size} parameters`;
-    const request = { label, method: "params.set", params: { targets: [name], params }, targets: [name] };
+    const request = { label, method: "params.set", params: { targets: [name], params, force }, targets: [name] };
     const answer = await orderWith<SetAnswer>(store, connection, request, readSet(name));
     const outcomes = answer?.outcomes[name];
     if (outcomes !== undefined) keep((before) => afterSet(before, outcomes));
+    setInsisting(false);
     setBusy(false);
   };
   return (
@@ -148,6 +168,10 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
         {[...book.edits].map(([param, value]) => (
           <li key={param}>
             <code>{param}</code> {valueText(book.params.find((one) => one.name === param)?.value ?? null)} → <b>{valueText(value)}</b>
+            {outsideText(value, book.metadata[param], book.autopilot) !== null && (
+              <small class="failure"> {outsideText(value, book.metadata[param], book.autopilot)}</small>
+            )}
+            {book.metadata[param]?.reboot === true && <small class="muted"> takes effect after a reboot</small>}
             <button
               type="button"
               class="quiet"
@@ -159,6 +183,11 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
           </li>
         ))}
       </ul>
+      {outside.length > 0 && (
+        <label class="check">
+          <input type="checkbox" checked={insisting} onChange={(event) => setInsisting(event.currentTarget.checked)} /> set what is outside its range all the same
+        </label>
+      )}
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
           {busy ? "Setting …" : `Set ${book.edits.size}`}
@@ -203,19 +232,20 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
           <tr>
             <th>parameter</th>
             <th class="number">value</th>
-            <th>type</th>
+            <th>unit</th>
           </tr>
         </thead>
         <tbody>
           {rows.slice(0, most).map((one) => (
             <tr key={one.name} data-changed={book.edits.has(one.name) ? "waits" : book.setHere.has(one.name) ? "set" : undefined}>
-              <td>
+              <td title={aboutText(book.metadata[one.name])}>
                 <code>{one.name}</code>
+                <Meaning value={book.edits.get(one.name) ?? one.value} known={book.metadata[one.name]} autopilot={book.autopilot} />
               </td>
               <td class="number">
-                {enabled ? <ValueField param={one} edited={book.edits.get(one.name)} edit={edit} /> : valueText(one.value)}
+                {enabled ? <ValueField param={one} known={book.metadata[one.name]} edited={book.edits.get(one.name)} edit={edit} /> : valueText(one.value)}
               </td>
-              <td class="muted">{one.type.toLowerCase()}</td>
+              <td class="muted">{book.metadata[one.name]?.unit ?? ""}</td>
             </tr>
           ))}
         </tbody>
@@ -230,7 +260,16 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
   );
 }
 
-function ValueField({ param, edited, edit }: { param: ParamEntry; edited: number | undefined; edit: (param: ParamEntry, value: number | null) => void }) {
+/** What the value means, or that it is outside its range. */
+function Meaning({ value, known, autopilot }: { value: number | null; known: ParamMetadata | undefined; autopilot: string }) {
+  if (value === null || known === undefined) return null;
+  const outside = outsideText(value, known, autopilot);
+  if (outside !== null) return <small class="failure"> {outside}</small>;
+  const meaning = meaningText(value, known);
+  return meaning === null ? null : <small class="muted"> {meaning}</small>;
+}
+
+function ValueField({ param, known, edited, edit }: { param: ParamEntry; known: ParamMetadata | undefined; edited: number | undefined; edit: (param: ParamEntry, value: number | null) => void }) {
   const [typed, setTyped] = useState<string | null>(null);
   const [problem, setProblem] = useState<string | null>(null);
   const take = (text: string): void => {
@@ -246,7 +285,7 @@ function ValueField({ param, edited, edit }: { param: ParamEntry; edited: number
         class="value"
         aria-label={`${param.name}: ${rangeText(param.type)}`}
         aria-invalid={problem !== null}
-        title={rangeText(param.type)}
+        title={[aboutText(known), rangeText(param.type)].filter((text) => text !== "").join("; ")}
         inputMode="decimal"
         value={typed ?? valueText(edited ?? param.value)}
         onInput={(event) => setTyped(event.currentTarget.value)}

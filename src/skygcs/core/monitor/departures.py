@@ -1,0 +1,184 @@
+"""Which of several vehicles that are to return may leave now, so that none comes too near another on its way. Pure.
+
+A vehicle returns as both firmwares do: it climbs to its return height, flies home level, and lands there. Vehicles that
+have changed places would descend through each other, whatever their heights.
+
+    the way home of one that waits is                              then it
+    ------------------------------------------------------------   --------------------------------------------------
+    clear of those under way, and of the places of those that      leaves
+    wait
+    clear of those under way, and not of some that wait            leaves later: those in its way climb where they
+                                                                   stand, above its whole way, one group at a time
+    not clear of one that is under way, or that stays              waits until that one is out of its way
+
+It is asked again some times a second with the vehicles where they are then, so one leaves as soon as the part of
+another's way that is still to come is clear of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.ways import Leg, Way, column, needed_m, standing, too_near
+from skygcs.core.separation import Footprint, pair_margin
+
+AT_HOME_M = 1.5
+"""A vehicle that returns, is so near its home over the ground and sinks, lands."""
+
+SINKS_MPS = 0.2
+
+ABOVE_M = 1.0
+"""A vehicle that climbs out of another's way goes so much higher than it needs to: it holds its height within that."""
+
+BRAKES_MPS2 = 2.0
+"""What an ordered hold or return brakes with, at least: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
+
+
+class ReturnHeight(NamedTuple):
+    """Between which heights above its home a vehicle flies home, if it is not higher already.
+
+    PX4: RTL_RETURN_ALT, and near its home less (RTL::calculate_return_alt_from_cone_half_angle). ArduCopter: RTL_ALT,
+    near its home less (RTL_CONE_SLOPE), and at least RTL_CLIMB_MIN above where it is (ModeRTL::compute_return_target).
+    """
+
+    least_m: float
+    most_m: float
+    climb_m: float = 0.0
+    """It climbs by so much at least."""
+
+
+UNKNOWN = ReturnHeight(0.0, math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Returning:
+    """A vehicle that is to return, or does. Places: east, north, up in a frame common to all, m."""
+
+    key: int
+    name: str
+    footprint: Footprint
+    here: Vector
+    velocity_mps: Vector
+    home: Vector
+    height: ReturnHeight = UNKNOWN
+    age_s: float = 0.0
+    """Of its position."""
+
+    @property
+    def highest_m(self) -> float:
+        """The top of its way home."""
+        return max(self.here[2] + self.height.climb_m, self.home[2] + self.height.most_m)
+
+    @property
+    def ball_m(self) -> float:
+        speed_mps = math.hypot(*self.velocity_mps[:2])
+        return self.footprint.ball_m(self.age_s) + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
+
+    def place(self) -> Way:
+        """Its space while it waits."""
+        return Way(self.key, self.name, self.footprint, standing(self.here), self.ball_m, "waits")
+
+    def way(self, *, under_way: bool = False) -> Way:
+        """Its space from here to the ground at its home."""
+        home_xy, here_xy = self.home[:2], self.here[:2]
+        at_home = math.dist(home_xy, here_xy) <= AT_HOME_M
+        if under_way and at_home and self.velocity_mps[2] < -SINKS_MPS:
+            legs: tuple[Leg, ...] = (column((*home_xy, self.here[2]), self.home[2]),)
+        else:
+            low_m = max(self.here[2], self.home[2] + self.height.least_m)
+            level = Leg(here_xy, home_xy, low_m, self.highest_m)
+            legs = (column(self.here, self.highest_m), level, column(self.home, self.highest_m))
+        ball_m = self.footprint.ball_m(self.age_s) if under_way else self.ball_m
+        return Way(self.key, self.name, self.footprint, legs, ball_m, "returns" if under_way else "waits")
+
+
+@dataclass(frozen=True, slots=True)
+class Departures:
+    """``leave``: keys. ``climb``: by key, the height in the common frame to climb to in place. ``waits_for``: by key of
+    those that wait, the names of what is in their way."""
+
+    leave: tuple[int, ...] = ()
+    climb: Mapping[int, float] = field(default_factory=dict)
+    waits_for: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+
+def departing(
+    waiting: Sequence[Returning], under_way: Sequence[Returning], fixed: Sequence[Way] = ()
+) -> Generator[None, None, Departures]:
+    """Decide which of ``waiting`` leave or climb now; yields after each of them. ``fixed``: what stays where it is."""
+    moving = [other.way(under_way=True) for other in under_way]
+    leaving: dict[int, Way] = {}
+    blocked: dict[int, tuple[list[Way], list[Returning]]] = {}
+    ordered = sorted(waiting, key=lambda one: (one.highest_m, math.dist(one.here[:2], one.home[:2]), one.name))
+    places = {one.key: one.place() for one in ordered}
+    for one in ordered:
+        way = one.way()
+        taken = [other for other in (*moving, *leaving.values(), *fixed) if too_near(way, other)]
+        standing_there = [
+            other
+            for other in ordered
+            if other.key != one.key and other.key not in leaving and too_near(way, places[other.key])
+        ]
+        if taken or standing_there:
+            blocked[one.key] = taken, standing_there
+        else:
+            leaving[one.key] = way
+        yield
+    climb = _climbs(ordered, blocked, [*moving, *leaving.values(), *fixed])
+    waits_for = {
+        key: tuple(dict.fromkeys((*(way.name for way in taken), *(other.name for other in there))))
+        for key, (taken, there) in blocked.items()
+    }
+    return Departures(tuple(leaving), climb, waits_for)
+
+
+def departures(waiting: Sequence[Returning], under_way: Sequence[Returning], fixed: Sequence[Way] = ()) -> Departures:
+    """`departing` without a break."""
+    work = departing(waiting, under_way, fixed)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            decided: Departures = end.value
+            return decided
+
+
+def _climbs(
+    ordered: Sequence[Returning], blocked: Mapping[int, tuple[list[Way], list[Returning]]], taken: Sequence[Way]
+) -> dict[int, float]:
+    """Who climbs, and to where, so that one of those leaves that only wait for others that wait: the one with the
+    fewest in its way."""
+    for one in sorted(ordered, key=lambda one: len(blocked[one.key][1]) if one.key in blocked else 0):
+        if one.key not in blocked or blocked[one.key][0] or math.isinf(one.highest_m):
+            continue
+        goals = _above(one, blocked[one.key][1])
+        found: dict[int, float] = {}
+        for other in blocked[one.key][1]:
+            up = replace(other.place(), legs=(column(other.here, goals[other.key]),))
+            rest = [*taken, *(third.place() for third in ordered if third.key != other.key)]
+            if goals[other.key] > other.here[2] + ABOVE_M / 2 and not any(too_near(up, way) for way in rest):
+                found[other.key] = goals[other.key]
+        if found:
+            return found
+    return {}
+
+
+def _above(one: Returning, others: Sequence[Returning]) -> dict[int, float]:
+    """The heights at which those that wait are above the whole way of one, and above each other as they are now."""
+    goals: dict[int, float] = {}
+    placed: list[Returning] = []
+    for other in sorted(others, key=lambda other: other.here[2]):
+        ratio = pair_margin(one.footprint, other.footprint).downwash_ratio
+        goal_m = max(other.here[2], one.highest_m + ratio * needed_m(one.way(), other.place()) + ABOVE_M)
+        for below in placed:
+            need_m = needed_m(below.place(), other.place())
+            if math.dist(below.here[:2], other.here[:2]) < need_m:
+                ratio = pair_margin(below.footprint, other.footprint).downwash_ratio
+                goal_m = max(goal_m, goals[below.key] + ratio * need_m + ABOVE_M)
+        goals[other.key] = goal_m
+        placed.append(other)
+    return goals

@@ -1,0 +1,142 @@
+"""The space of the ways that vehicles fly by themselves: home, or along a mission. Pure.
+
+When such a vehicle is where is not known: speeds, waits and wind are its own. So two ways are compared as space, as if
+each vehicle were everywhere on its own at the same time. A way is made of legs; a leg is a straight line over the
+ground, and the heights between which it is flown.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from skygcs.core.monitor.approach import Vector
+from skygcs.core.separation import Footprint, pair_margin
+
+Point = tuple[float, float]
+"""East, north in the common frame, m."""
+
+
+class Leg(NamedTuple):
+    """From one point over the ground to another (or the same), somewhere between two heights (m, common frame)."""
+
+    begin: Point
+    end: Point
+    low_m: float
+    high_m: float
+
+
+@dataclass(frozen=True)
+class Way:
+    """The space of one vehicle's way."""
+
+    key: int
+    name: str
+    footprint: Footprint
+    legs: tuple[Leg, ...]
+    ball_m: float = 0.0
+    """How far it may be from its way, because its last position is old, or because it brakes first."""
+    doing: str = "in the air"
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """West, east, south and north end of its legs."""
+        east = [x for leg in self.legs for x in (leg.begin[0], leg.end[0])]
+        north = [y for leg in self.legs for y in (leg.begin[1], leg.end[1])]
+        return min(east), max(east), min(north), max(north)
+
+
+def standing(place: Vector) -> tuple[Leg, ...]:
+    """The way of a vehicle that stays where it is."""
+    return (Leg(place[:2], place[:2], place[2], place[2]),)
+
+
+def column(place: Vector, to_m: float) -> Leg:
+    """Straight up or down at a place."""
+    return Leg(place[:2], place[:2], min(place[2], to_m), max(place[2], to_m))
+
+
+def along(points: Sequence[Vector]) -> tuple[Leg, ...]:
+    """Through these points. A leg that climbs is taken to be anywhere between its two heights."""
+    return tuple(Leg(a[:2], b[:2], min(a[2], b[2]), max(a[2], b[2])) for a, b in itertools.pairwise(points)) or tuple(
+        leg for point in points for leg in standing(point)
+    )
+
+
+def needed_m(a: Way, b: Way) -> float:
+    """How far apart two ways have to be, in the metric of their margin."""
+    return pair_margin(a.footprint, b.footprint).total_m + a.ball_m + b.ball_m
+
+
+def distance_m(a: Way, b: Way) -> float:
+    """The least distance of two ways in the metric of their margin."""
+    ratio = pair_margin(a.footprint, b.footprint).downwash_ratio
+    return min((_legs_distance_m(p, q, ratio) for p in a.legs for q in b.legs), default=math.inf)
+
+
+def too_near(a: Way, b: Way) -> bool:
+    """Whether two vehicles on these ways could come nearer than they need."""
+    need_m = needed_m(a, b)
+    return _boxes_meet(a, b, need_m) and distance_m(a, b) < need_m
+
+
+def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
+    """False if they are farther apart over the ground than that: most pairs of a fleet."""
+    p, q = a.box, b.box
+    return p[0] - need_m <= q[1] and q[0] - need_m <= p[1] and p[2] - need_m <= q[3] and q[2] - need_m <= p[3]
+
+
+def conflict(way: Way, others: Iterable[Way]) -> str | None:
+    """With which other way this one conflicts most, in words; None: with none."""
+    worst: tuple[float, Way] | None = None
+    for other in others:
+        near_m = distance_m(way, other)
+        if other.key != way.key and near_m < needed_m(way, other) and (worst is None or near_m < worst[0]):
+            worst = near_m, other
+    if worst is None:
+        return None
+    near_m, other = worst
+    ratio = pair_margin(way.footprint, other.footprint).downwash_ratio
+    return (
+        f"{way.name} would come {near_m:.1f} m near {other.name} ({other.doing}); they need "
+        f"{needed_m(way, other):.1f} m, heights divided by {ratio:g}"
+    )
+
+
+def _legs_distance_m(p: Leg, q: Leg, ratio: float) -> float:
+    gap_m = max(0.0, p.low_m - q.high_m, q.low_m - p.high_m)
+    return math.hypot(_ground_distance_m(p, q), gap_m / ratio)
+
+
+def _ground_distance_m(p: Leg, q: Leg) -> float:
+    """Of two straight lines over the ground: 0 where they cross, else from an end of one of them."""
+    if _cross(p, q):
+        return 0.0
+    return min(
+        _from_line_m(p.begin, q.begin, q.end),
+        _from_line_m(p.end, q.begin, q.end),
+        _from_line_m(q.begin, p.begin, p.end),
+        _from_line_m(q.end, p.begin, p.end),
+    )
+
+
+def _cross(p: Leg, q: Leg) -> bool:
+    def side(a: Point, b: Point, c: Point) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    return (
+        side(p.begin, p.end, q.begin) * side(p.begin, p.end, q.end) < 0.0
+        and side(q.begin, q.end, p.begin) * side(q.begin, q.end, p.end) < 0.0
+    )
+
+
+def _from_line_m(point: Point, begin: Point, end: Point) -> float:
+    u, v = end[0] - begin[0], end[1] - begin[1]
+    square = u * u + v * v
+    x, y = point[0] - begin[0], point[1] - begin[1]
+    part = 0.0 if square == 0.0 else min(1.0, max(0.0, (x * u + y * v) / square))
+    return math.hypot(x - part * u, y - part * v)

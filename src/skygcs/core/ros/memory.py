@@ -1,0 +1,68 @@
+"""What the converters remember of one vehicle between its messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from skygcs.core.geo import EnuFrame
+from skygcs.core.ros.rotations import Quaternion, Vector
+from skygcs.core.ros.stamps import VehicleClock
+
+
+class Sample(NamedTuple):
+    """One message: its topic below the namespace of MAVROS ("imu/data"), and its fields."""
+
+    topic: str
+    fields: dict[str, Any]
+
+
+@dataclass(slots=True)
+class FrameNames:
+    """Frames in the headers; MAVROS' own by default."""
+
+    map: str = "map"
+    base_link: str = "base_link"
+    earth: str = "earth"
+
+
+@dataclass(slots=True)
+class VehicleMemory:
+    """Of one vehicle, from its first message on; a new one after its connection was lost, but for ``clock``."""
+
+    frames: FrameNames = field(default_factory=FrameNames)
+    geoid_m: float | None = None
+    """Height of the geoid above the ellipsoid, as it is set; None: as the receiver reports it, else 0."""
+    clock: VehicleClock = field(default_factory=VehicleClock)
+    autopilot: int = 0
+    mav_type: int = 0
+    # attitude and inertial measurement
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """FLU to ENU; before the first attitude as MAVROS' message has it."""
+    angular_flu: Vector = (0.0, 0.0, 0.0)
+    accel_flu: Vector = (0.0, 0.0, 0.0)
+    has_accel: bool = False
+    has_highres_imu: bool = False
+    has_scaled_imu: bool = False
+    has_attitude_quaternion: bool = False
+    # position
+    fix_status: int = 0
+    fix_service: int = 0
+    fix_covariance: tuple[float, ...] = (0.0,) * 9
+    fix_covariance_type: int = 0
+    receiver_geoid_m: float | None = None
+    map_frame: EnuFrame | None = None
+    has_local: bool = False
+    has_local_cov: bool = False
+    # the rest
+    has_battery0: bool = False
+    has_rc_channels: bool = False
+    rc_in: list[int] = field(default_factory=list)
+    rc_out: list[int] = field(default_factory=list)
+
+    @property
+    def undulation_m(self) -> float:
+        """What is added to a height above mean sea level, so that it counts from the ellipsoid."""
+        if self.geoid_m is not None:
+            return self.geoid_m
+        return 0.0 if self.receiver_geoid_m is None else self.receiver_geoid_m

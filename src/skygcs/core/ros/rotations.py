@@ -1,0 +1,91 @@
+"""Rotations between MAVLink's frames and those of ROS (REP 103, REP 105), as MAVROS has them.
+
+    NED -> ENU           the local frame: north, east, down becomes east, north, up
+    FRD -> FLU           the body ("aircraft" becomes "base_link"): forward, right, down becomes forward, left, up
+
+A quaternion is (w, x, y, z). One from MAVLink turns vectors of the body FRD into NED, one for ROS those of FLU into
+ENU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+HALF = math.sqrt(0.5)
+"""Sine and cosine of 45 degrees: NED to ENU is half a turn about their common diagonal."""
+
+
+def enu_from_ned(x: float, y: float, z: float) -> Vector:
+    """Its own inverse."""
+    return y, x, -z
+
+
+def flu_from_frd(x: float, y: float, z: float) -> Vector:
+    """Its own inverse."""
+    return x, -y, -z
+
+
+def enu_orientation(q: Sequence[float]) -> Quaternion:
+    """ROS' orientation (FLU to ENU) of MAVLink's (FRD to NED). Its own inverse, but for the sign of all four."""
+    w, x, y, z = q
+    return -HALF * (w + z), -HALF * (x + y), HALF * (y - x), HALF * (z - w)
+
+
+def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Yaw about z, then pitch about y, then roll about x (MAVLink's Euler angles), radians."""
+    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
+    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
+    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def yaw_of(q: Sequence[float]) -> float:
+    """The yaw of a quaternion, radians."""
+    w, x, y, z = q
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def rotated(q: Quaternion, v: Vector) -> Vector:
+    """A vector turned by a unit quaternion."""
+    w, x, y, z = q
+    tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
+    return (
+        v[0] + w * tx + y * tz - z * ty,
+        v[1] + w * ty + z * tx - x * tz,
+        v[2] + w * tz + x * ty - y * tx,
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+def xyz(v: Sequence[float]) -> dict[str, float]:
+    """A vector as geometry_msgs' Vector3 and Point."""
+    return {"x": v[0], "y": v[1], "z": v[2]}
+
+
+def wxyz(q: Sequence[float]) -> dict[str, float]:
+    """A quaternion as geometry_msgs' Quaternion."""
+    return {"w": q[0], "x": q[1], "y": q[2], "z": q[3]}
+
+
+def vector_of(fields: Any) -> Vector:
+    """geometry_msgs' Vector3 or Point as a vector."""
+    return fields["x"], fields["y"], fields["z"]
+
+
+def quaternion_of(fields: Any) -> Quaternion:
+    """geometry_msgs' Quaternion as a quaternion."""
+    return fields["w"], fields["x"], fields["y"], fields["z"]

@@ -1,0 +1,92 @@
+"""What is kept of a vehicle for a daemon that begins anew while it flies. Pure.
+
+Its last frames (heartbeat, position, landed state) bring back where it was and in which mode, who flew it decides
+whether it is ordered to hold when it is heard, and what its battery gave is measured on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.core.mavlink.msgids import EXTENDED_SYS_STATE, GLOBAL_POSITION_INT, HEARTBEAT
+from skygcs.core.vehicle.vehicle import Vehicle
+
+KEPT_MESSAGES = (HEARTBEAT, GLOBAL_POSITION_INT, EXTENDED_SYS_STATE)
+
+MAX_NAME = 64
+
+MAX_FRAME_BYTES = 280
+"""A MAVLink 2 frame with its signature."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightNote:
+    """One vehicle. ``frames``: raw, with the time (Unix) at which each came."""
+
+    sysid: int
+    compid: int
+    name: str
+    in_air: bool
+    flown_by: str | None
+    """Who flew it, and nobody else did since (`UnattendedWatch.owed_to`)."""
+    frames: tuple[tuple[float, bytes], ...]
+    flown_s: float = 0.0
+    dropped_percent: float = 0.0
+    """What its battery lost in ``flown_s`` of flight."""
+
+    @property
+    def key(self) -> int:
+        return self.sysid << 8 | self.compid
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "sysid": self.sysid,
+            "compid": self.compid,
+            "name": self.name,
+            "in_air": self.in_air,
+            "flown_by": self.flown_by,
+            "frames": [[round(at, 3), raw.hex()] for at, raw in self.frames],
+            "flown_s": round(self.flown_s, 1),
+            "dropped_percent": self.dropped_percent,
+        }
+
+    @classmethod
+    def from_json(cls, table: Mapping[str, Any]) -> FlightNote:
+        """Raises ValueError, KeyError, TypeError or AttributeError for what is not a note."""
+        sysid, compid = int(table["sysid"]), int(table["compid"])
+        if not (1 <= sysid <= 255 and 0 <= compid <= 255):
+            raise ValueError(f"system {sysid}/{compid}")
+        flown_by = table["flown_by"]
+        frames = tuple(
+            (_finite(at), bytes.fromhex(raw[: 2 * MAX_FRAME_BYTES]))
+            for at, raw in table["frames"][: len(KEPT_MESSAGES)]
+        )
+        return cls(
+            sysid,
+            compid,
+            str(table["name"])[:MAX_NAME],
+            table["in_air"] is True,
+            None if flown_by is None else str(flown_by)[:MAX_NAME],
+            frames,
+            max(0.0, _finite(table["flown_s"])),
+            max(0.0, _finite(table["dropped_percent"])),
+        )
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{value!r} is no number")
+    return number
+
+
+def lost_place(vehicle: Vehicle, now: float) -> str:
+    """Where and when a vehicle was lost, for people."""
+    position, silence_s = vehicle.telemetry("position"), vehicle.silence_s(now) or 0.0
+    where = "in the air"
+    if position is not None and position["lat_deg"] is not None:
+        where += f" at {position['lat_deg']:.6f}, {position['lon_deg']:.6f}, {position['alt_amsl_m']:.0f} m"
+    return f"lost {where}, {silence_s:.0f} s ago"

@@ -1,0 +1,32 @@
+"""File descriptors of this process: enough of them, and some kept for clients on this computer.
+
+The system gives a new file the lowest free number. So a connection with one of the last numbers that the process may
+have says that descriptors run out, and whoever accepted it closes it, or an older one, at once. What stays free lets a
+client of the Unix socket in, which may be the one that orders a stop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+
+WANTED = 4096
+"""A full daemon: 255 TCP clients, each with an epoll of its own, 192 sessions, links, files."""
+
+DESCRIPTORS_KEPT = 24
+"""For the next clients on this computer, and for files that are opened for a moment."""
+
+
+def raise_limit() -> None:
+    """Allow as many descriptors as are wanted, as far as the system lets us; the usual limit is 1024."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = WANTED if hard == resource.RLIM_INFINITY else min(WANTED, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def is_of_the_last(descriptor: int) -> bool:
+    """True if a file with this number is one of those that are kept."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return soft != resource.RLIM_INFINITY and descriptor >= soft - DESCRIPTORS_KEPT

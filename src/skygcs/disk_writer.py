@@ -1,0 +1,168 @@
+"""Writing of files beside the loop, for the daemon and the bridge to other stations.
+
+One thread, one bounded queue, one report when the disk is stuck.
+
+Everything that is written while the daemon runs goes through it, but the tlogs (`runtime.recorder`) and logs that are
+read from vehicles, which have their own bounds: control traces, the journals of undo, flights and fence tests,
+parameters, the clocks of signing.
+
+the disk        what happens
+--------------  ---------------------------------------------------------------------------------------------
+works           jobs are done in their order
+is stuck        one event after `STUCK_S`; further jobs wait until `MAX_JOBS` or `MAX_BYTES` do, then they are
+                dropped and counted (`offer`) or refused (`run`); control, orders and routing go on
+works again     one event; what waits is written
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Any, TypeVar
+
+from skygcs.events import Event
+from skygcs.writer_thread import WriterThread
+
+MAX_JOBS = 1024
+MAX_BYTES = 16 << 20
+"""What may wait for the disk: the control traces of 16 vehicles at 50 Hz for 25 s."""
+
+WITHIN_S = 5.0
+"""Longest wait for a job whose outcome is needed before an order goes on (`run`)."""
+
+STUCK_S = 2.0
+"""A job that takes this long is reported. A card that the kernel throttles takes one second at times."""
+
+CLOSE_S = 2.0
+"""The end of the daemon waits for what is unwritten at most so long."""
+
+T = TypeVar("T")
+
+
+class DiskWriter:
+    """One of each daemon. All methods belong to the loop's thread; ``on_event`` gets warnings."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        clock: Callable[[], float] = time.monotonic,
+        thread: Executor | None = None,
+    ) -> None:
+        """``clock``: of the disk, which knows no virtual time. ``thread``: does the jobs, in their order; None: one of
+        its own, which is begun with the first job."""
+        self._loop = loop
+        self._clock = clock
+        self._on_event = on_event
+        self._thread = WriterThread("disk") if thread is None else thread
+        self._waiting: deque[tuple[str, int, float]] = deque()
+        """What each job is, its bytes, and when it was given; the first one is being done."""
+        self._bytes = 0
+        self._watch: asyncio.TimerHandle | None = None
+        self._stuck_since: float | None = None
+        self._none_waits = asyncio.Event()
+        self._none_waits.set()
+        self._closed = False
+        self.written = 0
+        self.dropped = 0
+
+    def offer(self, what: str, job: Callable[[], object], size: int = 0) -> asyncio.Future[Any] | None:
+        """Do ``job`` when the disk takes it. Returns its outcome to come, whose OSError the caller should report; None
+        if it was dropped (and counted) as too much waits."""
+        if self._closed or len(self._waiting) >= MAX_JOBS or self._bytes + size > MAX_BYTES:
+            self.dropped += 1
+            return None
+        now = self._clock()
+        self._waiting.append((what, size, now))
+        self._bytes += size
+        self._none_waits.clear()
+        if self._watch is None:
+            self._watch = self._loop.call_later(STUCK_S, self._look)
+        done = self._loop.run_in_executor(self._thread, job)
+        done.add_done_callback(self._on_done)
+        return done
+
+    async def run(self, what: str, job: Callable[[], T], size: int = 0, within_s: float = WITHIN_S) -> T:
+        """Do ``job`` and return its result. Raises what it raises, and OSError if the disk does not take it within
+        ``within_s``: it may still be done later."""
+        done = self.offer(what, job, size)
+        if done is None:
+            raise OSError(errno.EBUSY, "too much waits for the disk")
+        try:
+            async with asyncio.timeout(within_s):
+                result: T = await asyncio.shield(done)
+                return result
+        except TimeoutError:
+            done.add_done_callback(_ignored)
+            raise OSError(errno.ETIMEDOUT, f"the disk does not take it ({what})") from None
+
+    async def settled(self) -> None:
+        """Wait until nothing is unwritten, CLOSE_S at most; what is given meanwhile counts."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_S):
+                await self._none_waits.wait()
+
+    async def close(self) -> None:
+        """Wait for what is unwritten, CLOSE_S at most; nothing is taken after this. Idempotent."""
+        self._closed = True
+        await self.settled()
+        self._thread.shutdown(wait=False)
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        if self._waiting:
+            names = ", ".join(sorted({what for what, _, _ in self._waiting})[:5])
+            self._report(f"{len(self._waiting)} files or parts of files are unwritten, as the disk is stuck: {names}")
+            self._waiting.clear()
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "written": self.written,
+            "dropped": self.dropped,
+            "waiting": len(self._waiting),
+            "waiting_bytes": self._bytes,
+            "stuck": self._stuck_since is not None,
+        }
+
+    def _on_done(self, done: asyncio.Future[Any]) -> None:
+        if not self._waiting:  # after `close`
+            return
+        _, size, _ = self._waiting.popleft()
+        self._bytes -= size
+        self.written += not done.cancelled() and done.exception() is None
+        if self._waiting:
+            what, more, _ = self._waiting[0]
+            self._waiting[0] = (what, more, self._clock())
+        else:
+            self._none_waits.set()
+        since, self._stuck_since = self._stuck_since, None
+        if since is not None:
+            seconds = self._clock() - since
+            text = f"the disk takes files again after {seconds:.0f} s; {self.dropped} writes were dropped so far"
+            self._report(text, seconds=round(seconds, 1), dropped=self.dropped)
+
+    def _look(self) -> None:
+        """Report a job that takes long, once; go on looking while any waits."""
+        self._watch = None
+        if not self._waiting:
+            return
+        what, _, since = self._waiting[0]
+        if self._stuck_since is None and self._clock() - since >= STUCK_S:
+            self._stuck_since = since
+            self._report(f"the disk is stuck: {what} is not written; everything else goes on", what=what)
+        self._watch = self._loop.call_later(STUCK_S, self._look)
+
+    def _report(self, text: str, **data: Any) -> None:
+        self._on_event(Event("warning", None, None, text, data))
+
+
+def _ignored(done: asyncio.Future[Any]) -> None:
+    """Take the exception of a job that nobody waits for any more."""
+    if not done.cancelled():
+        done.exception()

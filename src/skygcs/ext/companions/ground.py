@@ -1,0 +1,108 @@
+"""[companions] in a daemon on the ground: a connection to each companion, the flights that they make, and mDNS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from functools import partial
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from skygcs.config.tables import Problem
+from skygcs.ext.companions import methods
+from skygcs.ext.companions.companion_control import CompanionCalls, CompanionControl
+from skygcs.ext.companions.companion_link import Dial
+from skygcs.ext.companions.companion_links import CompanionLinks
+from skygcs.ext.companions.companions_table import CompanionsConfig, companions_problems, servers_of
+from skygcs.ext.companions.ground_finder import GroundAnnouncement
+from skygcs.ext.companions.pinned_client import connect_pinned
+from skygcs.ext.companions.tls import Identity
+from skygcs.extension import AGAIN_S, Extension, StateGroup
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+if TYPE_CHECKING:
+    from skygcs.config.models import FleetConfig, VehicleConfig
+    from skygcs.core.vehicle.vehicle import Vehicle
+    from skygcs.rpc.context import Context, Services
+    from skygcs.rpc.dispatch import Method
+    from skygcs.runtime.vehicle_services import VehicleServices
+
+
+class Companions(Extension[CompanionsConfig]):
+    """The ground's side of companions."""
+
+    Config = CompanionsConfig
+    names = ("companion",)
+    control_at = "companion"
+
+    def __init__(self, core: Services, config: CompanionsConfig) -> None:
+        super().__init__(core, config)
+        publish = core.event_log.publish
+        self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish)
+        self.by_vehicle: dict[str, CompanionCalls] = {**self.links.by_vehicle()}
+        """The connections, by the vehicle that the companion is on."""
+        self._announcement: GroundAnnouncement | None = None
+        if config.advertise:
+            announced = config.link or servers_of(core.config)[0]  # `problems` has found that there is one
+            self._announcement = GroundAnnouncement(announced, config.interfaces, core.links, publish, name=config.name)
+
+    @classmethod
+    def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
+        return companions_problems(config, fleet)
+
+    @classmethod
+    def notes(cls, config: Any) -> list[str]:
+        if find_spec("asyncssh") is None:
+            return ["asyncssh is not installed here: pip install 'skygcs[companions]'"]
+        return []
+
+    def methods(self) -> Iterable[Method[Context]]:
+        return (methods.STATUS,)
+
+    def state_groups(self) -> Mapping[str, StateGroup]:
+        return {"companion": self._companion_of}
+
+    def new_flight(self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices) -> CompanionControl:
+        heard_at = self.core.fleet.components.onboard_computer_heard_at
+        return CompanionControl(vehicle, config, services, self.by_vehicle, heard_at)
+
+    async def run(self) -> None:
+        """Keep all companions connected, and announce this ground station."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self.links.run(), name="connections to companions")
+            if self._announcement is not None:
+                group.create_task(self._announce(self._announcement), name="ground announcement")
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able, for companions.status."""
+        announcement = self._announcement
+        return {
+            "companions": self.links.status(),
+            "announced": None if announcement is None else announcement.announced,
+            "problem": None if announcement is None else announcement.problem,
+            "companion": None,
+        }
+
+    def _companion_of(self, vehicle: VehicleActor, now: float) -> dict[str, Any] | None:
+        """The computer on a vehicle, as `VehicleState.companion`: from the fleet file, or heard by MAVLink."""
+        heard = self.core.fleet.companion_of(vehicle)
+        name = self.config.of_vehicle(vehicle.name)
+        if name is None:
+            return heard
+        link = self.by_vehicle.get(vehicle.name)
+        unknown = dict.fromkeys(("link", "since_s", "error", "version"))
+        age_s = None if heard is None else heard["age_s"]
+        return {"name": name, **(unknown if link is None else link.summary()), "age_s": age_s}
+
+    def _dial_to(self, companion: str, host: str, port: int) -> Dial:
+        """The way to connect to a companion; the files are read each time, so that a new pin counts at once."""
+        return partial(connect_pinned, host, port, Identity.of_ground(self.config.key_dir, companion))
+
+    async def _announce(self, announcement: GroundAnnouncement) -> None:
+        """Announce. A fault of ours in it ends no connection."""
+        while True:
+            try:
+                return await announcement.run()
+            except Exception as error:
+                self.core.hub.fault(error)
+            await asyncio.sleep(AGAIN_S)

@@ -1,0 +1,90 @@
+"""The loss of the ground at a companion that flies its vehicle. Pure.
+
+    state       what happens                                              next        what is ordered
+    ---------   -------------------------------------------------------   ---------   ------------------------------
+    idle        control begins                                            watched     -
+    watched     contact                                                   watched     -
+    watched     silence > ground_lost_s; "return", "hold", "land"         acted       that
+    watched     silence > ground_lost_s; "finish", a trajectory runs      finishing   - (it is flown on)
+    watched     silence > ground_lost_s; "finish", none runs              acted       return
+    finishing   contact                                                   watched     -
+    finishing   the trajectory has ended: it stays at its end             waiting     -
+    waiting     contact                                                   watched     -
+    waiting     for ground_lost_s                                         acted       return
+    acted       contact                                                   acted       - (only an order begins anew)
+    any         control has ended: an order, a pilot, the guard           idle        -
+
+Contact is a call of the ground, or a heartbeat of it that is proven to be its own. An order of this table is given
+once: a pilot or the ground that takes the vehicle out of it afterwards is not answered by another one. Without
+control nothing is ever ordered: the vehicle is its pilot's or its autopilot's then, and their failsafes act.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+GroundLost = Literal["return", "hold", "land", "finish"]
+"""The configured reaction."""
+
+Action = Literal["return", "hold", "land"]
+"""The reaction that is ordered."""
+
+
+class ContactState(StrEnum):
+    IDLE = "idle"
+    WATCHED = "watched"
+    FINISHING = "finishing"
+    WAITING = "waiting"
+    ACTED = "acted"
+
+
+class GroundContact:
+    """The contact of one vehicle. Call `tick` some times a second; it returns what is to be ordered, or None."""
+
+    __slots__ = ("_since", "action", "lost_s", "state")
+
+    def __init__(self, action: GroundLost, lost_s: float) -> None:
+        """``lost_s``: the ground is lost after a silence of so long."""
+        self.action = action
+        self.lost_s = lost_s
+        self.state = ContactState.IDLE
+        self._since = 0.0
+        """When control began, or when the end of the trajectory was reached."""
+
+    @property
+    def lost(self) -> bool:
+        """True if the ground is lost."""
+        return self.state in (ContactState.FINISHING, ContactState.WAITING, ContactState.ACTED)
+
+    def tick(self, now: float, *, controlled: bool, follows: bool, contact_at: float) -> Action | None:
+        """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that has not ended;
+        ``contact_at``: the last contact with the ground."""
+        if not controlled:
+            self.state = ContactState.IDLE
+            return None
+        if self.state is ContactState.IDLE:
+            self.state, self._since = ContactState.WATCHED, now
+        heard = now - max(contact_at, self._since if self.state is ContactState.WATCHED else contact_at) < self.lost_s
+        match self.state:
+            case ContactState.WATCHED if not heard:
+                return self._lose(follows=follows)
+            case ContactState.FINISHING | ContactState.WAITING if heard:
+                self.state, self._since = ContactState.WATCHED, now
+            case ContactState.FINISHING if not follows:
+                self.state, self._since = ContactState.WAITING, now
+            case ContactState.WAITING if now - self._since >= self.lost_s:
+                self.state = ContactState.ACTED
+                return "return"
+        return None
+
+    def silence_s(self, now: float, contact_at: float) -> float:
+        """How long the ground has been silent, but not longer than control has lasted."""
+        return now - max(contact_at, self._since) if self.state is ContactState.WATCHED else now - contact_at
+
+    def _lose(self, *, follows: bool) -> Action | None:
+        if self.action == "finish" and follows:
+            self.state = ContactState.FINISHING
+            return None
+        self.state = ContactState.ACTED
+        return "return" if self.action == "finish" else self.action

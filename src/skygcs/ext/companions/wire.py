@@ -1,0 +1,148 @@
+"""Messages of ground and companion about control, as JSON and back: setpoints, pieces of trajectories, origins.
+
+Values are geodetic or true ENU wherever they can be, so that they mean the same in both daemons whatever the origin of
+each is; a trajectory carries the origin of the ground whose axes it is given along. Pure. What does not fit raises
+RefusedError or TrajectoryError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from skygcs.core.geo import Origin
+from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.raw_setpoint import RawSetpoint
+from skygcs.errors import RefusedError
+
+Json = dict[str, Any]
+
+LARGEST_NUMBER = 1e6
+"""Largest number accepted in a setpoint."""
+
+PIECES_A_PART = 200
+"""Pieces sent in one call: 250 kB for the largest degree, a quarter of the longest line of the socket."""
+
+
+def setpoint_json(setpoint: Setpoint | RawSetpoint) -> Json:
+    """The JSON that `setpoint_from` reads."""
+    return {key: value for key, value in asdict(setpoint).items() if value is not None and value is not False}
+
+
+def setpoint_from(values: Mapping[str, Any]) -> Setpoint:
+    """Raises RefusedError."""
+    place = values.get("place")
+    return Setpoint(
+        None if place is None else _place(place),
+        _vector(values, "vel_enu_mps"),
+        _vector(values, "acc_enu_mps2"),
+        _number(values, "yaw_enu_rad"),
+        values.get("free_xy") is True,
+        values.get("free_z") is True,
+        _number(values, "yaw_rate_enu_radps"),
+    )
+
+
+def raw_from(values: Mapping[str, Any]) -> RawSetpoint:
+    """Raises RefusedError. The limits are checked where it is followed."""
+    kind = values.get("kind")
+    if kind not in ("attitude", "rates", "acceleration"):
+        raise RefusedError("a raw setpoint is attitude, rates or acceleration")
+    attitude = values.get("attitude_ned_frd")
+    quaternion = None if attitude is None else _numbers(attitude, 4, "attitude_ned_frd")
+    setpoint = RawSetpoint(
+        kind,
+        _number(values, "thrust"),
+        None if quaternion is None else (quaternion[0], quaternion[1], quaternion[2], quaternion[3]),
+        _vector(values, "rates_frd_radps"),
+        _vector(values, "acc_enu_mps2"),
+        _number(values, "yaw_enu_rad"),
+    )
+    needed = {
+        "attitude": (setpoint.thrust, setpoint.attitude_ned_frd),
+        "rates": (setpoint.thrust, setpoint.rates_frd_radps),
+        "acceleration": (setpoint.acc_enu_mps2,),
+    }[kind]
+    if None in needed:
+        raise RefusedError(f"a raw setpoint of kind {kind} lacks a value")
+    return setpoint
+
+
+def pieces_json(trajectory: Trajectory) -> list[list[Json]]:
+    """All its pieces, in parts of `PIECES_A_PART`."""
+    pieces = [
+        {
+            "duration_s": piece.duration_s,
+            "x": list(piece.east),
+            "y": list(piece.north),
+            "up": list(piece.up),
+            **({} if piece.yaw is None else {"yaw": list(piece.yaw)}),
+        }
+        for piece in trajectory.pieces
+    ]
+    return [pieces[at : at + PIECES_A_PART] for at in range(0, len(pieces), PIECES_A_PART)]
+
+
+def piece_from(values: Mapping[str, Any]) -> Piece:
+    """A piece of checked parameters; the trajectory it is put into checks the numbers."""
+    yaw = values.get("yaw")
+    east, north, up = (tuple(values[axis]) for axis in ("x", "y", "up"))
+    return Piece(values["duration_s"], east, north, up, None if yaw is None else tuple(yaw))
+
+
+def origin_json(origin: Origin | None) -> Json | None:
+    """The JSON that `origin_from` reads."""
+    return None if origin is None else asdict(origin)
+
+
+def origin_from(values: Mapping[str, Any] | None) -> Origin | None:
+    """Raises RefusedError."""
+    if values is None:
+        return None
+    numbers = [_number(values, key) for key in ("lat_deg", "lon_deg", "alt_amsl_m", "x_heading_deg")]
+    lat_deg, lon_deg, alt_m, heading_deg = numbers
+    if lat_deg is None or lon_deg is None or alt_m is None or heading_deg is None:
+        raise RefusedError("an origin has lat_deg, lon_deg, alt_amsl_m and x_heading_deg")
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
+        raise RefusedError(f"an origin at {lat_deg:g}, {lon_deg:g} is not on earth")
+    return Origin(lat_deg, lon_deg, alt_m, heading_deg)
+
+
+def _place(values: object) -> GeodeticPosition:
+    if not isinstance(values, Mapping):
+        raise RefusedError("a place has lat_deg, lon_deg and alt_amsl_m")
+    found = [_number(values, key) for key in ("lat_deg", "lon_deg", "alt_amsl_m")]
+    lat_deg, lon_deg, alt_m = found
+    if lat_deg is None or lon_deg is None or alt_m is None or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+        raise RefusedError("a place has lat_deg, lon_deg and alt_amsl_m, on earth")
+    return GeodeticPosition(lat_deg, lon_deg, alt_m)
+
+
+def _number(values: Mapping[str, Any], key: str) -> float | None:
+    value = values.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:  # or NaN
+        raise RefusedError(f"{key} is no number of at most {LARGEST_NUMBER:g}")
+    return float(value)
+
+
+def _vector(values: Mapping[str, Any], key: str) -> tuple[float, float, float] | None:
+    given = values.get(key)
+    if given is None:
+        return None
+    x, y, z = _numbers(given, 3, key)
+    return x, y, z
+
+
+def _numbers(given: object, count: int, key: str) -> list[float]:
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
+        raise RefusedError(f"{key} has {count} numbers")
+    found = []
+    for value in given:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
+            raise RefusedError(f"{key} has {count} numbers")
+        found.append(float(value))
+    return found

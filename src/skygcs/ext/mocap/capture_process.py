@@ -1,0 +1,210 @@
+"""The capture process of [mocap]: started with the daemon, watched, started again, ended with the daemon.
+
+    connecting  the system answers                          -> connected
+    connected   no line for STALLED_S                       -> killed, waiting
+    connecting  not connected after CONNECT_S               -> killed, waiting: some libraries never give up, or hang
+    any         the process ends, or writes what is no line -> waiting; an event, the first time of a series
+    waiting     FIRST_PAUSE_S, doubling to LONGEST_PAUSE_S  -> connecting
+    connected   for STEADY_S                                   the next pause is the first one again
+    ended       a recording was played to its end              nothing more
+
+The daemon reads its lines without waiting for it; a line has a bound.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from skygcs.child_process import start_process
+from skygcs.events import Event
+from skygcs.ext.mocap.config import MocapConfig
+from skygcs.ext.mocap.recording import MAX_LINE_BYTES, CaptureFrameData, CaptureState, parse_line
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+STEADY_S = 30.0
+STALLED_S = 5.0
+"""Every system sends frames all the time, with bodies or without."""
+
+CONNECT_S = 30.0
+END_S = 1.0
+"""From the end of its output to its own."""
+
+STDERR_BYTES = 4096
+
+OnFrame = Callable[[CaptureFrameData, float], None]
+
+
+class CaptureProcess:
+    """Run `run` in a task; `close` ends the process. ``on_frame(frame, now)`` gets every frame."""
+
+    def __init__(
+        self,
+        config: MocapConfig,
+        loop: asyncio.AbstractEventLoop,
+        on_frame: OnFrame,
+        on_event: Callable[[Event], None],
+        *,
+        command: list[str] | None = None,
+    ) -> None:
+        self.state = "waiting"
+        self.text = ""
+        self.restarts = 0
+        self.bad_lines = 0
+        self._command = command or [sys.executable, "-P", "-m", "skygcs.ext.mocap.worker", *arguments(config)]
+        self._loop = loop
+        self._on_frame = on_frame
+        self._on_event = on_event
+        self._process: asyncio.subprocess.Process | None = None
+        self._failing = False
+        self._why_killed = ""
+        self._heard_at = 0.0
+        self._connected_at: float | None = None
+
+    async def run(self) -> None:
+        """Keep it running until the task is cancelled, or a recording has ended."""
+        pause_s = FIRST_PAUSE_S
+        while True:
+            self._connected_at = None
+            reason = await self._run_once()
+            if reason is None:
+                self._report("ended", f"motion capture: {self.text} has ended")
+                return
+            if self._was_steady():
+                pause_s = FIRST_PAUSE_S
+            self.state, self.text = "waiting", reason
+            if not self._failing:
+                self._failing = True
+                self._report("failed", f"motion capture: {reason}; it is tried again")
+            await asyncio.sleep(pause_s)
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            self.restarts += 1
+
+    def _was_steady(self) -> bool:
+        return self._connected_at is not None and self._loop.time() - self._connected_at >= STEADY_S
+
+    def tick(self, now: float) -> None:
+        """Called some times a second: kills a process that does nothing any more."""
+        process = self._process
+        if process is None or process.returncode is not None:
+            return
+        limit_s = STALLED_S if self.state == "connected" else CONNECT_S
+        if now - self._heard_at > limit_s:
+            what = "sends no frames" if self.state == "connected" else "does not answer"
+            self._why_killed = f"{self.text.partition(';')[0]} {what}"
+            self._heard_at = now
+            self._kill()
+
+    def close(self) -> None:
+        """End it, without waiting. Idempotent."""
+        self._kill()
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able."""
+        process = self._process
+        return {
+            "state": self.state,
+            "text": self.text,
+            "pid": None if process is None or process.returncode is not None else process.pid,
+            "restarts": self.restarts,
+            "bad_lines": self.bad_lines,
+        }
+
+    async def _run_once(self) -> str | None:
+        """Start it and read it to its end; how it ended, None for the end of a recording."""
+        self.state, self.text, self._why_killed = "connecting", "", ""
+        self._heard_at = self._loop.time()
+        pipe = asyncio.subprocess.PIPE
+        try:
+            process = await start_process(
+                *self._command, stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe, limit=2 * MAX_LINE_BYTES
+            )
+        except OSError as error:
+            return f"its process cannot be started: {error.strerror or error}"
+        self._process = process
+        errors = self._loop.create_task(_last_of(process.stderr), name="motion capture errors")
+        try:
+            if await self._read(process):  # its end: a signal now would make Popen take the exit code from asyncio
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(END_S):
+                        await process.wait()
+        finally:
+            self._kill()
+            await _drain(process.stdout)
+            code = await process.wait()
+            errors_text = await errors
+        if self.state == "ended":
+            return None
+        if self.state == "failed" or self._why_killed:
+            return self._why_killed or self.text
+        what = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        return f"its process has ended ({what})" + (f": {errors_text}" if errors_text else "")
+
+    async def _read(self, process: asyncio.subprocess.Process) -> bool:
+        """Read its lines; True at their end, False if it has to be killed."""
+        assert process.stdout is not None
+        while True:
+            try:
+                line = await process.stdout.readline()
+            except ValueError:  # longer than any line: it writes something else
+                self.bad_lines += 1
+                self._why_killed = "its process writes what is no line of poses"
+                return False
+            if not line:
+                return True
+            now = self._heard_at = self._loop.time()
+            match parse_line(line):
+                case None:
+                    self.bad_lines += 1
+                case CaptureState() as said:
+                    self._on_state(said, now)
+                case frame:
+                    self._on_frame(frame, now)
+
+    def _on_state(self, said: CaptureState, now: float) -> None:
+        self.state, self.text = said.state, said.text
+        if said.state == "connected":
+            self._connected_at = now
+            self._failing = False
+            self._report("connected", f"motion capture: {said.text}")
+
+    def _report(self, change: str, text: str) -> None:
+        self._on_event(Event("mocap", None, None, text, {"change": change}))
+
+    def _kill(self) -> None:
+        process = self._process
+        if process is not None and process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()  # it has nothing to put back, and may hang in a call that does not end
+
+
+async def _drain(stream: asyncio.StreamReader | None) -> None:
+    """Read what a killed process has left in the pipe, which is closed only then."""
+    while stream is not None and await stream.read(STDERR_BYTES):
+        pass
+
+
+async def _last_of(stream: asyncio.StreamReader | None) -> str:
+    """The last line of what it writes to standard error."""
+    text = b""
+    while stream is not None and (part := await stream.read(STDERR_BYTES)):
+        text = (text + part)[-STDERR_BYTES:]
+    return text.decode(errors="replace").strip().rpartition("\n")[2][:300]
+
+
+def arguments(config: MocapConfig) -> list[str]:
+    """The arguments of the capture process for this table."""
+    found: list[str] = []
+    if config.file is not None:
+        found += ["--file", os.fspath(config.file)] + ["--loop"] * config.loop
+    else:
+        found += ["--system", config.type, "--host", config.host or "localhost"]
+        found += [] if config.port is None else ["--port", str(config.port)]
+    for body in config.bodies.values():
+        found.append(f"--body={body}")
+    return found

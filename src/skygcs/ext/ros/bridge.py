@@ -1,0 +1,259 @@
+"""The process of ROS: a client of the daemon on one side, a node of ROS on the other.
+
+Tasks of one connection:
+
+    messages    decoded MAVLink of every vehicle -> topics
+    states      who is there, connected, under control -> vehicles, lost connections, the frames of TF
+    reports     each second: what was measured -> ros.status and /diagnostics; what readers need -> requested rates
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+
+from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic
+from skygcs.core.ros.interfaces import InterfaceError
+from skygcs.core.ros.ros_names import vehicle_root
+from skygcs.core.ros.stamps import header
+from skygcs.core.ros.topics import SOURCES
+from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.graph import Node, SharedTopics, diagnostic
+from skygcs.ext.ros.rate_requests import RateRequests
+from skygcs.ext.ros.vehicle_control import VehicleControl
+from skygcs.ext.ros.vehicle_topics import VehicleTopics
+from skygcs.rpc.client import Client
+
+REPORT_S = 1.0
+
+COUNT_S = 0.25
+"""From a new reader to its first message at most; 400 topics are counted in 2 ms."""
+
+STATE_HZ = 5.0
+
+STATE_GROUPS = (
+    *("connected", "compid", "autopilot", "armed", "mode", "landed", "control"),
+    *("ekf_origin", "position", "local", "home", "mission"),
+)
+
+MOST_VEHICLES = 250
+"""As many as there are system ids; further names are those of vehicles that were renumbered again and again."""
+
+MOST_REPORTED = 8000
+"""Topics and services in a report; a line of the socket has 1 MiB."""
+
+RADIO = "RADIO_STATUS"
+
+_log = structlog.get_logger(__name__)
+
+
+class Bridge:
+    """`serve` with each connection to the daemon; topics and their readers outlive it."""
+
+    def __init__(self, node: Node, config: RosConfig, unix_ns: Callable[[], int] = time.time_ns) -> None:
+        self.node = node
+        self.config = config
+        self.shared = SharedTopics(node)
+        self.vehicles: dict[str, VehicleTopics] = {}
+        self.controls: dict[str, VehicleControl] = {}
+        """By vehicle's name; empty if nodes only read."""
+        self._gcs: Client | None = None
+        self.faults = 0
+        """Messages that could not be converted."""
+        self._unix_ns = unix_ns
+        self._refused: set[str] = set()
+        self._counted: dict[str, int] = {}
+        self._origin: Origin | None = None
+
+    async def serve(self, gcs: Client) -> None:
+        """Until the connection ends. Raises DaemonUnreachable, RpcError."""
+        self._gcs = gcs
+        known = {message["name"] for message in await gcs.call("messages.list")}
+        for state in await gcs.vehicles():
+            self.on_state(state)
+        requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
+        work = (
+            self._messages(gcs, [name for name in SOURCES if name in known]),
+            self._states(gcs),
+            self._reports(gcs, requests),
+            self._count_readers(),
+        )
+        tasks = [asyncio.ensure_future(one) for one in work]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            self._gcs = None
+            for control in self.controls.values():
+                control.lost()
+            for vehicle in self.vehicles.values():  # nothing is known of any vehicle without the daemon
+                vehicle.on_lost(self._unix_ns())
+
+    # -- messages
+
+    async def _messages(self, gcs: Client, names: list[str]) -> None:
+        async for message in gcs.messages(*names):
+            self.on_message(message)
+
+    def on_message(self, message: Mapping[str, Any]) -> None:
+        """One decoded message of the daemon."""
+        arrival_ns = self._unix_ns() - round(message["age_s"] * 1e9)
+        name = message["name"]
+        if name == RADIO:
+            readers = list(self.vehicles.values())  # of the ground's radio: it is the radio of every vehicle
+        else:
+            vehicle = self.vehicles.get(message["vehicle"])
+            readers = [vehicle] if vehicle is not None and message["compid"] == vehicle.state["compid"] else []
+        for vehicle in readers:
+            try:
+                vehicle.on_message(name, message["fields"], arrival_ns)
+            except (InterfaceError, KeyError, TypeError, ValueError, OverflowError) as error:
+                self.faults += 1
+                if self.faults == 1:
+                    _log.warning("a message was not converted", message=name, vehicle=vehicle.name, error=str(error))
+
+    # -- states
+
+    async def _states(self, gcs: Client) -> None:
+        async for state in gcs.telemetry("all", rate_hz=STATE_HZ, groups=STATE_GROUPS):
+            self.on_state(state)
+
+    def on_state(self, state: Mapping[str, Any]) -> None:
+        """A vehicle's state."""
+        vehicle = self.vehicles.get(state["name"]) or self._add(state)
+        if vehicle is None:
+            return
+        vehicle.state = state
+        if (control := self.controls.get(vehicle.name)) is not None:
+            control.step()
+        if not state["connected"]:
+            vehicle.on_lost(self._unix_ns())
+        place = state.get("ekf_origin")
+        if self._origin is not None and place is not None and self.config.frame_prefix:
+            offset = enu_from_geodetic(place["lat_deg"], place["lon_deg"], place["alt_amsl_m"], self._origin)
+            self.shared.fix_transform(
+                {
+                    "header": header(self._unix_ns(), "map"),
+                    "child_frame_id": vehicle.memory.frames.map,
+                    "transform": {
+                        "translation": dict(zip("xyz", offset, strict=True)),
+                        "rotation": _turn(self._origin),
+                    },
+                }
+            )
+
+    def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
+        name = state["name"]
+        if name in self._refused:
+            return None
+        try:
+            if len(self.vehicles) + len(self._refused) >= MOST_VEHICLES:
+                raise ValueError(f"there are {MOST_VEHICLES} names already")
+            taken = {vehicle.root: vehicle.name for vehicle in self.vehicles.values()}
+            root = vehicle_root(self.config.root, name, state["sysid"])
+            if root in taken:
+                raise ValueError(f"{root} are the topics of {taken[root]}")
+            vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state)
+            if self.config.commands != "none":
+                self.controls[name] = VehicleControl(
+                    self.node, self.config, vehicle, lambda: self._gcs, lambda: self._origin, self._unix_ns
+                )
+        except ValueError as error:
+            if len(self._refused) < MOST_VEHICLES:
+                self._refused.add(name)
+                _log.warning("a vehicle has no topics", vehicle=name, reason=str(error))
+            return None
+        return vehicle
+
+    # -- reports
+
+    async def _count_readers(self) -> None:
+        while True:
+            self.node.count_readers()
+            for control in self.controls.values():
+                control.step()
+            await asyncio.sleep(COUNT_S)
+
+    async def _reports(self, gcs: Client, requests: RateRequests) -> None:
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        while True:
+            origin = (await gcs.call("origin.get"))["origin"]
+            self._origin = None if origin is None else Origin(**origin)
+            await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
+            began = loop.time()
+            self.shared.diagnose(self._unix_ns(), self.diagnostics())
+            wanted = {v.name: v.wanted_messages() for v in self.vehicles.values() if v.connected}
+            await requests.update(wanted, loop.time())
+            await asyncio.sleep(REPORT_S)
+
+    def report(self, period_s: float) -> dict[str, Any]:
+        """What ros.report takes: rates since the last call, ``period_s`` ago."""
+        used = [
+            *((p.name, p.readers, p.sent, p.dropped) for p in self.node.publications.values() if p.readers),
+            *((s.name, 0, s.received, s.rejected) for s in self.node.subscribers.values() if s.received),
+            *((s.name, 0, s.calls, s.overflown) for s in self.node.services.values() if s.calls),
+        ][:MOST_REPORTED]
+        before, self._counted = self._counted, {name: count for name, _, count, _ in used}
+        topics = [
+            {
+                "name": name,
+                "readers": readers,
+                "rate_hz": (count - before.get(name, count)) / period_s,
+                "count": count,
+                "refused": refused,
+            }
+            for name, readers, count, refused in used
+        ]
+        return {
+            "domain": self.config.domain or 0,
+            "network": self.config.network,
+            "commands": self.config.commands,
+            "vehicles": [
+                {"name": v.name, "root": v.root, "setpoints": self._setpoints_of(v.name)}
+                for v in self.vehicles.values()
+            ],
+            "topics": topics,
+            "rejected": sum(s.rejected for s in self.node.subscribers.values())
+            + sum(s.rejected for s in self.node.services.values()),
+        }
+
+    def _setpoints_of(self, name: str) -> str:
+        control = self.controls.get(name)
+        return "" if control is None else control.stream.status()
+
+    def diagnostics(self) -> list[dict[str, Any]]:
+        """The state of each vehicle, for /diagnostics."""
+        connections = [
+            diagnostic(
+                0 if vehicle.connected else 2,
+                f"{vehicle.mavros}: connection",
+                "connected" if vehicle.connected else "not heard",
+                {"mode": vehicle.state.get("mode"), "armed": vehicle.state.get("armed")},
+            )
+            for vehicle in self.vehicles.values()
+        ]
+        return connections + [
+            diagnostic(
+                0 if control.stream.refusal is None else 1,
+                f"{self.vehicles[name].mavros}: setpoints",
+                control.stream.status(),
+                {"sent": control.stream.sent, "refused": control.stream.refused},
+            )
+            for name, control in self.controls.items()
+        ]
+
+
+def _turn(origin: Origin) -> dict[str, float]:
+    """The orientation of true east, north, up in the fleet's frame, as geometry_msgs' Quaternion."""
+    half = math.radians(origin.x_heading_deg - EAST_DEG) / 2
+    return {"w": math.cos(half), "x": 0.0, "y": 0.0, "z": math.sin(half)}

@@ -1,0 +1,79 @@
+"""ROS in the daemon: its process, from the daemon's start to its end, and what that reports (ros.status)."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Iterable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from skygcs.config.tables import Problem
+from skygcs.ext.ros.config import RosConfig, ros_problems
+from skygcs.ext.ros.methods import METHODS, RosReport
+from skygcs.extension import Extension
+from skygcs.runtime.supervised_child import SupervisedChild
+
+if TYPE_CHECKING:
+    from skygcs.config.models import FleetConfig
+    from skygcs.rpc.context import Context, Services
+    from skygcs.rpc.dispatch import Method
+
+MODULES = ("cyclonedds", "rosbags")
+
+
+class Ros(Extension[RosConfig]):
+    """Keeps the process running. It is a client of the socket, and is started when that answers."""
+
+    Config = RosConfig
+
+    def __init__(self, core: Services, config: RosConfig) -> None:
+        super().__init__(core, config)
+        self._child = SupervisedChild(
+            "ROS",
+            "ros",
+            ["--supervised", "--socket", os.fspath(core.socket_path), "--config", config.model_dump_json()],
+            asyncio.get_running_loop(),
+            core.event_log.publish,
+            command=[sys.executable, "-m", "skygcs.ext.ros"],
+        )
+        self._answers = asyncio.Event()
+        self.report: RosReport | None = None
+        """The last one of the process."""
+        self.reported_at = 0.0
+
+    @classmethod
+    def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
+        return ros_problems(config, fleet)
+
+    @classmethod
+    def notes(cls, config: Any) -> list[str]:
+        missing = [name for name in MODULES if find_spec(name) is None]
+        return [f"{' and '.join(missing)} not installed here: pip install 'skygcs[ros]'"] if missing else []
+
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS
+
+    def info(self) -> dict[str, Any]:
+        return self._child.status()
+
+    def announcement(self) -> str:
+        allowed = {"none": "topics only", "setpoints": "topics and setpoints", "all": "topics, setpoints and services"}
+        return f"{allowed[self.config.commands]}, {self.config.network} (skygcs-cli ros status)"
+
+    def take(self, report: RosReport) -> None:
+        """A report of the process."""
+        self.report, self.reported_at = report, self.core.now()
+
+    async def start(self) -> None:
+        """The socket answers."""
+        self._answers.set()
+
+    async def run(self) -> None:
+        """Keep it running."""
+        await self._answers.wait()
+        await self._child.run()
+
+    def close(self) -> None:
+        self._child.close()

@@ -1,0 +1,116 @@
+"""What a node of ROS offers the bridge, whichever ROS it is; and the topics that all vehicles share."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Protocol
+
+from skygcs.core.ros.interfaces import Fields
+from skygcs.core.ros.stamps import header
+from skygcs.core.ros.topics import Quality
+
+Handler = Callable[[dict[str, Any]], Awaitable[Fields]]
+"""The fields of the response to those of a request."""
+
+
+class PublicationPort(Protocol):
+    """A topic that is published."""
+
+    name: str
+    readers: int
+    sent: int
+    dropped: int
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything comes of writing."""
+        ...
+
+    def write(self, fields: Fields) -> None:
+        """Send one message. Raises InterfaceError."""
+        ...
+
+
+class SubscriberPort(Protocol):
+    """A topic that is read."""
+
+    name: str
+    received: int
+    rejected: int
+
+
+class ServicePort(Protocol):
+    """A service that is answered."""
+
+    name: str
+    calls: int
+    overflown: int
+
+    @property
+    def rejected(self) -> int:
+        """Requests that were none."""
+        ...
+
+
+class Node(Protocol):
+    """A participant of ROS. Names are complete: "/alpha/mavros/state"."""
+
+    @property
+    def publications(self) -> Mapping[str, PublicationPort]: ...
+    @property
+    def subscribers(self) -> Mapping[str, SubscriberPort]: ...
+    @property
+    def services(self) -> Mapping[str, ServicePort]: ...
+
+    def publish(self, name: str, type_: str, quality: Quality) -> PublicationPort: ...
+    def subscribe(
+        self, name: str, type_: str, quality: Quality, on_message: Callable[[dict[str, Any]], None]
+    ) -> SubscriberPort: ...
+    def serve(self, name: str, type_: str, handler: Handler) -> ServicePort: ...
+    def count_readers(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class SharedTopics:
+    """/tf, /tf_static, /rosout and /diagnostics."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._tf = node.publish("/tf", "tf2_msgs/msg/TFMessage", "default")
+        self._static = node.publish("/tf_static", "tf2_msgs/msg/TFMessage", "latched")
+        self._log = node.publish("/rosout", "rcl_interfaces/msg/Log", "latched")
+        self._diagnostics = node.publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "default")
+        self._fixed: dict[str, dict[str, Any]] = {}
+
+    @property
+    def transforms_wanted(self) -> bool:
+        """Whether somebody reads /tf."""
+        return self._tf.wanted
+
+    def transform(self, transform: dict[str, Any]) -> None:
+        """One transform that changes."""
+        if self._tf.wanted:
+            self._tf.write({"transforms": [transform]})
+
+    def fix_transform(self, transform: dict[str, Any]) -> None:
+        """One that stays, until it is given again for the same child."""
+        child = transform["child_frame_id"]
+        before = self._fixed.get(child)
+        if before is None or before["transform"] != transform["transform"]:
+            self._fixed[child] = transform
+            self._static.write({"transforms": list(self._fixed.values())})
+
+    def log(self, entry: dict[str, Any]) -> None:
+        """One message of the log."""
+        self._log.write(entry)
+
+    def diagnose(self, now_ns: int, status: list[dict[str, Any]]) -> None:
+        """The state of everything, at once."""
+        if self._diagnostics.wanted:
+            self._diagnostics.write({"header": header(now_ns), "status": status})
+
+
+def diagnostic(level: int, name: str, text: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """diagnostic_msgs' DiagnosticStatus; levels 0 to 3: OK, WARN, ERROR, STALE."""
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    return {"level": level, "name": name, "message": text, "hardware_id": "skygcs", "values": pairs}

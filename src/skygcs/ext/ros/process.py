@@ -1,0 +1,105 @@
+"""`python -m skygcs.ext.ros`, started by a daemon with [ros]; `skygcs-cli ros run` starts the same by hand."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import structlog
+
+from skygcs.cancellation import ended
+from skygcs.core.ros.interfaces import ros2_interfaces
+from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
+from skygcs.ext.ros.bridge import Bridge
+from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.dds import Network, opened
+from skygcs.rpc.client import connect
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
+"""Between two attempts to reach the daemon."""
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the process was started with. ``supervised``: it ends with the daemon that started it."""
+
+    socket: str | None
+    config: RosConfig
+    supervised: bool = False
+    token: str | None = None
+
+
+def options_of(arguments: list[str]) -> Options:
+    """The options in the arguments of a daemon."""
+    parser = argparse.ArgumentParser(prog="python -m skygcs.ext.ros")
+    parser.add_argument("--supervised", action="store_true")
+    parser.add_argument("--socket")
+    parser.add_argument("--config", default="{}")
+    args = parser.parse_args(arguments)
+    return Options(args.socket, RosConfig.model_validate_json(args.config), args.supervised)
+
+
+def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosConfig:
+    """The same with what ROS 2's variables say where the file says nothing. Raises SkygcsError."""
+    if config.domain is not None:
+        return config
+    text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdigit() or int(text) > 232:
+        raise SkygcsError(f"ROS_DOMAIN_ID is {text!r}: a domain is a number from 0 to 232; set [ros] domain")
+    return config.model_copy(update={"domain": int(text)})
+
+
+async def serve_ros(options: Options) -> None:
+    """Run until SIGINT or SIGTERM; supervised also until the daemon has gone. Raises SkygcsError."""
+    config = with_environment(options.config, os.environ)
+    assert config.domain is not None
+    loop = asyncio.get_running_loop()
+    stopping = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopping.set)
+    if options.supervised:
+        loop.add_reader(sys.stdin, _on_input, loop, stopping)
+    px4 = "1.16" if config.px4_msgs == "none" else config.px4_msgs
+    node = opened(Network(config.domain, config.network == "localhost", config.peers), ros2_interfaces(px4), loop)
+    try:
+        serving = asyncio.create_task(_serve(Bridge(node, config), options), name="ros bridge")
+        stopped = asyncio.create_task(stopping.wait(), name="ros stop")
+        await asyncio.wait({serving, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        stopped.cancel()
+        if serving.done():
+            serving.result()
+        await ended(serving)
+    finally:
+        node.close()
+
+
+async def _serve(bridge: Bridge, options: Options) -> None:
+    """Connect, and again after the connection was lost: a daemon that restarts finds the same topics."""
+    pause_s, lost = FIRST_PAUSE_S, False
+    while True:
+        try:
+            async with connect(options.socket, token=options.token) as gcs:
+                if lost:
+                    _log.info("the daemon is there again")
+                pause_s, lost = FIRST_PAUSE_S, False
+                await bridge.serve(gcs)
+        except (DaemonUnreachable, RpcError) as error:
+            if not lost:
+                _log.warning("no connection to the daemon; it is tried again", reason=str(error))
+            lost = True
+        await asyncio.sleep(pause_s)
+        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+
+
+def _on_input(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:
+    """Standard input is closed when the daemon ends, also when it is killed: stop."""
+    if not os.read(sys.stdin.fileno(), 4096):
+        loop.remove_reader(sys.stdin)
+        stopping.set()

@@ -1,0 +1,158 @@
+"""Setpoints of one vehicle's topics on their way to control.setpoint.
+
+At most one is on its way to the daemon; one that comes meanwhile waits, and the newest takes the place of an older one:
+a flood of messages is as many requests as the daemon answers. Each is good for VALID_S there, so a node that stops,
+stops. Whether the vehicle follows is the daemon's: only one that is under control does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.core.geo import Origin
+from skygcs.core.ros.rotations import yaw_of
+from skygcs.core.ros.setpoints import SETPOINTS, AttitudePair, Demand, LocalFrame, SetpointError
+from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.ext.ros.graph import Node
+from skygcs.ext.ros.offboard import UNDER_CONTROL, Offboard
+from skygcs.ext.ros.vehicle_topics import VehicleTopics
+from skygcs.rpc.client import Client
+
+VALID_S = 0.5
+"""The default of control.setpoint; MAVROS' users stream above 2 Hz, which PX4 asks for."""
+
+SETTLED_S = 5.0
+"""A setpoint that is refused now and then, between others that are followed, is logged once."""
+
+WARNING = 4
+"""MAV_SEVERITY of a refusal."""
+
+
+class SetpointStream:
+    """Of one vehicle, from its discovery on. ``gcs()``: the connection to the daemon; None: there is none."""
+
+    def __init__(
+        self,
+        node: Node,
+        vehicle: VehicleTopics,
+        gcs: Callable[[], Client | None],
+        origin: Callable[[], Origin | None],
+        clock: Callable[[], float],
+        unix_ns: Callable[[], int],
+    ) -> None:
+        self.offboard = Offboard()
+        self.refusal: str | None = None
+        """Why the last setpoint was not followed."""
+        self.refused = 0
+        self.sent = 0
+        self._refused_kind = ""
+        self._refused_at = -math.inf
+        self._vehicle = vehicle
+        self._gcs = gcs
+        self._origin = origin
+        self._clock = clock
+        self._unix_ns = unix_ns
+        self._pair = AttitudePair()
+        self._waiting: Demand | None = None
+        self._sending: asyncio.Task[None] | None = None
+        for name, (topic, convert) in SETPOINTS.items():
+            node.subscribe(f"{vehicle.mavros}/{name}", topic.type, topic.quality, self._reader(convert))
+        base = f"{vehicle.mavros}/setpoint_attitude"
+        node.subscribe(f"{base}/thrust", "mavros_msgs/msg/Thrust", "default", self._on_thrust)
+        pose, twist = self._pair.on_pose, self._pair.on_twist
+        node.subscribe(
+            f"{base}/attitude",
+            "geometry_msgs/msg/PoseStamped",
+            "default",
+            self._reader(lambda fields, frame: pose(fields, frame, clock())),
+        )
+        node.subscribe(
+            f"{base}/cmd_vel",
+            "geometry_msgs/msg/TwistStamped",
+            "default",
+            self._reader(lambda fields, frame: twist(fields, clock())),
+        )
+
+    def _on_thrust(self, fields: dict[str, Any]) -> None:
+        self._pair.on_thrust(fields, self._clock())
+
+    def _reader(self, convert: Callable[[Mapping[str, Any], LocalFrame], Demand]) -> Callable[[dict[str, Any]], None]:
+        def on_message(fields: dict[str, Any]) -> None:
+            try:
+                self.take(convert(fields, self.frame()))
+            except SetpointError as error:
+                self._refuse(str(error))
+
+        return on_message
+
+    def frame(self) -> LocalFrame:
+        """Where the vehicle's local frame lies now."""
+        state = self._vehicle.state
+        ekf, home = state.get("ekf_origin"), state.get("home")
+        place = None if ekf is None else (ekf["lat_deg"], ekf["lon_deg"], ekf["alt_amsl_m"])
+        home_m = None if home is None else home["alt_amsl_m"]
+        return LocalFrame(self._origin(), place, home_m, yaw_of(self._vehicle.memory.orientation))
+
+    def take(self, demand: Demand) -> None:
+        """A setpoint that came."""
+        self.offboard.on_demand(demand, self._clock())
+        control = self._vehicle.state.get("control")
+        if control is None or control.get("state") not in UNDER_CONTROL:
+            if self.offboard.state == "idle":
+                name = self._vehicle.name
+                self._refuse(f"not under control: a person engages it (skygcs-cli control set {name} {demand.mode})")
+            return
+        self._waiting = demand
+        if self._sending is None:
+            self._sending = asyncio.create_task(self._send(), name=f"setpoints of {self._vehicle.name}")
+
+    async def _send(self) -> None:
+        """Send what waits, until nothing does."""
+        try:
+            while (demand := self._waiting) is not None:
+                self._waiting = None
+                gcs = self._gcs()
+                if gcs is None:
+                    return
+                name = self._vehicle.name
+                outcomes = await gcs.setpoint(name, valid_s=VALID_S, **demand.params)
+                outcome = outcomes[name]
+                if outcome["ok"]:
+                    self.sent += 1
+                    self.refusal = None
+                else:
+                    self._refuse(outcome["message"])
+        except RpcError as error:
+            self._refuse(str(error))
+        except DaemonUnreachable:
+            self._refuse("the daemon is not there")
+        finally:
+            self._sending = None
+
+    def _refuse(self, reason: str) -> None:
+        """Log a reason when it is another one than before, whatever its numbers are; count each."""
+        self.refused += 1
+        kind = re.sub(r"[0-9.]+", "", reason)
+        self.refusal, self._refused_at = reason, self._clock()
+        if kind != self._refused_kind:
+            self._refused_kind = kind
+            self._vehicle.log(WARNING, f"setpoint refused: {reason}", self._unix_ns())
+
+    def settle(self) -> None:
+        """A refusal that is over for SETTLED_S may be logged again; to be called some times a second."""
+        if self.refusal is None and self._clock() - self._refused_at > SETTLED_S:
+            self._refused_kind = ""
+
+    def status(self) -> str:
+        """For a person."""
+        control = self._vehicle.state.get("control") or {}
+        parts = [f"{control.get('state', 'off')} {control.get('control_mode') or ''}".strip()]
+        if self.offboard.state != "idle":
+            parts.append(f"{self.offboard.shown_mode} {self.offboard.state}")
+        if self.refusal is not None:
+            parts.append(f"refused: {self.refusal}")
+        return ", ".join(parts)[:300]

@@ -1,0 +1,113 @@
+"""What nodes may do with one vehicle: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from skygcs.core.geo import Origin
+from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.graph import Node
+from skygcs.ext.ros.offboard import Engage, TakeOff
+from skygcs.ext.ros.setpoint_stream import SetpointStream
+from skygcs.ext.ros.vehicle_services import VehicleServices
+from skygcs.ext.ros.vehicle_topics import VehicleTopics
+from skygcs.rpc.client import Client
+
+ERROR, INFO = 3, 6
+"""MAV_SEVERITY."""
+
+
+class VehicleControl:
+    """Of one vehicle, from its discovery on. Call `step` with each of its states, and some times a second."""
+
+    def __init__(
+        self,
+        node: Node,
+        config: RosConfig,
+        vehicle: VehicleTopics,
+        gcs: Callable[[], Client | None],
+        origin: Callable[[], Origin | None],
+        unix_ns: Callable[[], int],
+    ) -> None:
+        clock = asyncio.get_running_loop().time
+        self.stream = SetpointStream(node, vehicle, gcs, origin, clock, unix_ns)
+        self._vehicle = vehicle
+        self._gcs = gcs
+        self._clock = clock
+        self._unix_ns = unix_ns
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._asks_origin_at = 0.0
+        if config.commands == "all":
+            VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
+
+    def step(self) -> None:
+        """Do what is due."""
+        self.stream.settle()
+        offboard, now = self.stream.offboard, self._clock()
+        match offboard.next_step(self._vehicle.state, now):
+            case TakeOff(height_m):
+                self._begin(self._take_off(height_m))
+            case Engage() as engage:
+                self._begin(self._engage(engage))
+            case None:
+                pass
+        self._vehicle.shown_mode = offboard.shown_mode
+        if self._vehicle.connected and self._vehicle.state.get("ekf_origin") is None and now >= self._asks_origin_at:
+            self._asks_origin_at = now + ASK_ORIGIN_S
+            self._begin(self._ask_origin())
+
+    def lost(self) -> None:
+        """The connection to the daemon has ended: nothing is under way any more."""
+        self.stream.offboard.end()
+        for task in self._tasks:
+            task.cancel()
+
+    async def _take_off(self, height_m: float | None) -> None:
+        gcs = self._gcs()
+        if gcs is not None:
+            name = self._vehicle.name
+            outcome = (await gcs.takeoff(name, height_m, arm=False))[name]
+            if not outcome["ok"]:
+                self._log(ERROR, f"take-off: {outcome['message']}")
+                self.stream.offboard.end()
+
+    async def _engage(self, engage: Engage) -> None:
+        ok, text = False, "the daemon is not there"
+        try:
+            gcs = self._gcs()
+            if gcs is not None:
+                name = self._vehicle.name
+                answer = await gcs.call("control.set", targets=name, mode=engage.mode)
+                outcome = answer["outcomes"][name]
+                ok, text = bool(outcome["ok"]), outcome["message"]
+        finally:
+            kept = self.stream.offboard.on_engaged(engage.mode, ok, self._clock())
+        if not ok:
+            self._log(ERROR, f"control: {text}" + ("" if kept else "; given up, call set_mode again"))
+
+    async def _ask_origin(self) -> None:
+        """Its local frame's origin, once: setpoints of positions need it, and few vehicles send it unasked."""
+        gcs = self._gcs()
+        if gcs is not None:
+            await gcs.call("vehicles.request", targets=self._vehicle.name, message="GPS_GLOBAL_ORIGIN")
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(self._guarded(work), name=f"ros control of {self._vehicle.name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _guarded(self, work: Coroutine[Any, Any, None]) -> None:
+        try:
+            await work
+        except (RpcError, DaemonUnreachable) as error:
+            self._log(ERROR, str(error))
+
+    def _log(self, severity: int, text: str) -> None:
+        self._vehicle.log(severity, text, self._unix_ns())
+
+
+ASK_ORIGIN_S = 20.0
+"""Between two requests of a vehicle that has no origin yet, as before its first fix."""

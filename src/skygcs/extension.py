@@ -1,0 +1,282 @@
+"""The one door of the daemon: what an extension is, and how the daemon runs the ones that its fleet file asks for.
+
+An extension is one class. It owns one table of the fleet file, whose presence turns it on, and may bring methods,
+groups of a vehicle's state, clocks, a start and an end, and hooks: frames that it observes, and orders that it checks
+before they are sent. The package that has it names it as an entry point of the group `skygcs.extensions`, with the name
+of the table: docs/howto/extension.md shows one of 60 lines.
+
+What a running daemon calls, and when:
+
+    __init__       once, before a link is open; `core` is complete but for its socket
+    claim          before anything begins: bind an address, open a file
+    run, clocks    their tasks run from the opening of the links to the end
+    new_flight     a vehicle is met whose `ControlSettings.at` is its own
+    serve          the task runs from when the socket answers to its end
+    start          after the socket answers
+    on_frame, order_refusal, state_groups       as frames, orders and clients come
+    close          the daemon ends: nothing is sent after it; links are open, orders still end
+    ended          after all links: wait for files and connections, briefly
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import re
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+from skygcs.config.tables import Model, Problem
+from skygcs.errors import ConfigError
+
+if TYPE_CHECKING:  # an extension imports what it uses
+    from skygcs.config.models import FleetConfig, VehicleConfig
+    from skygcs.core.mavlink.frame import Frame
+    from skygcs.core.vehicle.order_plan import Plan
+    from skygcs.core.vehicle.vehicle import Vehicle
+    from skygcs.links.base import Channel
+    from skygcs.rpc.context import Context, NewSession, Services
+    from skygcs.rpc.dispatch import Method
+    from skygcs.runtime.flight_elsewhere import FlightElsewhere
+    from skygcs.runtime.vehicle_actor import VehicleActor
+    from skygcs.runtime.vehicle_services import NewFlight, VehicleServices
+
+C = TypeVar("C", bound=Model)
+
+ENDS_FLIGHT = frozenset({"land", "rtl", "hold", "stop", "disarm", "release"})
+"""Orders that end a flight, or a motion: no extension is asked about them."""
+
+AGAIN_S = 1.0
+"""From a fault of an extension's work to its next begin: a fault that stays is reported, and takes no core."""
+
+StateGroup = Callable[["VehicleActor", float], dict[str, Any] | None]
+"""One group of a vehicle's state now; None: it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """An action that is called at the start and then every ``period_s``. An exception of it is reported once as a
+    fault, and stops nothing."""
+
+    name: str
+    period_s: float
+    action: Callable[[], None]
+
+
+class Extension(Generic[C]):
+    """Base of extensions: every part that one does not override is empty."""
+
+    Config: ClassVar[type[Model]]
+    """Its table of the fleet file: frozen, unknown keys refused, a default for each key if the table may be empty."""
+
+    names: ClassVar[tuple[str, ...]] = ()
+    """First words of its methods and state groups beside the name of its table."""
+
+    control_at: ClassVar[str | None] = None
+    """The value of `ControlSettings.at` for vehicles that it flies from elsewhere; see `new_flight`."""
+
+    def __init__(self, core: Services, config: C) -> None:
+        self.core = core
+        self.config = config
+
+    @classmethod
+    def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
+        """Everything wrong with its table beside the other tables, such as a vehicle that they do not name."""
+        return []
+
+    @classmethod
+    def notes(cls, config: Any) -> list[str]:
+        """What is missing and may come before the daemon starts, for `skygcs check`: a package, a file, a device."""
+        return []
+
+    @classmethod
+    def applied(cls, config: Any, fleet: FleetConfig) -> FleetConfig:
+        """The fleet file as the daemon runs it with this table: other ids of ours, a further link. Called also for a
+        file that has problems."""
+        return fleet
+
+    # -- what it adds
+
+    def methods(self) -> Iterable[Method[Context]]:
+        """Its RPC methods; their names begin with the name of its table, or one of ``names``."""
+        return ()
+
+    def state_groups(self) -> Mapping[str, StateGroup]:
+        """Its groups of a vehicle's state, by name. One of the core's name takes the place of that."""
+        return {}
+
+    def new_flight(self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices) -> FlightElsewhere:
+        """The flight by setpoints of a vehicle whose `ControlSettings.at` is ``control_at``."""
+        raise NotImplementedError(f"{type(self).__name__} flies no vehicle")
+
+    def clocks(self) -> Iterable[Clock]:
+        """Its clocks."""
+        return ()
+
+    def info(self) -> Mapping[str, Any] | None:
+        """What daemon.info shows under the name of its table; None: nothing."""
+        return None
+
+    def announcement(self) -> str:
+        """What the log says of it when the daemon is up; "": nothing."""
+        return ""
+
+    # -- its life
+
+    def claim(self) -> None:
+        """Take what another process could have. Raises SkygcsError: the daemon does not start then."""
+
+    async def run(self) -> None:
+        """Work until the task is cancelled, or there is nothing more to do. An exception is reported as a fault, and it
+        is called again `AGAIN_S` later."""
+
+    async def serve(self, new_session: NewSession) -> None:
+        """Accept clients of the socket in a way of its own, each as one session, until the task is cancelled: it begins
+        when the socket listens. An exception is a fault, as of `run`."""
+
+    async def start(self) -> None:
+        """Begin. Raises SkygcsError: the daemon ends then."""
+
+    def close(self) -> None:
+        """End its work; idempotent."""
+
+    async def ended(self) -> None:
+        """Wait for the end of what `close` ended."""
+
+    # -- hooks
+
+    def observed_msgids(self) -> Collection[int]:
+        """The messages whose frames `on_frame` gets; asked once, before a link is open."""
+        return ()
+
+    def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
+        """One good frame of an observed message, from anybody. It is on the path of every such frame: be short. An
+        exception of it is reported as a fault and stops nothing."""
+
+    def bytes_per_s(self, channel_id: int) -> float:
+        """The bytes that it sends on a channel by itself; setpoints share what it leaves."""
+        return 0.0
+
+    def order_refusal(self, vehicle: Vehicle, plan: Plan, now: float) -> str | None:
+        """Why an order must not be sent to a vehicle; None: it may. Never asked about an emergency stop, nor about a
+        landing, a return, a hold or a disarming: what ends a flight always passes."""
+        return None
+
+
+class Extensions:
+    """The extensions of one running daemon. What one of them does wrong is reported as a fault and stops nothing."""
+
+    def __init__(self, parts: Mapping[str, Extension[Any]], on_fault: Callable[[Exception], None]) -> None:
+        """``parts``: by the names of their tables. Raises ConfigError for a name that is not the extension's own."""
+        self._parts = dict(parts)
+        self._on_fault = on_fault
+        self.methods: tuple[Method[Context], ...] = tuple(m for part in parts.values() for m in part.methods())
+        self.state_groups: dict[str, StateGroup] = {}
+        for table, part in parts.items():
+            groups = part.state_groups()
+            problems = [
+                f"its extension names the {kind} {name}: the name must begin with {' or '.join((table, *part.names))}"
+                for kind, names in (("method", [m.name for m in part.methods()]), ("state group", groups))
+                for name in names
+                if re.split(r"[._]", name)[0] not in (table, *part.names)
+            ]
+            if problems:
+                raise ConfigError(table, problems)
+            self.state_groups |= groups
+
+    def __iter__(self) -> Iterator[Extension[Any]]:
+        return iter(self._parts.values())
+
+    def __getitem__(self, table: str) -> Extension[Any]:
+        """The extension of this table. Raises KeyError if the fleet file has no such table."""
+        return self._parts[table]
+
+    def flights_elsewhere(self) -> dict[str, NewFlight]:
+        """Makers of flights elsewhere, by their values of `ControlSettings.at`."""
+        return {part.control_at: part.new_flight for part in self if part.control_at is not None}
+
+    def places_of_control(self) -> dict[str, str]:
+        """Their values of `ControlSettings.at`, with the names of their tables."""
+        return {part.control_at: table for table, part in self._parts.items() if part.control_at is not None}
+
+    def groups_of(self, vehicle: VehicleActor, now: float, names: frozenset[str] | None) -> dict[str, Any]:
+        """Their groups of a vehicle's state: all, or those in ``names``. The group of one that fails is None."""
+        groups: dict[str, Any] = {}
+        for name, read in self.state_groups.items():
+            if names is None or name in names:
+                try:
+                    groups[name] = read(vehicle, now)
+                except Exception as error:
+                    self._on_fault(error)
+                    groups[name] = None
+        return groups
+
+    def order_refusal(self, vehicle: Vehicle, plan: Plan, now: float) -> str | None:
+        """Why an order must not be sent; None: no extension objects. One whose check fails refuses the order: it may
+        have had a reason."""
+        if plan.emergency or plan.order in ENDS_FLIGHT:
+            return None
+        for table, part in self._parts.items():
+            try:
+                refusal = part.order_refusal(vehicle, plan, now)
+            except Exception as error:
+                self._on_fault(error)
+                refusal = f"[{table}] could not check it, and its fault is in the log; remove the table to fly without"
+            if refusal is not None:
+                return refusal
+        return None
+
+    def info(self) -> dict[str, Any]:
+        """What they show in daemon.info, by the names of their tables."""
+        return {table: info for table, part in self._parts.items() if (info := part.info()) is not None}
+
+    def announcements(self) -> dict[str, str]:
+        """What the log says of them when the daemon is up, by the names of their tables."""
+        return {table: text for table, part in self._parts.items() if (text := part.announcement())}
+
+    def bytes_per_s(self, channel_id: int) -> float:
+        """The bytes that they send on a channel. One that fails counts as none, which is reported."""
+        sent = 0.0
+        for part in self._parts.values():
+            try:
+                sent += part.bytes_per_s(channel_id)
+            except Exception as error:
+                self._on_fault(error)
+        return sent
+
+    def runs(self) -> Iterator[tuple[str, Coroutine[Any, Any, None]]]:
+        """The work of each, by the name of its table."""
+        for table, part in self._parts.items():
+            yield table, self._repeated(part.run)
+
+    async def serve(self, new_session: NewSession) -> None:
+        """Let all accept clients in ways of their own, until it is cancelled."""
+        async with asyncio.TaskGroup() as group:
+            for table, part in self._parts.items():
+                serving = self._repeated(functools.partial(part.serve, new_session))
+                group.create_task(serving, name=f"clients of {table}")
+
+    async def _repeated(self, work: Callable[[], Awaitable[None]]) -> None:
+        while True:
+            try:
+                return await work()
+            except Exception as error:
+                self._on_fault(error)
+            await asyncio.sleep(AGAIN_S)
+
+    def close(self) -> None:
+        """End the work of all."""
+        for part in self._parts.values():
+            try:
+                part.close()
+            except Exception as error:
+                self._on_fault(error)
+
+    async def ended(self) -> None:
+        """Wait for the end of all."""
+        for part in self._parts.values():
+            try:
+                await part.ended()
+            except Exception as error:
+                self._on_fault(error)

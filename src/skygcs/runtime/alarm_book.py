@@ -1,0 +1,140 @@
+"""The daemon's alarms: fed by its events and the batteries, kept in a file, shared by all clients."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Collection, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.alarms import AlarmsConfig
+from skygcs.config.files import make_log_folder, open_regular, write_whole
+from skygcs.core.alarms.alarms import Alarm, Alarms
+from skygcs.core.alarms.kinds import RULES, Signal, VehicleFacts, battery, signals
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.disk_writer import DiskWriter
+from skygcs.events import Event
+from skygcs.runtime.event_log import EventLog
+
+FILE = "alarms.json"
+
+KIND = "alarm"
+"""The kind of the events by which clients learn that the list has changed."""
+
+MAX_BYTES = 1_000_000
+"""500 alarms of 1 kB, and some room."""
+
+MAX_BY_CHARS = 80
+"""Of the name of who acknowledges."""
+
+
+class AlarmBook:
+    """`tick` once a second; `close` at the end. The file is written beside the loop (`DiskWriter`); while the disk is
+    stuck, only the newest content waits for it."""
+
+    def __init__(
+        self,
+        config: AlarmsConfig,
+        events: EventLog,
+        vehicles: Callable[[], Iterable[Vehicle]],
+        folder: Path,
+        disk: DiskWriter,
+    ) -> None:
+        self._limits = (config.battery_low_percent, config.battery_critical_percent)
+        self._events = events
+        self._vehicles = vehicles
+        self._path = folder / FILE
+        self._disk = disk
+        self._alarms = Alarms()
+        self._writing = self._changed = self._failed = False
+        for kind in RULES:
+            events.on(kind, self._on_event)
+
+    def recall(self) -> None:
+        """Take over the alarms of the daemon before. A file that cannot be read is reported, and is none."""
+        try:
+            with open_regular(self._path) as file:
+                self._alarms.restore(json.loads(file.read(MAX_BYTES)))
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            self._report(f"{self._path} cannot be read: {error}; alarms of before the restart are not known")
+
+    def all(self) -> list[dict[str, Any]]:
+        """For alarms.list."""
+        return [alarm.as_dict() for alarm in self._alarms.all()]
+
+    def acknowledge(self, numbers: Collection[int] | None, by: str) -> list[dict[str, Any]]:
+        """Acknowledge open alarms, by number or (None) all; returns those that were open."""
+        done = self._alarms.acknowledge(numbers, by[:MAX_BY_CHARS], time.time())
+        for alarm in done:
+            self._publish(alarm, "acknowledged", f"{alarm.text}; acknowledged by {alarm.acknowledged_by}")
+        return [alarm.as_dict() for alarm in done]
+
+    def tick(self) -> None:
+        """Look at the batteries, and write what has changed."""
+        for vehicle in self._vehicles():
+            state = None if vehicle.replayed or not vehicle.connected else vehicle.telemetry("battery")
+            percent = None if state is None else state["percent"]
+            if percent is not None:
+                signal = battery(vehicle.name, percent, self._limits, VehicleFacts(vehicle.armed))
+                if signal is not None:
+                    self._take(signal, logged=False)
+        self._write()
+
+    def close(self) -> None:
+        """Write what has changed once more."""
+        self._write()
+
+    # -- private
+
+    def _on_event(self, event: Event) -> None:
+        vehicle = next((v for v in self._vehicles() if v.name == event.vehicle), None)
+        if vehicle is not None and vehicle.replayed:
+            return
+        facts = VehicleFacts(None if vehicle is None else vehicle.armed)
+        for signal in signals(event, facts):
+            self._take(signal, logged=True)
+
+    def _take(self, signal: Signal, *, logged: bool) -> None:
+        """``logged``: the event that it comes from is in the log."""
+        before = self._alarms.marks()
+        alarm = self._alarms.take(signal, time.time())
+        if alarm is not None:
+            self._publish(alarm, "raised", alarm.text, logged=logged)
+        elif self._alarms.marks() != before:
+            self._changed = True
+            if not signal.raised:
+                self._events.publish(Event(KIND, signal.vehicle, None, f"{signal.kind} is over", {"change": "over"}))
+
+    def _publish(self, alarm: Alarm, change: str, text: str, *, logged: bool = True) -> None:
+        self._changed = True
+        data = {"change": change, "logged": logged, **alarm.as_dict()}
+        self._events.publish(Event(KIND, alarm.vehicle, None, f"{alarm.severity} {alarm.number}: {text}", data))
+
+    def _write(self) -> None:
+        if not self._changed or self._writing:
+            return
+        content = json.dumps(self._alarms.saved()).encode()
+        written = self._disk.offer("the list of alarms", partial(_write, self._path, content), len(content))
+        if written is not None:  # else it is stuck, and the next tick tries again
+            self._changed, self._writing = False, True
+            written.add_done_callback(self._written)
+
+    def _written(self, written: asyncio.Future[None]) -> None:
+        self._writing = False
+        error = None if written.cancelled() else written.exception()
+        if error is not None and not self._failed:
+            self._report(f"{self._path} cannot be written: {error}; a restart will not know what was acknowledged")
+        self._failed = error is not None
+
+    def _report(self, text: str) -> None:
+        self._events.publish(Event("recorder", None, None, text, {"file": str(self._path), "error": text}))
+
+
+def _write(path: Path, content: bytes) -> None:
+    make_log_folder(path.parent)
+    write_whole(path, content, 0o600, durable=False)

@@ -1,0 +1,168 @@
+"""A plan's flight guided by goto: each leg is one order, and nothing is streamed. What is decided is decided in
+`core.plan.goto_legs`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any
+
+from skygcs.core.plan.execution import Left, Why
+from skygcs.core.plan.goto_legs import GotoLegs
+from skygcs.core.plan.guidance import Guidance
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.trajectory import ClockState
+from skygcs.core.trajectory.piecewise import Vector
+from skygcs.runtime.order_runner import UNHEARD
+from skygcs.runtime.separation_monitor import SeparationMonitor
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+if TYPE_CHECKING:
+    from skygcs.runtime.plan_flight import PlanFlight
+
+FLIES_IN = frozenset({"AUTO.LOITER", "GUIDED"})
+"""The mode to which a goto leads, of a PX4 and of an ArduCopter."""
+
+STANDS_IN = FLIES_IN | {"BRAKE"}
+"""While it is stopped: an ArduCopter brakes first."""
+
+LEAST_LEG_M = 0.1
+"""A shorter leg is less than a vehicle wanders in hover: it needs no order."""
+
+FRESH_S = 3.0
+"""A place that is older says nothing about where a leg has led."""
+
+Start = Callable[[Coroutine[Any, Any, None], str], object]
+
+
+class GotoGuidance:
+    """See `plan_flight.FlightGuidance`. Of one flight; ``start`` makes a task of an order, under a name."""
+
+    by = Guidance.GOTO
+
+    def __init__(self, monitor: SeparationMonitor | None, loop: asyncio.AbstractEventLoop, start: Start) -> None:
+        self._monitor = monitor
+        self._loop = loop
+        self._start = start
+        self._legs: GotoLegs | None = None
+        self._numbers: dict[str, int] = {}
+        """By vehicle, `order_number` after our last order to it."""
+        self._under_way: dict[str, int] = {}
+        """Orders of ours to a vehicle that have not ended: meanwhile its number changes by them."""
+        self._refused: dict[str, str] = {}
+
+    def clock(self, now: float) -> tuple[ClockState | None, float]:
+        return (None if self._legs is None else self._legs.state), 0.0
+
+    def status(self, now: float) -> dict[str, Any] | None:
+        return None
+
+    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Left | None:
+        vehicle, state = actor.vehicle, None if self._legs is None else self._legs.state
+        if name in self._under_way:
+            return None
+        if actor.order_number != self._numbers.get(name, actor.order_number):
+            return Left(Why.ORDER, "it was ordered otherwise")
+        if name in self._refused:
+            return Left(Why.GUARD, f"it does not fly its leg: {self._refused[name]}")
+        if not vehicle.armed:
+            return Left(Why.PILOT, "it is disarmed")
+        still = state in (ClockState.PAUSING, ClockState.PAUSED)
+        if vehicle.mode not in (STANDS_IN if still else FLIES_IN):
+            return Left(Why.PILOT, f"it was switched to {vehicle.mode}")
+        return None
+
+    async def engage(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
+        """To where its first step begins: the end of its take-off, or where it holds."""
+        if (why := flight.why_displaced(name, self._loop.time())) is not None:
+            return Outcome.refused(f"{why}: it is not sent to its start")
+        return await self._goto(flight, name, flight.execution.step.starts()[name])
+
+    def fly(self, flight: PlanFlight) -> str | None:
+        """Order the first legs."""
+        execution = flight.execution
+        starts, goals = execution.step.starts(), execution.step.places()
+        moving = {name: goal for name, goal in goals.items() if math.dist(goal, starts[name]) > LEAST_LEG_M}
+        self._refused.clear()
+        self._legs = GotoLegs(moving, execution.tubes.free_m, execution.tubes.downwash_ratio)
+        self._order_due(flight, self._legs)
+        return None
+
+    def look(self, flight: PlanFlight, now: float) -> None:
+        """Order again what was not heard or has not worked."""
+        if (legs := self._legs) is None:
+            return
+        fresh = {name: s.place_m if s.age_s <= FRESH_S else None for name, s in flight.sights.items()}
+        legs.look(now, {name: (fresh[name], flight.sights[name].speed_mps) for name in legs.moving})
+        self._order_due(flight, legs)
+
+    def set_speed(self, speed_factor: float) -> bool:
+        """Autopilots have their own."""
+        return False
+
+    def stop(self, flight: PlanFlight) -> None:
+        """Hold each that still flies with us, on its leg."""
+        if (legs := self._legs) is not None:
+            for name in legs.stop(n for n in legs.moving if n not in flight.execution.left):
+                self._start(self._hold(flight, legs, name), f"hold {name} on its leg")
+
+    def go_on(self, flight: PlanFlight) -> None:
+        if (legs := self._legs) is not None:
+            legs.go_on(flight.execution.left)
+            self._order_due(flight, legs)
+
+    def end(self, flight: PlanFlight) -> None:
+        if self._legs is not None:
+            self._legs.end()
+
+    # -- orders
+
+    def _order_due(self, flight: PlanFlight, legs: GotoLegs) -> None:
+        for name in legs.due():
+            self._start(self._leg(flight, legs, name), f"leg of {name} for the plan")
+
+    async def _leg(self, flight: PlanFlight, legs: GotoLegs, name: str) -> None:
+        actor = flight.actors[name]
+        stopped = legs is not self._legs or legs.state not in (ClockState.RUNNING, ClockState.FINISHED)
+        if stopped or flight.left_of(name, self._loop.time()) is not None:  # its pilot's: the next look says so
+            return
+        outcome = await self._goto(flight, name, legs.goal_m(name))
+        unheard = outcome.result in UNHEARD or outcome.result in ("temporarily_rejected", "timeout")
+        if not outcome.ok and not unheard and outcome.result != "cancelled":
+            self._refused[name] = outcome.message
+        legs.ended(name, ok=outcome.ok, unheard=unheard, now=self._loop.time())
+        if not outcome.ok and actor.order_number != self._numbers.get(name):
+            self._refused.pop(name, None)  # a newer order took its place: that is why
+
+    async def _goto(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
+        """One order to fly to a place, to its outcome; the monitor knows of it."""
+        actor = flight.actors[name]
+        if self._monitor is not None:
+            self._monitor.sent_to(actor, flight.frame.to_geodetic(*place_m))
+        ok = False
+        try:
+            outcome = await self._ours(name, actor, actor.goto(enu_m=place_m))
+            ok = outcome.ok
+        finally:
+            if self._monitor is not None:
+                self._monitor.arriving(actor, ok=ok)
+        return outcome
+
+    async def _hold(self, flight: PlanFlight, legs: GotoLegs, name: str) -> None:
+        try:
+            await self._ours(name, flight.actors[name], flight.actors[name].hold())
+        finally:
+            legs.held(name)
+
+    async def _ours(self, name: str, actor: VehicleActor, order: Coroutine[Any, Any, Outcome]) -> Outcome:
+        """An order of this flight: afterwards the vehicle's number is ours, unless a newer one took its place."""
+        self._under_way[name] = self._under_way.get(name, 0) + 1
+        expected = actor.order_number + 1
+        try:
+            return await order
+        finally:
+            self._under_way[name] -= 1
+            if not self._under_way[name]:
+                del self._under_way[name]
+            self._numbers[name] = max(self._numbers.get(name, 0), min(actor.order_number, expected))

@@ -1,0 +1,114 @@
+"""Watches the take-offs of one vehicle: an alarm if one leads to a wrong height, control by setpoints after it
+(engage_after_takeoff), and what waits for its end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle.takeoff_watch import TakeoffWatch, WrongHeight, reports_takeoff
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
+from skygcs.runtime.command_client import SUPERSEDED
+from skygcs.runtime.order_runner import OrderRunner
+from skygcs.runtime.task_set import TaskSet
+
+KIND = "takeoff"
+
+LOOK_S = 0.2
+
+FOREIGN_S = 60.0
+"""For so long a take-off is waited for that was not ordered here, and whose height is not known."""
+
+
+class Takeoffs:
+    """``control_mode``: of the fleet file; "off": no control is ever begun."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        control_mode: str,
+        orders: OrderRunner,
+        engage: Callable[[str], Coroutine[Any, Any, Outcome]],
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self._vehicle = vehicle
+        self._control_mode = control_mode
+        self._orders = orders
+        self._engage = engage
+        self._loop = loop
+        self._on_event = on_event
+        self._tasks = TaskSet(loop, on_event, vehicle.name, vehicle.sysid)
+        self._watch: TakeoffWatch | None = None
+        """Of the take-off under way."""
+        self._ended_by: str | None = None
+        """What ended the last one before its time; None: it came to its height."""
+        self._over = asyncio.Event()
+        """No take-off is watched."""
+
+    def begin(self, outcome: Outcome, from_amsl_m: float | None, height_m: float, *, engage: bool) -> None:
+        """Watch a take-off that has this outcome. ``engage``: begin control at its end, if the fleet file says so."""
+        if not outcome.ok or from_amsl_m is None:
+            return
+        self._watch = watch = TakeoffWatch(self._vehicle, from_amsl_m, height_m, self._loop.time())
+        self._ended_by = SUPERSEDED
+        self._over.clear()
+        control_mode = self._control_mode if engage else "off"
+        self._tasks.start(self._follow(watch, self._orders.number, control_mode), "watch of the take-off")
+
+    def cancel(self) -> None:
+        """Watch no more: something else was ordered, or the daemon ends. Idempotent."""
+        self._watch = None
+        self._over.set()
+        self._tasks.close()
+
+    def under_way(self) -> str | None:
+        """A take-off under way, in words; None: there is none."""
+        if self._watch is not None:
+            return f"it is taking off ({self._watch.progress()})"
+        return "it reports a take-off" if reports_takeoff(self._vehicle, self._loop.time()) else None
+
+    async def ended(self) -> str | None:
+        """Wait until no take-off is under way, and the control that begins after it has begun. Returns None, or why
+        what waited for that must not go on: a newer order came, or the take-off did not end as it was ordered."""
+        if self._watch is not None:
+            await self._over.wait()
+            return self._ended_by
+        number, until = self._orders.number, self._loop.time() + FOREIGN_S
+        while reports_takeoff(self._vehicle, self._loop.time()):
+            await asyncio.sleep(LOOK_S)
+            if self._orders.number != number:
+                return SUPERSEDED
+            if self._loop.time() > until:
+                return "it still reports a take-off, which was not ordered here"
+        return None
+
+    async def _follow(self, watch: TakeoffWatch, number: int, control_mode: str) -> None:
+        try:
+            while (verdict := watch.look(self._loop.time())) == "climbs":
+                await asyncio.sleep(LOOK_S)
+                if self._orders.number != number:
+                    return  # another order came: what it wants is flown
+            if verdict != "reached":
+                self._ended_by = f"its take-off did not end as it was ordered: {verdict}"
+                self._report(verdict, control_mode)
+                return
+            begun = None if control_mode == "off" else await self._engage(control_mode)
+            if begun is None or begun.result != "cancelled":
+                self._ended_by = None
+        finally:
+            if self._watch is watch:
+                self._watch = None
+                self._over.set()
+
+    def _report(self, verdict: WrongHeight | str, control_mode: str) -> None:
+        vehicle = self._vehicle
+        if isinstance(verdict, WrongHeight):
+            data = {"height_m": round(verdict.height_m, 2), "wanted_m": verdict.wanted_m}
+            self._on_event(Event(KIND, vehicle.name, vehicle.sysid, f"its take-off is wrong: {verdict}", data))
+        if control_mode != "off":
+            text = f"control is not engaged after the take-off: {verdict}"
+            self._on_event(Event("control", vehicle.name, vehicle.sysid, text, {"state": "off"}))

@@ -1,0 +1,91 @@
+"""Control by setpoints and an order that takes over: the stream holds the vehicle until the order has taken effect."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.sim.conditions import conditions_of
+from support.flown import flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+WINDY = conditions_of(wind_mps=6.0)
+
+DENIED: dict[str, tuple[str, dict[str, Any]]] = {
+    "mode": ("vehicles.mode", {"mode": "{mission}"}),
+    "mission": ("missions.start", {}),
+}
+
+
+@KINDS
+@pytest.mark.parametrize("order", DENIED)
+async def test_an_order_that_is_denied_leaves_it_held(tmp_path: Path, kind: dict[str, int], order: str) -> None:
+    """There is no mission. Ended at the order, control left it to the wind: 32.6 m in 10 s."""
+    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+        await gcs.fly("attitude")
+        await asyncio.sleep(5)
+        method, given = DENIED[order]
+        mission = "AUTO.MISSION" if gcs.actor().vehicle.family == "px4" else "AUTO"
+        since = gcs.now
+        outcome = await gcs.outcome(method, **{k: v.format(mission=mission) for k, v in given.items()})
+        assert not outcome["ok"], outcome
+        await asyncio.sleep(10)
+        assert gcs.farthest_m(since) < 1.5
+        assert gcs.control()["state"] == "flying" and gcs.last_setpoint() > gcs.now - 0.3
+        (text,) = gcs.texts(since)
+        assert text.startswith("control goes on, it holds its position"), text
+        await gcs.step(2.0, 0.0, 0.0)
+        await gcs.done("vehicles.land")
+
+
+@KINDS
+async def test_an_order_that_is_not_heard_leaves_it_held(tmp_path: Path, kind: dict[str, int]) -> None:
+    """Setpoints pass, the order does not: it is flown until its mode is seen."""
+    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+        await gcs.fly("attitude")
+        await asyncio.sleep(5)
+        gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT"})
+        since = gcs.now
+        landing = asyncio.create_task(gcs.outcome("vehicles.land"))
+        await asyncio.sleep(1.5)
+        assert gcs.setpoints(gcs.now - 0.2), "it is not left to the wind"
+        follow = await gcs.outcome("control.setpoint", vel_enu_mps=[1.0, 0.0, 0.0])
+        assert "land was ordered" in follow["message"], "no client moves it meanwhile"
+        gcs.loses = frozenset()
+        outcome = await landing
+        assert outcome["ok"], outcome
+        assert gcs.farthest_m(since) < 1.5
+        quiet = gcs.now
+        await asyncio.sleep(3)
+        assert not gcs.setpoints(quiet) and gcs.texts(since) == ["control ended: land was ordered"]
+
+
+@KINDS
+async def test_a_goto_while_control_is_being_engaged_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
+    """An ArduCopter in GUIDED follows the setpoints of the entry: one that came after the goto took its place."""
+    async with flown(tmp_path, **kind) as gcs:
+        engaging = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await gcs.until(lambda: gcs.setpoints(0.0))
+        await gcs.step(12.0, 0.0, 0.0)
+        went = gcs.now
+        assert not (await engaging)["ok"]
+        await asyncio.sleep(15)
+        assert gcs.place()[0] == pytest.approx(12.0, abs=1.0)
+        assert not gcs.setpoints(went) and not gcs.texts(0.0, "unattended")
+
+
+@KINDS
+async def test_an_order_that_is_denied_while_control_is_being_engaged(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+        engaging = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
+        await gcs.until(lambda: gcs.setpoints(0.0))
+        since = gcs.now
+        assert not (await gcs.outcome("missions.start"))["ok"]
+        assert not (await engaging)["ok"]
+        await asyncio.sleep(10)
+        assert gcs.is_safe() and gcs.farthest_m(since) < 1.5

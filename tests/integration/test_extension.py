@@ -1,0 +1,195 @@
+"""The extension of docs/howto/extension.md, installed from another folder by its entry point, in a whole daemon."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import sys
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.control import ControlSettings
+from skygcs.config.loader import load_fleet_and_dialect
+from skygcs.config.models import VehicleSettings
+from skygcs.daemon import Daemon
+from skygcs.errors import ConfigError, RpcError
+from skygcs.extension import Extension, Extensions
+from skygcs.rpc.client import connect
+
+PAGE = (Path(__file__).parents[2] / "docs/howto/extension.md").read_text()
+FLEET = """
+[daemon]
+socket = "s"
+record = false
+
+[links.air]
+type = "simulated"
+px4 = 1
+"""
+
+
+def listing(title: str) -> str:
+    """The code block of the page with this title."""
+    found = re.search(rf'```\w+ title="{re.escape(title)}"\n(.*?)```', PAGE, re.DOTALL)
+    assert found is not None, title
+    return found.group(1)
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The example as pip would install it; the folder for a fleet file."""
+    site = tmp_path / "site"
+    metadata = site / "skygcs_beacon-0.1.dist-info"
+    metadata.mkdir(parents=True)
+    (site / "skygcs_beacon.py").write_text(listing("skygcs_beacon.py"))
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: skygcs-beacon\nVersion: 0.1\n")
+    entry = re.search(r"^beacon = \"(.*)\"$", listing("pyproject.toml"), re.MULTILINE)
+    assert entry is not None
+    (metadata / "entry_points.txt").write_text(f"[skygcs.extensions]\nbeacon = {entry.group(1)}\n")
+    monkeypatch.syspath_prepend(site)
+    yield tmp_path
+    sys.modules.pop("skygcs_beacon", None)
+
+
+@contextlib.asynccontextmanager
+async def running(folder: Path, table: str) -> AsyncIterator[Daemon]:
+    path = folder / "fleet.toml"
+    path.write_text(FLEET + table)
+    config, dialect = load_fleet_and_dialect(path)
+    daemon = Daemon(config, dialect, source=str(path))
+    task = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    try:
+        yield daemon
+    finally:
+        daemon.stop()
+        await task
+
+
+@pytest.mark.looptime
+async def test_its_table_method_state_clock_and_order_check_work(installed: Path) -> None:
+    async with running(installed, listing("fleet.toml")), connect(installed / "s") as client:
+        await asyncio.sleep(5.0)  # its position has come
+        # without a clearance an order is refused, and what ends a flight is not
+        refused = (await client.call("vehicles.takeoff", targets="all", height_m=5))["outcomes"]
+        assert {o["result"] for o in refused.values()} == {"refused"}
+        assert all("range officer" in o["message"] for o in refused.values())
+        stopped = (await client.call("vehicles.stop", targets="all"))["outcomes"]
+        assert all("range officer" not in o["message"] for o in stopped.values())
+        # with one it passes
+        assert await client.call("beacon.clear", by="Ada") == {"clear": True, "by": "Ada"}
+        await asyncio.sleep(0.5)
+        (state,) = await client.call("vehicles.list")
+        assert state["beacon"] == {"clear": True, "by": "Ada"}
+        armed = (await client.call("vehicles.arm", targets="all", wait_s=4))["outcomes"]
+        assert all("range officer" not in o["message"] for o in armed.values())
+        # its keys are the fleet file's, its clock reports the end
+        await client.call("beacon.clear", by="Ada")
+        await asyncio.sleep(4.5)
+        assert (await client.call("vehicles.list"))[0]["beacon"]["clear"] is True
+        await asyncio.sleep(1.0)
+        events = [e["text"] for e in await client.call("events.recent") if e["kind"] == "beacon"]
+        assert events == ["clearance by Ada", "the clearance has ended"]
+        # it is described
+        names = [method["name"] for method in (await client.call("rpc.discover"))["methods"]]
+        assert "beacon.clear" in names
+        with pytest.raises(RpcError, match="by"):
+            await client.call("beacon.clear")
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        ("[beacon]\nvalid_s = 100\n", r"beacon.valid_s \(line 10\): must be at most 60, not 100"),
+        ("[beacon]\nvalids = 1\n", r"beacon.valids \(line 10\): unknown key; did you mean valid_s\?"),
+        ("[becon]\n", r"becon \(line 9\): unknown key; did you mean beacon\?"),
+        ("[extensions.beacon]\n", r"extensions \(line 9\): unknown key"),
+    ],
+)
+def test_a_wrong_table_is_named_with_key_and_line(installed: Path, table: str, problem: str) -> None:
+    path = installed / "fleet.toml"
+    path.write_text(FLEET + table)
+    with pytest.raises(ConfigError, match=problem):
+        load_fleet_and_dialect(path)
+
+
+def test_one_that_cannot_be_imported_is_a_problem_of_its_table(installed: Path) -> None:
+    (installed / "site" / "skygcs_beacon.py").write_text("import no_such_package\n")
+    path = installed / "fleet.toml"
+    path.write_text(FLEET + "[beacon]\n")
+    with pytest.raises(ConfigError, match=r"beacon \(line 9\): its extension .* cannot be imported: .*no_such_package"):
+        load_fleet_and_dialect(path)
+
+
+class Failing(Extension[Any]):
+    """One whose hooks raise."""
+
+    def state_groups(self) -> Any:
+        return {"failing": self._raise}
+
+    def order_refusal(self, vehicle: Any, plan: Any, now: float) -> str | None:
+        return self._raise()
+
+    def close(self) -> None:
+        self._raise()
+
+    def _raise(self, *_: Any) -> Any:
+        raise ValueError("broken")
+
+
+class _Plan:
+    """An order of a plan; the rest is not read."""
+
+    def __init__(self, order: str, *, emergency: bool = False) -> None:
+        self.order, self.emergency = order, emergency
+
+
+def test_a_fault_of_one_refuses_orders_but_none_that_ends_a_flight() -> None:
+    faults: list[Exception] = []
+    extensions = Extensions({"failing": Failing(None, None)}, faults.append)  # type: ignore[arg-type]
+    assert "could not check it" in str(extensions.order_refusal(None, _Plan("takeoff"), 0.0))  # type: ignore[arg-type]
+    for order in ("land", "rtl", "hold", "stop", "disarm", "release"):
+        assert extensions.order_refusal(None, _Plan(order), 0.0) is None  # type: ignore[arg-type]
+    assert extensions.order_refusal(None, _Plan("goto", emergency=True), 0.0) is None  # type: ignore[arg-type]
+    assert extensions.groups_of(None, 0.0, None) == {"failing": None}  # type: ignore[arg-type]
+    extensions.close()
+    assert len(faults) == 3
+
+
+@pytest.mark.looptime
+async def test_one_that_fails_to_accept_clients_tries_again_and_others_go_on() -> None:
+    begun: list[float] = []
+    faults: list[Exception] = []
+
+    class Door(Extension[Any]):
+        async def serve(self, new_session: Any) -> None:
+            begun.append(asyncio.get_running_loop().time())
+            raise ValueError("broken")
+
+    extensions = Extensions({"door": Door(None, None), "failing": Failing(None, None)}, faults.append)  # type: ignore[arg-type]
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(2.5):
+            await extensions.serve(lambda admits: asyncio.Protocol())
+    assert begun == [0.0, 1.0, 2.0] and len(faults) == 3
+
+
+async def test_a_daemon_without_what_flies_its_vehicles_does_not_start(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET)
+    config, dialect = load_fleet_and_dialect(path)
+    elsewhere = VehicleSettings(control=ControlSettings(at="companion"))
+    with pytest.raises(ConfigError, match=r"defaults.control.at: must be one of ground, not 'companion'"):
+        Daemon(config.model_copy(update={"defaults": elsewhere}), dialect)
+
+
+def test_names_that_are_not_its_own_are_refused() -> None:
+    class Thief(Extension[Any]):
+        def state_groups(self) -> Any:
+            return {"position": lambda vehicle, now: {}}
+
+    with pytest.raises(ConfigError, match="the state group position: the name must begin with thief"):
+        Extensions({"thief": Thief(None, None)}, lambda error: None)  # type: ignore[arg-type]

@@ -1,0 +1,162 @@
+"""Phased plans by goto: one order for each leg, nothing streamed, and what a lost order, a lost ground station, a pilot
+and a stop do to it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.plan.fleet_plan import PhasedPlan
+from support.flown import SETPOINTS, Flown, flown
+from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, run, state, timed
+
+pytestmark = pytest.mark.looptime
+
+OVER = ("finished", "stopped", "aborted")
+
+
+def swap(gcs: Flown) -> PhasedPlan:
+    """Two vehicles to each other's place, in layers."""
+    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
+    low, high = UP_M, UP_M + 6.0
+    return phased(
+        {"v1": a, "v2": b},
+        ("climb", {"v1": (*a[:2], low), "v2": (*b[:2], high)}),
+        ("cross", {"v1": (*b[:2], low), "v2": (*a[:2], high)}),
+        ("descend", {"v2": (*a[:2], low)}),
+    )
+
+
+async def crossing(gcs: Flown, **params: Any) -> float:
+    """While both cross; when that was."""
+    await run(gcs, swap(gcs), by="goto", **params)
+    await gcs.until(lambda: gcs.daemon.fleet.plans.status()["phase"] == "cross" and state(gcs) == "flying", 120.0)
+    await gcs.until(lambda: gcs.place("v1")[0] > 1.5, 30.0)
+    return gcs.now
+
+
+async def test_a_swap_in_layers_takes_one_order_for_each_leg_and_no_setpoint(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        began, plan = gcs.now, swap(gcs)
+        await run(gcs, plan, by="goto")
+        await gcs.until(lambda: state(gcs) in OVER, 240.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        for name, goal in plan.legs()[-1][1].items():
+            assert math.dist(gcs.place(name), goal[1]) < 0.7 and gcs.is_safe(name)
+        assert least_distance(gcs, began)[0] > MARGIN_M
+        assert not [s for s in gcs.sent if s.name in SETPOINTS]
+        gotos = [s for s in gcs.sent if s.name == "COMMAND_INT" and s.values["command"] == 192 and s.at >= began]
+        # to the tops of their take-offs, cross (both), descend (one)
+        assert len(gotos) == 5, [(s.at, s.sysid) for s in gotos]
+
+
+async def test_the_ground_that_dies_in_a_leg_leaves_all_at_rest_at_its_ends(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        plan = swap(gcs)
+        await crossing(gcs)
+        since = gcs.now
+        gcs.cut = True
+        await asyncio.sleep(40.0)
+        for name, (_, goal) in plan.legs()[1][1].items():
+            assert math.dist(gcs.place(name), goal) < 0.7 and gcs.is_safe(name)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+        assert state(gcs) == "stopped", plan_events(gcs)
+        # heard again, it goes on from there
+        gcs.cut = False
+        await asyncio.sleep(8.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"], answer
+        await gcs.until(lambda: state(gcs) in OVER, 90.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+
+
+async def test_a_lost_order_is_given_again_until_the_vehicle_shows_its_target(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await run(gcs, swap(gcs), by="goto")
+        await gcs.until(lambda: gcs.daemon.fleet.plans.status()["phase"] == "cross", 120.0)
+        gcs.loses = frozenset({"COMMAND_INT"})
+        began = gcs.now
+        await asyncio.sleep(15.0)
+        assert state(gcs) == "flying", plan_events(gcs, began)
+        gcs.loses = frozenset()
+        await gcs.until(lambda: state(gcs) in OVER, 90.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+
+
+async def test_a_pilot_stops_all_and_is_sent_nothing(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        since = await crossing(gcs)
+        gcs.other_sets_mode(4, 3, sysid=1)
+        gcs.other_sets_mode(5, sysid=2)  # LOITER
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        assert "v2 left: it was switched to LOITER" in " ".join(plan_events(gcs, since))
+        await asyncio.sleep(10.0)
+        assert not gcs.commands(since + 2.0, "v2")
+        answer = await gcs("plan.resume")
+        assert not answer["ok"] and "pilot" in answer["message"]
+
+
+async def test_another_order_to_one_vehicle_stops_all(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        since = await crossing(gcs)
+        x, y, _ = gcs.place("v2")
+        await gcs("vehicles.goto", targets="v2", enu_m=[x, y, 25.0], force=True)
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        assert "v2 left: it was ordered otherwise" in " ".join(plan_events(gcs, since))
+
+
+async def test_pause_holds_all_on_their_legs_resume_flies_on_and_a_landing_is_certified(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        began = await crossing(gcs)
+        await gcs("plan.pause")
+        await asyncio.sleep(12.0)
+        assert state(gcs) == "paused" and gcs.is_safe("v1") and gcs.is_safe("v2")
+        assert 1.0 < gcs.place("v1")[0] < 4.5, gcs.place("v1")
+        with pytest.raises(Exception, match="own speed"):
+            await gcs("plan.speed", speed=0.5)
+        answer = await gcs("plan.resume")
+        assert answer["ok"] and "at their places" in answer["message"], answer
+        await gcs.until(lambda: state(gcs) in OVER, 90.0)
+        assert state(gcs) == "finished", plan_events(gcs, began)
+        assert least_distance(gcs, began)[0] > MARGIN_M
+        await gcs("plan.land")
+        await gcs.until(lambda: state(gcs) == "landed", 120.0)
+
+
+async def test_one_that_is_carried_away_stops_all_and_flies_back_to_its_leg(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        since = await crossing(gcs)
+        gcs.sim("v2").motion.north_m -= 4.0
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        assert "v2 is 4." in plan_events(gcs, since)[0] and "from its way" in plan_events(gcs, since)[0]
+        await asyncio.sleep(8.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"] and "going back" in answer["message"], answer
+        await gcs.until(lambda: state(gcs) in OVER, 120.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
+async def test_abort_ends_in_a_hold(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        since = await crossing(gcs)
+        await gcs("plan.abort")
+        await gcs.until(lambda: state(gcs) == "aborted", 20.0)
+        for name in ("v1", "v2"):
+            await gcs.ends_safe(name, within_m=5.0, since=since)
+
+
+async def test_ways_that_cannot_be_flown_are_refused_with_the_command_that_helps(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        starts = {f"v{n}": (*gcs.place_of_home(f"v{n}")[:2], UP_M) for n in (1, 2)}
+        await load(gcs, timed(starts, {name: (x, y + 12.0, z) for name, (x, y, z) in starts.items()}))
+        with pytest.raises(Exception, match="skygcs-cli plan make FILE --fleet --kind phased"):
+            await gcs("plan.check", by="goto")
+        with pytest.raises(Exception, match=r"no companion.*skygcs-cli plan run FILE --by setpoints"):
+            await gcs("plan.check", by="onboard")
+        found = await gcs("plan.check", margin_m=MARGIN_M)
+        assert (found["by"], found["why"]) == ("setpoints", "every link carries them")

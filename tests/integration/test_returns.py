@@ -1,0 +1,145 @@
+"""Vehicles that are ordered to return together, and whose ways home conflict, leave one after another."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from skygcs.sim.conditions import conditions_of
+from skygcs.sim.firmware_modes import CopterMode
+from support.flown import GOING_HOME, Flown, flown
+from support.planned import MARGIN_M, least_distance
+
+COSTS = "returns of several vehicles one after another, each from its take-off to its landing"
+
+pytestmark = pytest.mark.looptime
+
+WINDY = conditions_of(wind_mps=6.0)
+KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
+
+
+async def swapped(gcs: Flown) -> None:
+    """v1 and v2 each above the home of the other, by way of places beside and above that."""
+    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
+    for name, x, y, up in (
+        ("v1", a[0], -8.0, 10.0),
+        ("v2", a[0], 0.0, 10.0),
+        ("v1", b[0] + 3.0, -8.0, 10.0),
+        ("v1", b[0], 0.0, 10.0),
+    ):
+        await gcs.done("vehicles.goto", targets=name, enu_m=[x, y, up], force=True)
+        await asyncio.sleep(12.0)
+
+
+async def all_down(gcs: Flown, seconds: float = 300.0) -> None:
+    await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), seconds)
+    for sim in gcs.sims:
+        name = f"v{sim.sysid}"
+        home, place = gcs.place_of_home(name), gcs.place(name)
+        assert abs(place[0] - home[0]) < 1.5 and abs(place[1] - home[1]) < 1.5, (name, place)
+
+
+@KINDS
+async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind: dict[str, int]) -> None:
+    """They passed at .10 m (PX4) and .21 m (ArduCopter)."""
+    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+        await swapped(gcs)
+        since = gcs.now
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert all(outcome["ok"] for outcome in outcomes.values()), "it is never refused"
+        assert outcomes["v1"]["message"] == "it holds until v2 is out of its way home, and returns then"
+        await all_down(gcs)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+        assert any("it climbs by" in text for name in ("v1", "v2") for text in gcs.texts(since, "command", name))
+
+
+async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
+    settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}
+    async with flown(tmp_path, px4=1, ardupilot=1, settings=settings, conditions=WINDY) as gcs:
+        await swapped(gcs)
+        await gcs.fly("position", "v1,v2")
+        since = gcs.now
+        await all_down(gcs)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+        assert any("rtl for v1, v2" in t.text for t in gcs.told if t.kind == "warning")
+
+
+async def test_one_alone_and_those_in_nobodys_way_leave_at_once_as_before(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=2) as gcs:
+        for name in ("v1", "v2", "v3"):
+            await gcs.step(0.0, 20.0, 0.0, name=name)
+        await asyncio.sleep(12.0)
+        since = gcs.now
+        outcomes = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]
+        assert outcomes["v1"]["message"] == "returning to launch"
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert {outcome["message"] for outcome in outcomes.values()} == {"returning to launch"}
+        assert {int(s.values["command"]) for i in (1, 2, 3) for s in gcs.commands(since, f"v{i}")} == {20}
+        await all_down(gcs)
+
+
+async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_path: Path) -> None:
+    """While it waits its battery becomes critical: nothing holds it, and the other leaves when it is clear."""
+    async with flown(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
+        await swapped(gcs)
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        waits = next(name for name, outcome in outcomes.items() if "it holds until" in outcome["message"])
+        since = gcs.now
+        gcs.other_sets_mode(int(CopterMode.RTL), sysid=int(waits[1:]))  # as its failsafe does
+        await gcs.until(lambda: gcs.sim(waits).mode == CopterMode.RTL, 5.0)
+        await gcs.until(
+            lambda: any("does not wait any more: it is in RTL" in t for t in gcs.texts(since, "command", waits))
+        )
+        assert not gcs.commands(gcs.now, waits)
+        await all_down(gcs)
+
+
+async def test_what_waits_for_one_that_does_not_move_is_given_up_with_a_word(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=WINDY) as gcs:
+        await swapped(gcs)
+        since = gcs.now
+        await gcs("vehicles.rtl", targets="all")
+        # its pilot takes the first one that has left, and stays on its way
+        await gcs.until(lambda: [t for t in gcs.told if t.text == "rtl: returning to launch"], 90.0)
+        left = [t for t in gcs.told if t.text == "rtl: returning to launch"]
+        name = str(left[0].vehicle)
+        other = {"v1": "v2", "v2": "v1"}[name]
+        gcs.other_sets_mode(4, 3, sysid=int(name[1:]))  # AUTO.LOITER
+        await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", other)), 150.0)
+        (text,) = [t for t in gcs.texts(since, "command", other) if "does not return" in t]
+        assert f"{name} stays in its way home" in text and f"skygcs-cli rtl {other}" in text
+        quiet = gcs.now
+        await asyncio.sleep(20.0)
+        assert not gcs.commands(quiet, other) and gcs.is_safe(other)
+        await gcs.done("vehicles.rtl", targets=other)  # insisted on
+        assert gcs.sim(other).mode in GOING_HOME
+
+
+async def test_another_order_takes_one_that_waits(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=WINDY) as gcs:
+        await swapped(gcs)
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        waiting = [name for name, outcome in outcomes.items() if "it holds until" in outcome["message"]]
+        await gcs.done("vehicles.land", targets=waiting[0])
+        since = gcs.now
+        other = {"v1": "v2", "v2": "v1"}[waiting[0]]
+        await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", other)), 150.0)
+        assert not gcs.commands(since, waiting[0]) and not gcs.sim(waiting[0]).armed
+        assert gcs.is_safe(other) and gcs.sim(other).armed, "the first has landed on its home"
+
+
+async def test_preflight_asks_for_return_heights_that_differ(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False) as gcs:
+        for sim, height_m in zip(gcs.sims, (15.0, 15.0, 30.0), strict=True):
+            sim.params.set("RTL_RETURN_ALT", height_m)
+            sim.params.set("RTL_ALT", 100.0 * height_m)
+        reports = await gcs("preflight.run", targets="all")
+        asked = {
+            name: finding["text"]
+            for name, report in reports["vehicles"].items()
+            for finding in report["findings"]
+            if finding["check"] == "return heights"
+        }
+        assert asked.keys() == {"v2"} and "RTL_ALT 2000 (20 m)" in asked["v2"], asked

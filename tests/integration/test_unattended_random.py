@@ -1,0 +1,46 @@
+"""A few random flights: no vehicle is unattended for longer than promised, and no pair of a plan inside its margin.
+
+`make bench-invariant` flies a thousand of them, and `make test-deep` one by a companion.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from skygcs.sim.conditions import conditions_of
+from support.flown import flown
+from support.random_companions import fly_by_companion
+from support.random_flights import fly_randomly, watched
+from support.random_plans import fly_a_plan
+
+pytestmark = pytest.mark.looptime
+
+
+async def test_orders_denials_pilots_links_and_restarts(tmp_path: Path) -> None:
+    judged = await fly_randomly(tmp_path, 16)
+    assert not judged.breaches, (judged.breaches, judged.done)
+    assert judged.looked > 100 and judged.attended_again > 0
+
+
+async def test_a_plan_that_is_interfered_with(tmp_path: Path) -> None:
+    judged = await fly_a_plan(tmp_path, 1)
+    assert not judged.breaches and not judged.inside, (judged.breaches, judged.inside, judged.done)
+
+
+@pytest.mark.deep
+async def test_a_companion_and_its_ground_that_are_lost(tmp_path: Path) -> None:
+    judged = await fly_by_companion(tmp_path, 3)
+    assert not judged.breaches, (judged.breaches, judged.done)
+
+
+async def test_the_monitor_sees_a_vehicle_that_nobody_flies(tmp_path: Path) -> None:
+    """Without the watch of the product: what is tested must be able to fail."""
+    windy = conditions_of(wind_mps=6.0)
+    async with flown(tmp_path, px4=0, ardupilot=1, conditions=windy, in_air=True) as gcs, watched(gcs) as monitor:
+        gcs.actor().unattended.tick = lambda now, site: None  # type: ignore[method-assign]
+        await gcs.fly("attitude")
+        gcs.actor().offboard.release("a fault")
+        await gcs.until(lambda: monitor.breaches, 5.0)
+        assert monitor.breaches[0].fed_by == "daemon"

@@ -1,0 +1,38 @@
+"""Rooms whose tests are measured by mutants: each module with the test files that are to notice its changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SRC = ROOT / "src/skygcs"
+UNIT = ROOT / "tests/unit"
+
+ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
+    "parsers": {
+        "core/mavlink/parser.py": ("core/mavlink/test_parser.py",),
+        "core/mavlink/signing.py": ("core/mavlink/test_signing.py",),
+        "core/mavlink/heartbeat.py": ("core/mavlink/test_heartbeat.py",),
+    },
+    "routing": {
+        "core/routing/router.py": (
+            "core/routing/test_routing.py",
+            "core/routing/test_routing_bound.py",
+            "core/routing/test_routing_cases.py",
+            "core/routing/test_routing_state.py",
+            "core/routing/test_table_room.py",
+            "core/routing/test_heard_directly.py",
+        ),
+    },
+    "state-sources": {
+        "core/routing/state_source.py": ("core/routing/test_state_source.py",),
+        "core/vehicle/flight_evidence.py": ("core/vehicle/test_flight_evidence.py",),
+    },
+    "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
+    "order-gate": {"core/federation/order_gate.py": ("core/federation/test_order_gate.py",)},
+    "certificates": {
+        "core/plan/certify.py": ("core/plan/test_certify.py",),
+        "core/plan/closest_approach.py": ("core/plan/test_closest_approach.py", "core/plan/test_certify.py"),
+    },
+    "leases": {"core/federation/lease.py": ("core/federation/test_lease_steps.py", "core/federation/test_lease.py")},
+}

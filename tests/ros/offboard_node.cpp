@@ -1,0 +1,273 @@
+// A node as MAVROS' users write them, on Fast DDS alone: it streams a setpoint, sets OFFBOARD, arms, flies a square and
+// lands. Or it prints what it reads. The names are those that rmw_fastrtps gives topics; services are rmw_cyclonedds'.
+//
+//   offboard_node DOMAIN echo SECONDS NAMESPACE...
+//   offboard_node DOMAIN fly NAMESPACE LAND_MODE
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/DataReaderListener.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/TypeSupport.hpp>
+
+#include "typesPubSubTypes.h"
+
+using namespace eprosima::fastdds::dds;
+using State = mavros_msgs::msg::dds_::State_;
+using Imu = sensor_msgs::msg::dds_::Imu_;
+using Fix = sensor_msgs::msg::dds_::NavSatFix_;
+using Battery = sensor_msgs::msg::dds_::BatteryState_;
+using Pose = geometry_msgs::msg::dds_::PoseStamped_;
+using Arming = mavros_msgs::srv::dds_::CommandBool_Request_;
+using Armed = mavros_msgs::srv::dds_::CommandBool_Response_;
+using SetMode = mavros_msgs::srv::dds_::SetMode_Request_;
+using ModeSent = mavros_msgs::srv::dds_::SetMode_Response_;
+
+static double now_s() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+static void pause_s(double seconds) { std::this_thread::sleep_for(std::chrono::duration<double>(seconds)); }
+
+template <class T>
+class Listener : public DataReaderListener {
+public:
+  std::function<void(const T&)> on_message;
+  void on_data_available(DataReader* reader) override {
+    T message;
+    SampleInfo info;
+    while (reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK)
+      if (info.valid_data) on_message(message);
+  }
+};
+
+class Node {
+public:
+  explicit Node(int domain) {
+    participant = DomainParticipantFactory::get_instance()->create_participant(domain, PARTICIPANT_QOS_DEFAULT);
+    publisher = participant->create_publisher(PUBLISHER_QOS_DEFAULT);
+    subscriber = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+  }
+
+  template <class Support>
+  Topic* topic(const std::string& name) {
+    if (topics.count(name)) return topics[name];
+    TypeSupport support(new Support());
+    support.register_type(participant);
+    return topics[name] = participant->create_topic(name, support.get_type_name(), TOPIC_QOS_DEFAULT);
+  }
+
+  template <class T, class Support>
+  void read(const std::string& name, bool reliable, bool latched, std::function<void(const T&)> on_message) {
+    DataReaderQos qos = DATAREADER_QOS_DEFAULT;
+    qos.reliability().kind = reliable ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
+    qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
+    qos.history().depth = 10;
+    auto listener = std::make_shared<Listener<T>>();
+    listener->on_message = on_message;
+    listeners.push_back(listener);
+    subscriber->create_datareader(topic<Support>(name), qos, listener.get());
+  }
+
+  template <class Support>
+  DataWriter* write(const std::string& name) {
+    DataWriterQos qos = DATAWRITER_QOS_DEFAULT;
+    qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    qos.durability().kind = VOLATILE_DURABILITY_QOS;
+    qos.history().depth = 10;
+    return publisher->create_datawriter(topic<Support>(name), qos, nullptr);
+  }
+
+private:
+  DomainParticipant* participant;
+  Publisher* publisher;
+  Subscriber* subscriber;
+  std::map<std::string, Topic*> topics;
+  std::vector<std::shared_ptr<DataReaderListener>> listeners;
+};
+
+template <class Request, class Response, class RequestSupport, class ResponseSupport>
+class Client {
+public:
+  Client(Node& node, const std::string& service) {
+    requests = node.write<RequestSupport>("rq" + service + "Request");
+    node.read<Response, ResponseSupport>("rr" + service + "Reply", true, false, [this](const Response& response) {
+      if (response.client_guid() != id) return;
+      std::lock_guard<std::mutex> lock(mutex);
+      responses[response.sequence_number()] = response;
+    });
+  }
+
+  bool call(Request request, Response& response, double timeout_s = 30) {
+    request.client_guid(id);
+    request.sequence_number(++sequence);
+    requests->write(&request);
+    for (double until = now_s() + timeout_s; now_s() < until; pause_s(0.02)) {
+      std::lock_guard<std::mutex> lock(mutex);
+      if (responses.count(sequence)) {
+        response = responses[sequence];
+        return true;
+      }
+    }
+    return false;
+  }
+
+private:
+  DataWriter* requests;
+  std::mutex mutex;
+  std::map<int64_t, Response> responses;
+  uint64_t id = 0x5afe000000000001;
+  int64_t sequence = 0;
+};
+
+static int echo(int domain, double seconds, const std::vector<std::string>& namespaces) {
+  Node node(domain);
+  std::mutex mutex;
+  for (const auto& ns : namespaces) {
+    const char* n = ns.c_str();
+    auto print = [&mutex](const std::string& line) {
+      std::lock_guard<std::mutex> lock(mutex);
+      std::puts(line.c_str());
+    };
+    char format[] = "%s %s %.9f %s %.9g %.9g %.9g %.9g";
+    auto line = [print, n, format](const char* name, const std_msgs::msg::dds_::Header_& head, double a, double b,
+                                   double c, double d) {
+      char text[400];
+      double stamp = head.stamp().sec() + head.stamp().nanosec() * 1e-9;
+      std::snprintf(text, sizeof text, format, n, name, stamp, head.frame_id().c_str(), a, b, c, d);
+      print(text);
+    };
+    node.read<State, mavros_msgs::msg::dds_::State_PubSubType>("rt" + ns + "/state", true, true, [line](const State& m) {
+      line(m.mode().empty() ? "state:-" : ("state:" + m.mode()).c_str(), m.header(), m.connected(), m.armed(), m.guided(),
+           m.system_status());
+    });
+    node.read<Imu, sensor_msgs::msg::dds_::Imu_PubSubType>("rt" + ns + "/imu/data", false, false, [line](const Imu& m) {
+      line("imu/data", m.header(), m.orientation().w(), m.orientation().x(), m.orientation().y(), m.orientation().z());
+    });
+    node.read<Pose, geometry_msgs::msg::dds_::PoseStamped_PubSubType>(
+        "rt" + ns + "/local_position/pose", false, false, [line](const Pose& m) {
+          const auto& p = m.pose().position();
+          line("local_position/pose", m.header(), p.x(), p.y(), p.z(), m.pose().orientation().w());
+        });
+    node.read<Fix, sensor_msgs::msg::dds_::NavSatFix_PubSubType>(
+        "rt" + ns + "/global_position/global", false, false, [line](const Fix& m) {
+          line("global_position/global", m.header(), m.latitude(), m.longitude(), m.altitude(),
+               m.position_covariance()[8]);
+        });
+    node.read<Battery, sensor_msgs::msg::dds_::BatteryState_PubSubType>(
+        "rt" + ns + "/battery", false, false, [line](const Battery& m) {
+          line("battery", m.header(), m.voltage(), m.current(), m.percentage(), m.cell_voltage().size());
+        });
+  }
+  pause_s(seconds);
+  return 0;
+}
+
+static int fly(int domain, const std::string& ns, const std::string& land_mode) {
+  Node node(domain);
+  std::mutex mutex;
+  State state;
+  Pose pose;
+  node.read<State, mavros_msgs::msg::dds_::State_PubSubType>("rt" + ns + "/state", true, true, [&](const State& m) {
+    std::lock_guard<std::mutex> lock(mutex);
+    state = m;
+  });
+  node.read<Pose, geometry_msgs::msg::dds_::PoseStamped_PubSubType>("rt" + ns + "/local_position/pose", false, false,
+                                                                    [&](const Pose& m) {
+                                                                      std::lock_guard<std::mutex> lock(mutex);
+                                                                      pose = m;
+                                                                    });
+  auto* setpoints = node.write<geometry_msgs::msg::dds_::PoseStamped_PubSubType>("rt" + ns + "/setpoint_position/local");
+  Client<Arming, Armed, mavros_msgs::srv::dds_::CommandBool_Request_PubSubType,
+         mavros_msgs::srv::dds_::CommandBool_Response_PubSubType>
+      arming(node, ns + "/cmd/arming");
+  Client<SetMode, ModeSent, mavros_msgs::srv::dds_::SetMode_Request_PubSubType,
+         mavros_msgs::srv::dds_::SetMode_Response_PubSubType>
+      set_mode(node, ns + "/set_mode");
+  auto seen = [&] {
+    std::lock_guard<std::mutex> lock(mutex);
+    return state;
+  };
+  auto place = [&] {
+    std::lock_guard<std::mutex> lock(mutex);
+    return pose.pose().position();
+  };
+  double target[3] = {0, 0, 4};
+  bool streaming = true;
+  std::thread stream([&] {
+    while (streaming) {
+      Pose setpoint;
+      setpoint.pose().position().x(target[0]);
+      setpoint.pose().position().y(target[1]);
+      setpoint.pose().position().z(target[2]);
+      setpoint.pose().orientation().w(1);
+      setpoints->write(&setpoint);
+      pause_s(0.05);
+    }
+  });
+  auto end = [&](int code, const char* why) {
+    std::puts(why);
+    streaming = false;
+    stream.join();
+    return code;
+  };
+  double until = now_s() + 120;
+  while (!seen().connected() && now_s() < until) pause_s(0.1);
+  pause_s(2);
+  // as the examples of PX4 and MAVROS do it: again every two seconds until the state shows it
+  for (; seen().mode() != "OFFBOARD" && now_s() < until; pause_s(2)) {
+    SetMode request;
+    request.custom_mode("OFFBOARD");
+    ModeSent response;
+    if (set_mode.call(request, response)) std::printf("mode_sent %d\n", response.mode_sent());
+  }
+  for (; !seen().armed() && now_s() < until; pause_s(2)) {
+    Arming request;
+    request.value(true);
+    Armed response;
+    if (arming.call(request, response)) std::printf("armed %d %d\n", response.success(), response.result());
+  }
+  const double square[][3] = {{0, 0, 4}, {0, 4, 4}, {2, 4, 4}, {2, 0, 4}, {0, 0, 4}};
+  for (const auto& corner : square) {
+    for (int i = 0; i < 3; i++) target[i] = corner[i];
+    double error = 1e9, corner_until = now_s() + 120;
+    while (error > 0.5 && now_s() < corner_until) {
+      auto p = place();
+      error = std::sqrt(std::pow(p.x() - corner[0], 2) + std::pow(p.y() - corner[1], 2) + std::pow(p.z() - corner[2], 2));
+      pause_s(0.05);
+    }
+    std::printf("corner %g %g %g error %.2f mode %s\n", corner[0], corner[1], corner[2], error, seen().mode().c_str());
+    std::fflush(stdout);
+    if (error > 0.5) return end(1, "a corner was not reached");
+  }
+  SetMode land;
+  land.custom_mode(land_mode);
+  ModeSent response;
+  if (!set_mode.call(land, response) || !response.mode_sent()) return end(1, "landing was refused");
+  for (until = now_s() + 180; seen().armed() && now_s() < until;) pause_s(0.1);
+  return seen().armed() ? end(1, "it did not land") : end(0, "landed");
+}
+
+int main(int argc, char** argv) {
+  std::setvbuf(stdout, nullptr, _IOLBF, 0);
+  std::vector<std::string> args(argv + 1, argv + argc);
+  if (args.size() >= 4 && args[1] == "echo")
+    return echo(std::stoi(args[0]), std::stod(args[2]), {args.begin() + 3, args.end()});
+  if (args.size() == 4 && args[1] == "fly") return fly(std::stoi(args[0]), args[2], args[3]);
+  std::fprintf(stderr, "usage: offboard_node DOMAIN echo SECONDS NAMESPACE... | DOMAIN fly NAMESPACE LAND_MODE\n");
+  return 2;
+}

@@ -1,0 +1,57 @@
+"""How much of a long search runs: a share of it in `make test`, which a person waits for, and all of it in
+`make test-deep`.
+
+A fault that one example in a hundred shows is found by the deep run; the quick one finds what is broken.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+VARIABLE = "SKYGCS_TEST_EXAMPLES"
+"""Environment variable with the multiple of Hypothesis examples: 10 in `make test-deep`, 100 in its nightly run; `make
+test` does not set it."""
+
+SHARE = 4
+"""`make test` runs one example or seed in so many."""
+
+CASES = 1
+"""Cases of a parametrised flight of a whole daemon in `make test`, another one of each flight; `make test-deep` flies
+them all."""
+
+LEAST = 10
+LEAST_SEEDS = 2
+
+T = TypeVar("T")
+
+
+def _multiple() -> int:
+    return int(os.environ.get(VARIABLE, "0"))
+
+
+def examples(count: int) -> int:
+    """Hypothesis examples of a test that says ``count``."""
+    return count * _multiple() or min(count, max(LEAST, count // SHARE))
+
+
+def seeds(count: int) -> range:
+    """Seeds of a random scenario: a share of ``count``, all of them in the deep run, more in the nightly one."""
+    return range(count * max(1, _multiple() // 10) if _multiple() else min(count, max(LEAST_SEEDS, count // SHARE)))
+
+
+def flown_cases(cases: Sequence[T], turn: int) -> Sequence[T]:
+    """`CASES` of the cases of one flight. Flights take different ``turn``s: some fly a PX4, others an ArduCopter."""
+    step = len(cases) // 2 | 1  # odd: the next one is, as a rule, of the other autopilot
+    return [cases[(turn + number * step) % len(cases)] for number in range(min(CASES, len(cases)))]
+
+
+def thinned(items: Iterable[T], keep: int, *, turn: int = 0) -> Sequence[T]:
+    """``keep`` of a table's rows, evenly spaced; all of them in the deep run. Tests over one table take different
+    ``turn``s, so that each row has its turn in some of them."""
+    rows = list(items)
+    if _multiple() or len(rows) <= keep:
+        return rows
+    step = len(rows) / keep
+    return [rows[(int(number * step) + turn) % len(rows)] for number in range(keep)]

@@ -1,0 +1,44 @@
+"""What the extensions of this package add: the tests hold documents, roles and snapshots against all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, get_type_hints
+
+from pydantic import BaseModel
+
+from skygcs.config.extension_tables import find_owners, installed
+from skygcs.rpc.dispatch import Method
+from skygcs.rpc.methods import METHODS
+
+OWN = {name: point.value for name, point in sorted(installed().items()) if point.value.startswith("skygcs.ext.")}
+"""The tables of our own extensions, and their classes."""
+
+ROOMS = sorted({".".join(value.partition(":")[0].split(".")[:3]) for value in OWN.values()})
+"""Their folders."""
+
+ALL_METHODS: dict[str, Method[Any]] = dict(METHODS) | {
+    method.name: method
+    for room in ROOMS
+    if find_spec(f"{room}.methods") is not None
+    for method in import_module(f"{room}.methods").METHODS
+}
+"""Those of the core and of our own extensions, by name."""
+
+
+def extension_tables() -> Iterator[type[BaseModel]]:
+    """The models of our own extensions' tables, and of the tables in them."""
+    owners, problems = find_owners(set(OWN))
+    assert problems == []
+    left: list[Any] = [owner.Config for owner in owners.values()]
+    while left:
+        annotation = left.pop()
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield annotation
+            left += [field.annotation for field in annotation.model_fields.values()]
+            if annotation.model_config.get("extra") == "allow":  # its further tables, by name
+                left.append(get_type_hints(annotation)["__pydantic_extra__"])
+        else:
+            left += getattr(annotation, "__args__", ())

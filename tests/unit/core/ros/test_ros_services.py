@@ -1,0 +1,84 @@
+"""Requests and responses of MAVROS' services."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from skygcs.core.mission.item import MissionType
+from skygcs.core.mission.wpl import read_wpl
+from skygcs.core.ros import services
+from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
+from skygcs.core.ros.services import RequestError
+
+
+def waypoint(command: int, frame: int, x: float, y: float, z: float, **params: float) -> dict[str, Any]:
+    known = ros2_interfaces()
+    place = {"x_lat": x, "y_long": y, "z_alt": z, "autocontinue": True}
+    data = known.encode("mavros_msgs/msg/Waypoint", {"command": command, "frame": frame, **place, **params})
+    return known.decode("mavros_msgs/msg/Waypoint", data)
+
+
+def test_waypoints_are_a_file_that_is_read_as_they_were() -> None:
+    items = [waypoint(22, 3, 43.1, -79.1, 10), waypoint(16, 3, 43.2, -79.2, 20, param4=math.nan)]
+    for first, pushed in ((False, items), (True, [waypoint(16, 0, 43.0, -79.0, 180), *items])):
+        plan = read_wpl(services.wpl_text(pushed, first), "pushed")
+        found = plan.items(MissionType.MISSION)
+        assert [item.command for item in found] == [22, 16]
+        assert found[1].seven[4:] == pytest.approx((43.2, -79.2, 20))
+        assert found[1].seven[3] is None
+        assert (plan.home is not None and plan.home.lat_deg == 43.0) is first
+
+
+@pytest.mark.parametrize("pushed", [[], [waypoint(16, 3, math.nan, 0, 0)], [waypoint(16, 3, 0, 0, 0)] * 2001])
+def test_waypoints_that_are_none(pushed: list[dict[str, Any]]) -> None:
+    with pytest.raises(RequestError):
+        services.wpl_text(pushed, False)
+
+
+def test_a_mission_that_was_read_is_a_list() -> None:
+    item = {"number": 1, "command": 16, "frame": 3, "params": [0.0, None, 0.0, None, 43.0, -79.0, 10.0]}
+    items = [{**item, "autocontinue": True}]
+    home = {"lat_deg": 43.5, "lon_deg": -79.5, "alt_amsl_m": 180.0}
+    for first, current in ((None, 0), (home, 1)):
+        listed = services.waypoint_list(items, 1, first)
+        ros2_interfaces().encode("mavros_msgs/msg/WaypointList", listed)
+        assert listed["current_seq"] == current and listed["waypoints"][-1]["is_current"]
+        assert len(listed["waypoints"]) == 1 + current
+
+
+def test_commands() -> None:
+    request = {"command": 183, **{f"param{n}": float(n) for n in range(1, 8)}, "param2": math.nan}
+    assert services.command_params(request) == [1, None, 3, 4, 5, 6, 7]
+    assert services.order_of_command(request) is None
+    assert services.order_of_command({"command": 400, "param1": 1.0}) == "vehicles.arm"
+    assert services.order_of_command({"command": 400, "param1": 0.0}) == "vehicles.disarm"
+    assert services.response({"ok": True, "result": "accepted"}) == {"success": True, "result": 0}
+    assert services.response({"ok": False, "result": "denied"}) == {"success": False, "result": 2}
+    assert services.response({"ok": False, "result": "refused"}) == {"success": False, "result": 4}
+    with pytest.raises(RequestError):
+        services.command_params({**request, "param1": math.inf})
+    assert [services.interval_hz(hz) for hz in (-1.0, 0.0, 5.0, 1e9)] == [0.0, None, 5.0, 1000.0]
+    assert services.takeoff_height_m({"altitude": 190.0}, {"autopilot": "px4", "position": {"alt_amsl_m": 180.0}}) == 10
+    assert services.takeoff_height_m({"altitude": 8.0}, {"autopilot": "ardupilot"}) == 8
+    with pytest.raises(RequestError):
+        services.takeoff_height_m({"altitude": 190.0}, {"autopilot": "px4"})
+
+
+def test_parameters() -> None:
+    assert services.parameter_value({"value": {"type": 3, "double_value": 0.5}}, ros1=False) == 0.5
+    assert services.parameter_value({"value": {"integer": 0, "real": 0.5}}, ros1=True) == 0.5
+    for value in ({"type": 4, "string_value": "x"}, {"type": 3, "double_value": math.nan}):
+        with pytest.raises(RequestError):
+            services.parameter_value({"value": value}, ros1=False)
+    known = ros2_interfaces()
+    for made in (
+        services.ros2_value(3.0, "INT32"),
+        services.ros2_value(0.5, "REAL32"),
+        services.ros2_value(None, None),
+    ):
+        known.encode("rcl_interfaces/msg/ParameterValue", made)
+    assert services.mavros_value(3.0, "INT32") == {"integer": 3}
+    assert ros1_interfaces().encode("mavros_msgs/msg/ParamValue", services.mavros_value(0.5, "REAL32"))

@@ -1,0 +1,146 @@
+"""Which vehicles leave for home, and who waits for whom: whole returns, flown by a model that may be slow or fast."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departures
+from skygcs.core.monitor.ways import standing
+from skygcs.core.separation import Footprint, pair_margin, separation_m
+
+SIZE = Footprint()
+MARGIN_M = pair_margin(SIZE, SIZE).total_m
+RETURN = ReturnHeight(15.0, 15.0)
+STEP_S = 0.5
+
+
+def at(
+    key: int, here: tuple[float, float, float], home: tuple[float, float], height: ReturnHeight = RETURN
+) -> Returning:
+    return Returning(key, f"v{key}", SIZE, here, (0.0, 0.0, 0.0), (*home, 0.0), height)
+
+
+class Air:
+    """Vehicles that return as both firmwares do, each with speeds of its own, and those that wait."""
+
+    def __init__(self, vehicles: list[Returning], speeds: list[float]) -> None:
+        self.waiting = {one.key: one for one in vehicles}
+        self.under_way: dict[int, Returning] = {}
+        self.landed: dict[int, Returning] = {}
+        self.speeds = {one.key: speed for one, speed in zip(vehicles, speeds, strict=True)}
+        self.goals: dict[int, float] = {}
+        self.least_m = math.inf
+        self.decided = Departures()
+
+    def fly(self, seconds: float) -> None:
+        for _ in range(int(seconds / STEP_S)):
+            fixed = [replace(one.place(), legs=standing(one.here), ball_m=0.0) for one in self.landed.values()]
+            self.decided = departures(list(self.waiting.values()), list(self.under_way.values()), fixed)
+            for key in self.decided.leave:
+                self.under_way[key] = self.waiting.pop(key)
+            self.goals.update(self.decided.climb)
+            if not self.waiting and not self.under_way:
+                return
+            self._step()
+
+    def _step(self) -> None:
+        for key, one in list(self.waiting.items()):
+            up = min(self.goals.get(key, one.here[2]), one.here[2] + 1.5 * STEP_S)
+            self.waiting[key] = replace(one, here=(*one.here[:2], max(up, one.here[2])))
+        for key, one in list(self.under_way.items()):
+            (x, y, z), (hx, hy, _) = one.here, one.home
+            away, step = math.hypot(hx - x, hy - y), self.speeds[key] * STEP_S
+            if one.velocity_mps[2] < 0.0 or away < 1e-6:  # lands
+                moved = replace(one, here=(hx, hy, max(0.0, z - 0.7 * STEP_S)), velocity_mps=(0.0, 0.0, -0.7))
+                if moved.here[2] <= 0.0:
+                    del self.under_way[key]
+                    self.landed[key] = moved
+                    continue
+            elif z < one.highest_m - 1e-6 and math.dist(one.here[:2], self._begun(key)) < 1e-6:
+                moved = replace(one, here=(x, y, min(one.highest_m, z + 2.0 * STEP_S)))
+            else:
+                share = min(1.0, step / away)
+                moved = replace(one, here=(x + share * (hx - x), y + share * (hy - y), z))
+            self.under_way[key] = moved
+        flying = [*self.waiting.values(), *self.under_way.values()]
+        for a, b in itertools.combinations(flying, 2):
+            apart = (p - q for p, q in zip(a.here, b.here, strict=True))
+            self.least_m = min(self.least_m, separation_m(*apart, SIZE.downwash_ratio))
+
+    def _begun(self, key: int) -> tuple[float, float]:
+        return self.starts[key]
+
+    @property
+    def starts(self) -> dict[int, tuple[float, float]]:
+        if not hasattr(self, "_starts"):
+            self._starts = {k: v.here[:2] for k, v in (self.waiting | self.under_way).items()}
+        return self._starts
+
+
+def flown_home(vehicles: list[Returning], speeds: list[float], seconds: float = 900.0) -> Air:
+    air = Air(vehicles, speeds)
+    assert air.starts
+    air.fly(seconds)
+    return air
+
+
+def test_one_vehicle_and_vehicles_above_their_homes_leave_at_once() -> None:
+    assert departures([at(1, (0, 0, 10), (40, 0))], []) == Departures((1,))
+    fleet = [at(i, (5.0 * i, 0.0, 10.0), (5.0 * i, 0.0)) for i in range(10)]
+    assert departures(fleet, []).leave == tuple(range(10))
+    moved = [at(i, (5.0 * i, 30.0, 10.0), (5.0 * i, 0.0), UNKNOWN) for i in range(10)]
+    assert departures(moved, []).leave == tuple(range(10)), "side by side"
+
+
+def test_two_that_have_changed_places_leave_after_one_has_climbed_above_the_others_way() -> None:
+    pair = [at(1, (0, 0, 10), (5, 0)), at(2, (5, 0, 10), (0, 0))]
+    first = departures(pair, [])
+    assert first.leave == () and set(first.waits_for) == {1, 2}
+    assert first.climb == {2: pytest.approx(15.0 + 2 * MARGIN_M + 1.0)}
+    air = flown_home(pair, [5.0, 5.0])
+    assert set(air.landed) == {1, 2} and air.least_m >= MARGIN_M - 1e-6
+
+
+def test_an_unknown_return_height_is_any_and_the_ways_are_flown_one_after_the_other() -> None:
+    line = [at(i, (20.0 + 5.0 * i, 0.0, 10.0), (5.0 * i, 0.0), UNKNOWN) for i in range(3)]
+    found = departures(line, [])
+    assert found.leave == (0,) and found.climb == {} and found.waits_for == {1: ("v0",), 2: ("v0", "v1")}
+
+
+def test_one_home_for_two_keeps_the_second_in_the_air() -> None:
+    """It would land on the first."""
+    air = flown_home([at(1, (0, 20, 10), (0, 0)), at(2, (20, 0, 10), (0, 0))], [5.0, 5.0], 300.0)
+    assert set(air.landed) == {1} and set(air.waiting) == {2} and air.decided.waits_for == {2: ("v1",)}
+    assert air.least_m >= MARGIN_M
+
+
+def test_layers_above_anothers_home_rise_from_the_top() -> None:
+    stack = [at(1, (20, 0, 10), (0, 0)), at(2, (0, 0, 10), (20, 0)), at(3, (0, 0, 16), (40, 0))]
+    air = flown_home(stack, [5.0, 8.0, 3.0])
+    assert set(air.landed) == {1, 2, 3} and air.least_m >= MARGIN_M - 1e-6, air.decided
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whoever_stands_where_all_come_home_and_none_comes_too_near(data: st.DataObject) -> None:
+    """Any permutation of places on a grid, heights, return heights and speeds."""
+    count = data.draw(st.integers(2, 6))
+    spots = [(5.0 * (i % 3), 5.0 * (i // 3)) for i in range(count)]
+    order = data.draw(st.permutations(range(count)))
+    shift = data.draw(st.sampled_from([(0.0, 0.0), (30.0, 0.0), (3.0, 11.0)]))
+    vehicles = []
+    for i in range(count):
+        most = data.draw(st.sampled_from([10.0, 15.0, 21.0]))
+        height = ReturnHeight(data.draw(st.sampled_from([0.0, most])), most)
+        x, y = spots[order[i]]
+        z = data.draw(st.sampled_from([5.0, 10.0, 18.0]))
+        vehicles.append(at(i, (x + shift[0], y + shift[1], z), spots[i], height))
+    air = flown_home(vehicles, [data.draw(st.floats(2.0, 12.0)) for _ in range(count)], 2000.0)
+    assert air.least_m >= MARGIN_M - 1e-6
+    assert len(air.landed) == count, air.decided

@@ -1,0 +1,159 @@
+"""The model of a vehicle: its class by all evidence, what it is known to do, and whether its sticks are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.vehicle import orders, stop
+from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import Sticks, model_of
+from skygcs.errors import RefusedError
+from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
+
+NOW = 100.0
+RECEIVER = mav.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+PLANE, QUADROTOR, ROVER, BOAT, SUB, VTOL, BLIMP, TRACKER = 1, 2, 10, 11, 12, 20, 7, 5
+
+
+class Shown:
+    """A vehicle in the air that shows this type and mode, and what else it has said."""
+
+    def __init__(self, autopilot: int, kind: int, mode: int = 0, banner: str = "", **params: float) -> None:
+        self.vehicle, self.voice = Vehicle(1, 1, flight_dialect()), Voice(1)
+        beat = mav.MAVLink_heartbeat_message(kind, autopilot, 0x81, mode, 4, 3)
+        self.hear(beat)
+        if banner:
+            self.hear(mav.MAVLink_statustext_message(6, banner.encode()))
+        for name, value in params.items():
+            self.hear(mav.MAVLink_param_value_message(name.encode(), value, 9, 900, 1))
+        self.hear(mav.MAVLink_extended_sys_state_message(0, 2))
+        self.vehicle.on_frame(self.voice.position(alt_amsl_m=HOME[2] + 20, rel_m=20.0), NOW)
+
+    def hear(self, message: mav.MAVLink_message) -> None:
+        self.vehicle.on_frame(self.voice.say(message), NOW)
+
+    def sticks(self, present: int, health: int, channels: tuple[int, ...] = ()) -> Sticks:
+        self.hear(mav.MAVLink_sys_status_message(present, present, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0))
+        if channels:
+            self.hear(mav.MAVLink_rc_channels_message(1, len(channels), *channels, *[0] * (18 - len(channels)), 255))
+        return model_of(self.vehicle, NOW).sticks
+
+
+def test_banner_and_parameters_decide_the_class_before_the_type_that_is_shown() -> None:
+    copter, plane, vtol = VehicleClass.COPTER, VehicleClass.PLANE, VehicleClass.VTOL
+    table: list[tuple[Shown, VehicleClass, str]] = [
+        (Shown(ARDUPILOT, QUADROTOR, 17), copter, "BRAKE"),
+        (Shown(ARDUPILOT, QUADROTOR, 17, "ArduCopter V4.6.3 (1234abcd)"), copter, "BRAKE"),
+        (Shown(ARDUPILOT, QUADROTOR, 17, "ArduPlane V4.6.3 (1234abcd)"), vtol, "QSTABILIZE"),  # Q_MAV_TYPE = 2
+        (Shown(ARDUPILOT, QUADROTOR, 5, Q_ENABLE=1.0), vtol, "FBWA"),
+        (Shown(ARDUPILOT, PLANE, 5), plane, "FBWA"),
+        (Shown(ARDUPILOT, PLANE, 5, Q_ENABLE=0.0), plane, "FBWA"),
+        (Shown(ARDUPILOT, PLANE, 5, Q_ENABLE=1.0), vtol, "FBWA"),
+        (Shown(ARDUPILOT, PLANE, 18), vtol, "QHOVER"),
+        (Shown(ARDUPILOT, VTOL, 5), vtol, "FBWA"),
+        (Shown(ARDUPILOT, ROVER, 4), VehicleClass.ROVER, "HOLD"),
+        (Shown(ARDUPILOT, BOAT, 4, "ArduRover V4.6.3 (1234abcd)"), VehicleClass.BOAT, "HOLD"),
+        (Shown(ARDUPILOT, 0, 17, "ArduCopter V4.6.3 (1234abcd)"), copter, "BRAKE"),  # a frame of its own
+        (Shown(ARDUPILOT, SUB, 16), VehicleClass.SUB, "POSHOLD"),
+        (Shown(PX4, QUADROTOR, 3 << 16, "ArduPlane V4.6.3 (1234abcd)"), copter, "POSCTL"),
+        (Shown(PX4, VTOL, 3 << 16), vtol, "POSCTL"),
+    ]
+    shown = [(of.vehicle.kind, of.vehicle.mode) for of, _, _ in table]
+    assert shown == [(kind, mode) for _, kind, mode in table]
+
+
+def said(order: Callable[[], Plan]) -> str:
+    """The first command of an order and its first parameters, or why it is refused."""
+    try:
+        plan = order()
+    except RefusedError as error:
+        return str(error)
+    spec = plan.steps[0].command
+    assert spec is not None
+    return f"{spec.command} {spec.params[1]:g}" if spec.command == mav.MAV_CMD_DO_SET_MODE else f"{spec.command}"
+
+
+def test_each_class_gets_its_own_hold_stop_landing_and_return_and_no_copters() -> None:
+    """DO_SET_MODE is 176, with the number of a mode; modes by ArduPilot's mode.h of each program."""
+    q_loiter, q_land, q_rtl, loiter = "176 19", "176 20", "176 21", "176 12"
+    land, rtl, pause, land_start = "21", "20", "192", "189"
+    table: list[tuple[Shown, tuple[str, str, str, str, str]]] = [
+        # hold, stop, stop with landing, land, rtl
+        (Shown(ARDUPILOT, PLANE, 18), (q_loiter, q_loiter, q_land, q_land, q_rtl)),  # QHOVER
+        (Shown(ARDUPILOT, PLANE, 19), (q_loiter, q_loiter, q_land, q_land, q_rtl)),  # QLOITER
+        (Shown(ARDUPILOT, QUADROTOR, 17, "ArduPlane V4.6.3"), (q_loiter, q_loiter, q_land, q_land, q_rtl)),
+        (Shown(ARDUPILOT, PLANE, 10, Q_ENABLE=1.0), (loiter, loiter, q_land, q_land, rtl)),  # AUTO, on its wing
+        (Shown(ARDUPILOT, PLANE, 10), (loiter, loiter, land_start, land_start, rtl)),
+        (Shown(ARDUPILOT, ROVER, 10), ("176 4", "176 4", "176 4", "does not land", rtl)),
+        (Shown(ARDUPILOT, BOAT, 10), ("176 5", "176 4", "176 4", "does not land", rtl)),
+        (Shown(ARDUPILOT, SUB, 3), ("176 16", "176 16", land, land, "does not return")),
+        (Shown(ARDUPILOT, BLIMP, 5), ("176 3", "176 3", "176 0", "176 0", "176 4")),
+        (Shown(ARDUPILOT, TRACKER, 10), ("176 1", "176 1", "176 1", "does not land", "does not return")),
+        (Shown(ARDUPILOT, QUADROTOR, 3), ("176 17", "176 17", land, land, rtl)),
+        (Shown(PX4, VTOL, 4 << 16 | 4 << 24), (pause, pause, land, land, rtl)),
+        (Shown(PX4, ROVER, 4 << 16 | 4 << 24), (pause, pause, pause, "does not land", rtl)),
+    ]
+    for of, wanted in table:
+        vehicle = of.vehicle
+        got = [
+            said(lambda: orders.hold(vehicle, NOW)),  # noqa: B023 - called at once
+            said(lambda: stop.stop(vehicle, NOW, "hold")),  # noqa: B023
+            said(lambda: stop.stop(vehicle, NOW, "land")),  # noqa: B023
+            said(lambda: orders.land(vehicle, NOW)),  # noqa: B023
+            said(lambda: orders.rtl(vehicle, NOW)),  # noqa: B023
+        ]
+        for text, want in zip(got, wanted, strict=True):
+            assert text == want or (not want[0].isdigit() and want in text), (vehicle.kind, vehicle.mode, got)
+
+
+def test_no_class_but_a_multirotor_takes_off_by_a_copters_order() -> None:
+    for kind, mode, why in (
+        (PLANE, 10, "by its mission"),
+        (VTOL, 10, "by its mission"),
+        (ROVER, 10, "does not take off"),
+    ):
+        shown = Shown(ARDUPILOT, kind, mode)
+        shown.hear(mav.MAVLink_extended_sys_state_message(0, 1))
+        with pytest.raises(RefusedError, match=why):
+            orders.takeoff(shown.vehicle, NOW, 5.0)
+
+
+def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
+    where = {"lat_deg": HOME[0], "lon_deg": HOME[1], "height_m": 20.0}
+    hovering = Shown(ARDUPILOT, PLANE, 19)
+    with pytest.raises(RefusedError, match="Q_GUIDED_MODE"):
+        orders.goto(hovering.vehicle, NOW, limit_m=500.0, **where)  # type: ignore[misc]
+    assert orders.goto(hovering.vehicle, NOW, limit_m=500.0, force=True, **where).order == "goto"  # type: ignore[misc]
+    stays = Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0)
+    assert orders.goto(stays.vehicle, NOW, limit_m=500.0, **where).order == "goto"  # type: ignore[misc]
+
+
+def test_sticks_are_seen_by_the_telemetry_and_ruled_out_by_the_fleet_file() -> None:
+    copter = Shown(ARDUPILOT, QUADROTOR)
+    assert model_of(copter.vehicle, NOW).sticks is Sticks.UNKNOWN
+    assert copter.sticks(0, 0) is Sticks.ABSENT
+    assert copter.sticks(RECEIVER, 0) is Sticks.ABSENT  # its radio failsafe
+    assert copter.sticks(RECEIVER, RECEIVER) is Sticks.SEEN
+    assert copter.sticks(RECEIVER, RECEIVER, (1500, 1500, 1000, 1500)) is Sticks.LOW
+    assert copter.sticks(RECEIVER, RECEIVER, (1500, 1500, 1500, 1500)) is Sticks.READY
+    assert model_of(copter.vehicle, NOW + 20.0).sticks is Sticks.UNKNOWN
+    copter.vehicle.transmitter = True
+    assert copter.sticks(0, 0) is Sticks.ABSENT  # a transmitter in the bag flies nothing
+    copter.vehicle.transmitter = False
+    assert copter.sticks(RECEIVER, RECEIVER) is Sticks.ABSENT
+
+
+def test_the_answers_to_commands_are_kept_until_it_restarts_and_are_bounded() -> None:
+    copter = Shown(ARDUPILOT, QUADROTOR)
+    for command in range(200):
+        copter.vehicle.on_frame(copter.voice.ack(command, 3), NOW)
+    copter.vehicle.on_frame(copter.voice.ack(199, 5), NOW)  # in progress is no answer yet
+    answers = model_of(copter.vehicle, NOW).answers
+    assert (len(answers), answers[199], 0 in answers) == (64, 3, False)
+    copter.vehicle.restart(NOW, "rebooted")
+    assert model_of(copter.vehicle, NOW).answers == {}

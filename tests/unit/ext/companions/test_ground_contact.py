@@ -1,0 +1,87 @@
+"""What a companion does without the ground; all rows of the table."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from skygcs.ext.companions.ground_contact import Action, ContactState, GroundContact, GroundLost
+from support.table import each
+
+LOST_S = 5.0
+
+
+def ticks(
+    watch: GroundContact,
+    begin: float,
+    end: float,
+    *,
+    contact_at: float | None = None,
+    follows: bool = False,
+    controlled: bool = True,
+) -> list[tuple[float, Action]]:
+    """What is ordered, five ticks a second. ``contact_at`` None: contact all the time."""
+    found = []
+    for k in range(round((end - begin) * 5)):
+        now = begin + k / 5
+        at = now if contact_at is None else contact_at
+        action = watch.tick(now, controlled=controlled, follows=follows, contact_at=at)
+        if action is not None:
+            found.append((now, action))
+    return found
+
+
+@each("action", ["return", "hold", "land"])
+@each("follows", [True, False])
+def test_it_acts_once_after_the_silence(action: GroundLost, follows: bool) -> None:
+    watch = GroundContact(action, LOST_S)
+    assert ticks(watch, 0.0, 20.0) == []
+    ((at, ordered),) = ticks(watch, 20.0, 60.0, contact_at=19.8, follows=follows)
+    assert ordered == action and at == pytest.approx(24.8, abs=0.21)
+    assert watch.state is ContactState.ACTED and watch.lost
+
+
+def test_finish_waits_for_the_end_and_once_more_for_the_ground() -> None:
+    watch = GroundContact("finish", LOST_S)
+    ticks(watch, 0.0, 10.0, follows=True)
+    assert ticks(watch, 10.0, 40.0, contact_at=10.0, follows=True) == []
+    assert watch.state is ContactState.FINISHING
+    ((at, action),) = ticks(watch, 40.0, 60.0, contact_at=10.0)
+    assert action == "return" and at == pytest.approx(45.0, abs=0.21)
+
+
+def test_finish_without_a_trajectory_returns_at_once() -> None:
+    watch = GroundContact("finish", LOST_S)
+    ticks(watch, 0.0, 10.0)
+    ((at, action),) = ticks(watch, 10.0, 30.0, contact_at=10.0)
+    assert action == "return" and at == pytest.approx(15.0, abs=0.21)
+
+
+@each("follows", [True, False])
+def test_a_ground_that_comes_back_before_the_order_goes_on(follows: bool) -> None:
+    watch = GroundContact("finish", LOST_S)
+    ticks(watch, 0.0, 10.0, follows=True)
+    ticks(watch, 10.0, 17.0, contact_at=10.0, follows=True)
+    assert watch.state is ContactState.FINISHING
+    if not follows:
+        ticks(watch, 17.0, 18.0, contact_at=10.0)
+        assert watch.state is ContactState.WAITING
+    assert ticks(watch, 18.0, 40.0, follows=follows) == []
+    assert watch.state is ContactState.WATCHED
+
+
+@each(("action", "follows"), list(itertools.product(["return", "hold", "land", "finish"], [True, False])))
+def test_without_control_nothing_is_ever_ordered(action: GroundLost, follows: bool) -> None:
+    watch = GroundContact(action, LOST_S)
+    assert ticks(watch, 0.0, 60.0, contact_at=-100.0, follows=follows, controlled=False) == []
+    ticks(watch, 60.0, 62.0)
+    assert ticks(watch, 62.0, 90.0, contact_at=61.8, controlled=False) == [], "a pilot took it in the silence"
+    assert watch.state is ContactState.IDLE
+
+
+def test_the_silence_counts_from_the_begin_of_control() -> None:
+    """Control that begins while the last contact is old has its time, too."""
+    watch = GroundContact("hold", LOST_S)
+    ((at, _),) = ticks(watch, 100.0, 120.0, contact_at=0.0)
+    assert at == pytest.approx(105.0, abs=0.21)

@@ -1,0 +1,73 @@
+"""Names by Prometheus's conventions; the dashboard, the alert rules and the page name only metrics that exist."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+
+from skygcs.ext.metrics.table import METRICS as DAEMON_METRICS
+from skygcs.federation.metrics import METRICS as FEDERATION_METRICS
+from support.public_data import ROOT
+
+METRICS = DAEMON_METRICS | FEDERATION_METRICS
+
+UNITS = ("seconds", "bytes", "ratio", "frames", "total", "info", "records", "vehicles", "up")
+PAGE = ROOT / "docs" / "reference" / "metrics.md"
+
+
+def package_file(name: str) -> str:
+    return files("skygcs.ext.metrics").joinpath(name).read_text()
+
+
+def named_in(text: str) -> set[str]:
+    return set(re.findall(r"\bskygcs_[a-z0-9_]+", text))
+
+
+def test_names_follow_the_conventions() -> None:
+    for name, metric in METRICS.items():
+        assert re.fullmatch(r"skygcs_[a-z0-9]+(_[a-z0-9]+)*", name), name
+        assert (metric.kind == "counter") == name.endswith("_total"), name
+        assert not re.search(r"_(ms|s|percent|milliseconds|minutes|kb|mb|count)(_|$)", name), f"{name}: base units"
+        assert metric.help.endswith(".") and not metric.help[0].islower(), name
+        assert all(re.fullmatch("[a-z]+", label) for label in metric.labels), name
+
+
+def test_no_label_holds_what_others_make_up() -> None:
+    """Addresses of peers and sources of frames would be series without end."""
+    known = {"version", "dialect", "kind", "order", "result", "verdict", "reason", "link", "type", "role", "direction"}
+    known |= {"class", "vehicle", "sysid", "autopilot", "to", "site", "station", "series", "status"}
+    assert {label for metric in METRICS.values() for label in metric.labels} <= known
+
+
+def test_the_dashboard_names_only_metrics_that_exist_and_shows_most_of_them() -> None:
+    dashboard = json.loads(package_file("dashboard.json"))
+    queries = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", [])]
+    variables = [v["definition"] for v in dashboard["templating"]["list"] if v["type"] == "query"]
+    named = named_in("\n".join(queries + variables))
+    assert named <= METRICS.keys(), named - METRICS.keys()
+    assert len(named) > len(METRICS) / 2
+
+
+def test_panels_of_the_dashboard_lie_beside_each_other() -> None:
+    taken: set[tuple[int, int]] = set()
+    for panel in json.loads(package_file("dashboard.json"))["panels"]:
+        place = panel["gridPos"]
+        cells = {
+            (x, y)
+            for x in range(place["x"], place["x"] + place["w"])
+            for y in range(place["y"], place["y"] + place["h"])
+        }
+        assert not cells & taken, panel["title"]
+        assert place["x"] + place["w"] <= 24
+        taken |= cells
+
+
+def test_alert_rules_name_only_metrics_that_exist() -> None:
+    named = named_in(package_file("alerts.yml"))
+    assert named and named <= METRICS.keys(), named - METRICS.keys()
+
+
+def test_the_page_has_every_metric_with_its_labels_and_no_other() -> None:
+    rows = dict(re.findall(r"^\| `(skygcs_\w+)` \| ([^|]*) \|", PAGE.read_text(), re.M))
+    assert rows == {name: " ".join(f"`{label}`" for label in m.labels) for name, m in METRICS.items()}

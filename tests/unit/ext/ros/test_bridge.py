@@ -1,0 +1,142 @@
+"""The bridge between states and messages of the daemon and topics, with a node that keeps what it gets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from skygcs.ext.ros.bridge import Bridge
+from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.methods import RosReport
+from support.ros_node import KeptNode
+
+NOW_NS = 1_700_000_000 * 10**9
+
+
+class Rig:
+    """A bridge at a standing clock."""
+
+    def __init__(self, **config: Any) -> None:
+        self.node = KeptNode()
+        self.bridge = Bridge(self.node, RosConfig(**config), lambda: NOW_NS)
+
+    def state(self, name: str, sysid: int, **more: Any) -> None:
+        self.bridge.on_state({"name": name, "sysid": sysid, "compid": 1, "connected": True, **more})
+
+    def message(self, vehicle: str | None, name: str, compid: int = 1, age_s: float = 0.0, **fields: Any) -> None:
+        message = {"vehicle": vehicle, "compid": compid, "name": name, "fields": fields, "age_s": age_s}
+        self.bridge.on_message(message)
+
+    def heartbeat(self, vehicle: str, compid: int = 1, base_mode: int = 0x91) -> None:
+        mode = {"autopilot": 12, "type": 2, "base_mode": base_mode, "custom_mode": 0x3040000, "system_status": 4}
+        self.message(vehicle, "HEARTBEAT", compid, **mode)
+
+
+def local(**more: float) -> dict[str, float]:
+    return {"time_boot_ms": 5000, "x": 1.0, "y": 2.0, "z": -3.0, "vx": 0.0, "vy": 0.0, "vz": 0.0, **more}
+
+
+def test_each_vehicle_has_its_own_topics() -> None:
+    rig = Rig()
+    rig.state("alpha", 1)
+    rig.state("bravo", 2)
+    assert rig.node.last("/alpha/mavros/state")["connected"] is False
+    rig.heartbeat("alpha")
+    rig.heartbeat("alpha", compid=191, base_mode=0)  # a companion's says nothing of the vehicle
+    rig.heartbeat("nobody")
+    state = rig.node.last("/alpha/mavros/state")
+    assert state["connected"] and state["armed"] and state["mode"] == "AUTO.LOITER"
+    assert rig.node.last("/bravo/mavros/state")["connected"] is False
+    rig.message("alpha", "LOCAL_POSITION_NED", **local())
+    assert rig.node.publications["/alpha/mavros/local_position/pose"].sent == 0  # nobody reads
+    rig.node.read("/alpha/mavros/local_position/pose", "/tf")
+    rig.message("alpha", "LOCAL_POSITION_NED", age_s=0.004, **local())
+    pose = rig.node.last("/alpha/mavros/local_position/pose")
+    assert pose["pose"]["position"] == {"x": 2.0, "y": 1.0, "z": 3.0}
+    assert pose["header"]["frame_id"] == "alpha/map"
+    assert pose["header"]["stamp"] == {"sec": NOW_NS // 10**9 - 1, "nanosec": 996_000_000}
+    (transform,) = rig.node.last("/tf")["transforms"]
+    assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("alpha/map", "alpha/base_link")
+
+
+def test_a_vehicle_that_is_not_heard_is_disconnected_once_and_its_memory_is_new() -> None:
+    rig = Rig()
+    rig.state("alpha", 1)
+    rig.heartbeat("alpha")
+    rig.bridge.vehicles["alpha"].memory.has_battery0 = True
+    before = rig.node.publications["/alpha/mavros/state"].sent
+    rig.state("alpha", 1, connected=False)
+    rig.state("alpha", 1, connected=False)
+    assert rig.node.publications["/alpha/mavros/state"].sent == before + 1
+    assert rig.node.last("/alpha/mavros/state")["connected"] is False
+    assert not rig.bridge.vehicles["alpha"].memory.has_battery0
+
+
+def test_the_radio_is_every_vehicles() -> None:
+    rig = Rig()
+    rig.state("alpha", 1)
+    rig.state("bravo", 2)
+    topics = ["/alpha/mavros/radio_status", "/bravo/mavros/radio_status"]
+    rig.node.read(*topics)
+    radio = {"rssi": 190, "remrssi": 95, "txbuf": 99, "noise": 20, "remnoise": 21, "rxerrors": 0, "fixed": 1}
+    rig.message(None, "RADIO_STATUS", 68, **radio)
+    assert all(rig.node.last(topic)["rssi_dbm"] == -27.0 for topic in topics)
+
+
+def test_texts_are_logged_and_bad_messages_counted() -> None:
+    rig = Rig(frame_prefix="")
+    rig.state("alpha", 1)
+    rig.message("alpha", "STATUSTEXT", severity=2, text="low battery")
+    entry = rig.node.last("/rosout")
+    assert (entry["level"], entry["name"], entry["msg"]) == (50, "alpha.mavros", "FCU: low battery")
+    rig.node.read("/alpha/mavros/local_position/pose", "/tf")
+    rig.message("alpha", "LOCAL_POSITION_NED", x=1.0)
+    rig.message("alpha", "LOCAL_POSITION_NED", **local(x="one"))  # type: ignore[arg-type]
+    rig.message("alpha", "LOCAL_POSITION_NED", **local())
+    assert rig.bridge.faults == 2
+    assert rig.node.last("/alpha/mavros/local_position/pose")["header"]["frame_id"] == "map"
+    assert rig.node.publications["/tf"].sent == 0  # plain frames of several vehicles would be one
+
+
+def test_names_that_are_one_in_ros_have_the_topics_of_the_first() -> None:
+    rig = Rig()
+    rig.state("uav-1", 1)
+    rig.state("uav_1", 2)
+    assert list(rig.bridge.vehicles) == ["uav-1"]
+    for sysid in range(3, 1000):
+        rig.state(f"v{sysid}", sysid)
+    assert len(rig.bridge.vehicles) + len(rig.bridge._refused) <= 2 * 250
+
+
+def test_a_report_has_what_is_used_and_rates_what_is_read() -> None:
+    rig = Rig(rates={"LOCAL_POSITION_NED": 20.0})
+    rig.state("alpha", 1)
+    rig.node.read("/alpha/mavros/local_position/pose")
+    rig.bridge.report(1.0)
+    for _ in range(20):
+        rig.message("alpha", "LOCAL_POSITION_NED", **local())
+    report = RosReport(**rig.bridge.report(2.0))
+    (topic,) = report.topics
+    assert (topic.name, topic.readers, topic.rate_hz, topic.count) == ("/alpha/mavros/local_position/pose", 1, 10.0, 20)
+    assert rig.bridge.vehicles["alpha"].wanted_messages() == {"LOCAL_POSITION_NED", "LOCAL_POSITION_NED_COV"}
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"root": "alpha"},
+        {"root": "/mavros"},
+        {"root": "/{name.__class__}"},
+        {"frame_prefix": "{name} "},
+        {"frame_prefix": "{0}"},
+        {"rates": {"attitude": 5}},
+        {"rates": {"ATTITUDE": 0}},
+        {"peers": ("10.0.0.1</Peer>",)},
+        {"domain": 233},
+        {"commands": "some"},
+    ],
+)
+def test_a_table_that_cannot_be_is_refused(table: dict[str, Any]) -> None:
+    with pytest.raises(ValueError):
+        RosConfig(**table)

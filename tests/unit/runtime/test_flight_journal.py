@@ -1,0 +1,90 @@
+"""The journal of what flies: what a daemon that begins anew reads, whatever became of the file."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.vehicle.flight_note import FlightNote
+from skygcs.disk_writer import DiskWriter
+from skygcs.events import Event
+from skygcs.runtime import flight_journal
+from skygcs.runtime.flight_journal import FILE, FORMAT, MAX_NOTES, FlightJournal
+
+NOTE = FlightNote(1, 1, "alpha", True, "this station's setpoints", ((1.5, b"\xfd\x00"),), 246.0, 40.0)
+
+
+def journal(folder: Path, events: list[Event] | None = None) -> FlightJournal:
+    on_event = ([] if events is None else events).append
+    return FlightJournal(folder, DiskWriter(asyncio.get_running_loop(), on_event), on_event)
+
+
+async def written(made: FlightJournal, *notes: FlightNote) -> None:
+    made.note(notes, (len(notes),), 0.0)
+    await made._disk.close()
+
+
+async def test_what_was_noted_is_recalled(tmp_path: Path) -> None:
+    await written(journal(tmp_path / "new"), NOTE)
+    again = journal(tmp_path / "new")
+    assert again.recall() == [NOTE] and not again.unreadable
+
+
+async def test_without_a_file_nothing_is_recalled_and_nothing_is_wrong(tmp_path: Path) -> None:
+    events: list[Event] = []
+    made = journal(tmp_path, events)
+    assert made.recall() == [] and not made.unreadable and not events
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"\xff\xfe",
+        b"[]",
+        b"null",
+        json.dumps({"format": FORMAT + 1, "notes": []}).encode(),
+        json.dumps({"format": FORMAT}).encode(),
+        json.dumps({"format": FORMAT, "notes": [{}]}).encode(),
+        json.dumps({"format": FORMAT, "notes": [{**NOTE.as_json(), "sysid": 999}]}).encode(),
+        json.dumps({"format": FORMAT, "notes": [{**NOTE.as_json(), "frames": [["x", "fd"]]}]}).encode(),
+        json.dumps({"format": FORMAT, "notes": [{**NOTE.as_json(), "frames": [[1.0, 7]]}]}).encode(),
+        json.dumps({"format": FORMAT, "notes": [{**NOTE.as_json(), "flown_s": 1e400}]}).encode(),
+        b"[" * 100_000,
+    ],
+)
+async def test_a_file_that_cannot_be_read_is_reported_and_remembered(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / FILE).write_bytes(content)
+    events: list[Event] = []
+    made = journal(tmp_path, events)
+    assert made.recall() == [] and made.unreadable
+    (event,) = events
+    assert str(tmp_path / FILE) in event.text and "ordered to hold" in event.text
+
+
+async def test_more_notes_than_vehicles_are_left_out(tmp_path: Path) -> None:
+    notes = [NOTE.as_json()] * (MAX_NOTES + 50)
+    (tmp_path / FILE).write_text(json.dumps({"format": FORMAT, "notes": notes}))
+    assert len(journal(tmp_path).recall()) == MAX_NOTES
+
+
+async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await written(journal(tmp_path), NOTE)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(flight_journal, "write_whole", full)
+    events: list[Event] = []
+    made = journal(tmp_path, events)
+    made.note([], (), 0.0)
+    await made._disk.close()
+    assert "cannot be written" in events[0].text
+    again = journal(tmp_path)
+    assert again.recall() == [] and again.unreadable

@@ -1,0 +1,27 @@
+"""File descriptors: the process raises its limit, and knows the last of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PROGRAM = """
+import os, resource
+from skygcs.descriptors import DESCRIPTORS_KEPT, WANTED, is_of_the_last, raise_limit
+soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+opened = []
+while not is_of_the_last(fd := os.open(os.devnull, os.O_RDONLY)):
+    opened.append(fd)
+assert fd == 256 - DESCRIPTORS_KEPT, fd
+for _ in range(DESCRIPTORS_KEPT - 1):
+    os.open(os.devnull, os.O_RDONLY)
+raise_limit()
+soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+assert soft == (WANTED if hard == resource.RLIM_INFINITY else min(WANTED, hard)), (soft, hard)
+assert not is_of_the_last(os.open(os.devnull, os.O_RDONLY)) or hard < 256 + DESCRIPTORS_KEPT
+"""
+
+
+def test_the_last_descriptors_are_known_and_the_limit_is_raised() -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True, timeout=60)

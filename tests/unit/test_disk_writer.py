@@ -1,0 +1,138 @@
+"""Files beside the loop: a disk that is stuck stops nothing, is reported once, and does not grow memory."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import errno
+import subprocess
+import sys
+import threading
+from typing import Any
+
+import pytest
+
+from skygcs import disk_writer
+from skygcs.disk_writer import MAX_JOBS, DiskWriter
+from skygcs.events import Event
+from support.process import ROOT
+from support.source_trees import SRC, source_files, tree_of
+
+ON_THE_LOOP = {
+    "src/skygcs/runtime/alarm_book.py": "`_write` is given to `DiskWriter.offer`",
+    "src/skygcs/runtime/undo_journal.py": "called by `DiskWriter.run`",
+    "src/skygcs/runtime/fence_orders.py": "`_write` is given to `DiskWriter.run`",
+    "src/skygcs/runtime/flight_journal.py": "`_write` is given to `DiskWriter.offer`",
+    "src/skygcs/runtime/param_cache.py": "`_store` and `_touch` are given to `DiskWriter.offer`",
+    "src/skygcs/runtime/signing_keys.py": "`SigningStore.save` is given to `DiskWriter`",
+    "src/skygcs/runtime/trace_file.py": "`TraceFile.write` is given to `DiskWriter.offer`",
+    "src/skygcs/runtime/onboard_logs.py": "`_File` works in a thread of its own",
+    "src/skygcs/runtime/recorder.py": "`TlogFiles` works in a thread of its own",
+    "src/skygcs/federation/audit_file.py": "`AuditFile.append` is given to `DiskWriter`",
+    "src/skygcs/federation/hub_process.py": "before the hub's server is started",
+    "src/skygcs/federation/logs.py": "`LogCollector` is a command's, in its own process",
+    "src/skygcs/federation/nkeys_files.py": "a command makes a key",
+}
+"""Modules of the running daemon and of the bridge that write files, and why not on the loop."""
+
+WRITES = {
+    "write_whole",
+    "write_text",
+    "write_bytes",
+    "mkdir",
+    "unlink",
+    "fsync",
+    "utime",
+    "open_new",
+    "make_log_folder",
+}
+
+
+class Stuck:
+    """A disk that takes nothing until it is let go."""
+
+    def __init__(self) -> None:
+        self.let_go = threading.Event()
+        self.done: list[int] = []
+
+    def write(self, number: int) -> int:
+        self.let_go.wait(30)
+        self.done.append(number)
+        return number
+
+
+async def until(condition: Any) -> None:
+    async with asyncio.timeout(20):
+        while not condition():  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+
+
+async def test_a_stuck_disk_is_reported_once_and_drops_what_is_too_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(disk_writer, "STUCK_S", 0.02)
+    events: list[Event] = []
+    now = [0.0]
+    disk, stuck = DiskWriter(asyncio.get_running_loop(), events.append, lambda: now[0]), Stuck()
+    try:
+        for number in range(MAX_JOBS + 100):
+            disk.offer("a trace", lambda number=number: stuck.write(number), 10)
+        assert disk.status()["dropped"] == 100
+        now[0] = 1.0
+        with pytest.raises(OSError, match="too much waits") as refused:
+            await disk.run("the undo journal", lambda: stuck.write(-1))
+        assert refused.value.errno == errno.EBUSY
+        await until(lambda: events)
+        await asyncio.sleep(0.1)
+        assert [event.text for event in events] == [
+            "the disk is stuck: a trace is not written; everything else goes on"
+        ]
+        stuck.let_go.set()
+        await until(lambda: disk.status()["waiting"] == 0)
+        assert stuck.done == list(range(MAX_JOBS))
+        assert [event.kind for event in events] == ["warning", "warning"] and "takes files again" in events[1].text
+        assert await disk.run("the undo journal", lambda: stuck.write(7)) == 7
+    finally:
+        stuck.let_go.set()
+        await disk.close()
+
+
+async def test_what_waits_for_the_disk_before_an_order_gives_up_in_time_and_the_end_waits_briefly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(disk_writer, "CLOSE_S", 0.05)
+    events: list[Event] = []
+    disk, stuck = DiskWriter(asyncio.get_running_loop(), events.append), Stuck()
+    with pytest.raises(OSError, match="does not take it"):
+        await disk.run("the undo journal", lambda: stuck.write(1), within_s=0.05)
+    await disk.close()
+    assert "unwritten, as the disk is stuck: the undo journal" in events[-1].text
+    assert disk.offer("a trace", lambda: stuck.write(2)) is None
+    stuck.let_go.set()
+
+
+def test_a_write_that_never_returns_does_not_keep_the_process() -> None:
+    """Threads of `concurrent.futures` and of asyncio are joined when the interpreter ends."""
+    program = """
+import asyncio, threading
+from skygcs.disk_writer import DiskWriter
+async def main():
+    disk = DiskWriter(asyncio.get_running_loop(), print)
+    disk.offer("a file", threading.Event().wait)
+    await asyncio.sleep(0.1)
+asyncio.run(main())
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
+
+
+def test_no_module_of_the_running_daemon_or_bridge_writes_a_file_on_the_loop() -> None:
+    found = set()
+    for path in source_files():
+        if path.relative_to(SRC).parts[0] not in ("runtime", "links", "core", "planning", "federation"):
+            continue
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call):
+                called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+                if called in WRITES:
+                    found.add(str(path.relative_to(ROOT)))
+    assert found == set(ON_THE_LOOP)
