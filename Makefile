@@ -9,6 +9,10 @@ DOCS   := $(VENV)/.installed-docs
 
 unexport PYTHONDONTWRITEBYTECODE   # of a container: each worker would compile the whole suite, each time
 
+# A run of the same code is the same run; SEARCH=1: random examples and hashes, as by night
+export PYTHONHASHSEED := $(if $(SEARCH),random,0)
+export SKYGCS_TEST_SEARCH := $(SEARCH)
+
 .PHONY: quick test-times test-deep mutants coverage
 .PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
@@ -25,7 +29,7 @@ dist: $(STAMP)
 	$(BIN)/python -m build
 
 test: $(TEST)
-	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration
+	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration $(if $(PASSED),--passed-to $(PASSED))
 
 # Those of them that the work since main touches: BASE=<commit> compares with another commit
 quick: $(TEST)
@@ -43,9 +47,10 @@ mutants: $(TEST)
 coverage: $(STAMP)
 	$(BIN)/pytest -q -n auto --dist worksteal tests/unit tests/integration --cov --cov-report=term
 
-# make test at length: whole tables, all seeds, ten times the examples, the other event loop; EXAMPLES=100
+# make test at length: whole tables, all seeds, ten times the examples, the other event loop; EXAMPLES=100 SEARCH=1.
+# PASSED=file: `make test PASSED=file` notes there what it passed, and this leaves it out
 test-deep: $(TEST)
-	SKYGCS_TEST_EXAMPLES=$(or $(EXAMPLES),10) $(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration --deep
+	SKYGCS_TEST_EXAMPLES=$(or $(EXAMPLES),10) $(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration --deep $(if $(PASSED),--passed-before $(PASSED))
 
 # Real processes, sockets and ptys in real time: most of it is waiting
 test-system: $(TEST)

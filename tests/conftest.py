@@ -13,14 +13,12 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import typer.main
 import uvloop
 from hypothesis import HealthCheck, Phase, settings
-from looptime._internal import loops as looptime_loops
 
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -51,12 +49,18 @@ dialects.load_dialect = _dialect_once
 
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
 from skygcs.rpc.methods import METHODS  # noqa: E402
-from support.examples import examples, flown_cases  # noqa: E402
+from support import virtual_asyncio  # noqa: E402
+from support.examples import examples, flown_cases, searches  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
+from support.passed_before import PassedBefore, left_to_run  # noqa: E402
 from support.virtual_uvloop import VirtualUvloop  # noqa: E402
 
 settings.register_profile(
-    "suite", max_examples=examples(50), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    "suite",
+    max_examples=examples(50),
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=not searches(),
 )
 settings.register_profile(
     "mutants",
@@ -66,7 +70,8 @@ settings.register_profile(
     phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("suite")
-"""No time limits: a busy machine is no mistake of ours. For mutants the same examples each time, none made small."""
+"""No time limits: a busy machine is no mistake of ours. The same examples each time, so that a change is judged by what
+it changed; new ones are looked for by night (`support.examples.SEARCH`). For mutants none is made small."""
 
 NOOP_CYCLES = 0
 """Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.
@@ -74,15 +79,7 @@ looptime's own 42 were half of what the suite costs. Whatever is ready to run, i
 thread runs first all the same."""
 
 
-class _InThreads(set[asyncio.Future[Any]]):
-    """What is under way in threads: looptime's own weak set is walked in each of some hundred million turns."""
-
-    def add(self, future: asyncio.Future[Any]) -> None:
-        super().add(future)
-        future.add_done_callback(self.discard)
-
-
-looptime_loops.weakref = SimpleNamespace(WeakSet=_InThreads)
+virtual_asyncio.install()
 
 tuple(METHODS.values())
 """Imports them all: a daemon imports its methods in a thread, which virtual time would not wait for."""
@@ -114,6 +111,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--deep", action="store_true", help="run what make test leaves out, too, and runtime on asyncio's loop"
     )
+    parser.addoption("--passed-to", type=Path, help="write the node ids of what passed into this file")
+    parser.addoption("--passed-before", type=Path, help="with --deep: leave out what such a file says has passed")
     parser.addoption("--costs", action="store_true", help="print the CPU and wall time of each test file")
 
 
@@ -139,6 +138,8 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[_cache] = tempfile.TemporaryDirectory(prefix="skygcs-tests-")
         os.environ["XDG_CACHE_HOME"] = config.stash[_cache].name
     config.pluginmanager.register(FileCosts(config))
+    if (passed_to := config.getoption("--passed-to")) is not None:
+        config.pluginmanager.register(PassedBefore(passed_to))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -167,8 +168,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.looptime(noop_cycles=NOOP_CYCLES), append=False)
     if not config.getoption("--deep"):
         left_out = {id(item) for item in items if item.get_closest_marker("deep")} | _cases_left_out(items)
-        config.hook.pytest_deselected(items=[item for item in items if id(item) in left_out])
-        items[:] = [item for item in items if id(item) not in left_out]
+        _keep(config, items, [item for item in items if id(item) not in left_out])
+    elif (passed_before := config.getoption("--passed-before")) is not None:
+        _keep(config, items, left_to_run(items, set(passed_before.read_text().splitlines()), ON_UVLOOP))
+
+
+def _keep(config: pytest.Config, items: list[pytest.Item], kept: list[pytest.Item]) -> None:
+    there = {id(item) for item in kept}
+    config.hook.pytest_deselected(items=[item for item in items if id(item) not in there])
+    items[:] = kept
 
 
 def _cases_left_out(items: Sequence[pytest.Item]) -> set[int]:

@@ -20,6 +20,7 @@ from skygcs.rpc.client import Client, connect
 from skygcs.sim import onboard_logs as sim
 from skygcs.sim.vehicle import SimVehicle
 from support.hosts import open_descriptors
+from support.virtual_asyncio import stuck_threads
 
 pytestmark = pytest.mark.looptime
 
@@ -135,11 +136,12 @@ async def test_a_download_that_ends_while_its_file_is_being_opened_leaves_no_fil
         monkeypatch.setattr(os, "open", slow)
         actor = lab.daemon.fleet.vehicles[2 << 8 | 1]
         download = asyncio.create_task(actor.logs.get([2]))
-        await until(asked.is_set)
-        download.cancel()
-        await asyncio.gather(download, return_exceptions=True)
-        assert download.cancelled()
-        go_on.set()
+        with stuck_threads():
+            await until(asked.is_set)
+            download.cancel()
+            await asyncio.gather(download, return_exceptions=True)
+            assert download.cancelled()
+            go_on.set()
         await until(lambda: any(f.endswith(".part") for f in lab.files()))
         await until(lambda: not held())
         monkeypatch.undo()

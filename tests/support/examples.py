@@ -14,6 +14,11 @@ VARIABLE = "SKYGCS_TEST_EXAMPLES"
 """Environment variable with the multiple of Hypothesis examples: 10 in `make test-deep`, 100 in its nightly run; `make
 test` does not set it."""
 
+SEARCH = "SKYGCS_TEST_SEARCH"
+"""Environment variable: set, the run takes random examples and a random seed of hashes (`make test-deep SEARCH=1`, the
+nightly run). Without it a run of the same code is the same run: what fails, fails again, and is a fault of the change
+that is tested. A fault that one seed in ten thousand shows stopped a change that had nothing to do with it."""
+
 SHARE = 4
 """`make test` runs one example or seed in so many."""
 
@@ -25,6 +30,11 @@ LEAST = 10
 LEAST_SEEDS = 2
 
 T = TypeVar("T")
+
+
+def searches() -> bool:
+    """True if this run looks for new examples."""
+    return bool(os.environ.get(SEARCH))
 
 
 def _multiple() -> int:

@@ -13,6 +13,7 @@ import heapq
 import itertools
 from collections.abc import Callable
 from contextvars import Context
+from time import monotonic
 from typing import Any
 
 import uvloop
@@ -26,8 +27,9 @@ NEVER_S = 1e6
 LOOK_AGAIN_S = 0.001
 """Of real time, while only a thread or a descriptor can go on."""
 
-THREAD_LOOKS = 500
-"""So often, with nothing else to do, work in a thread is waited for before the clock goes on without it."""
+BLOCKED_S = 60.0
+"""Of true time: a thread that is not done by then waits for something that only virtual time could bring, and no
+virtual time passes while one works: how long it takes is nothing that a test may depend on."""
 
 
 class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
@@ -43,7 +45,7 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         self._seen = -1
         self._idle_turns = 0
         self._in_threads = 0
-        self._looks = 0
+        self._waits_since: float | None = None
 
     def time(self) -> float:
         return self._now_ms / 1000
@@ -76,7 +78,7 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
 
     def _on_thread(self, _: object) -> None:
         self._in_threads -= 1
-        self._looks = 0
+        self._waits_since = None
 
     def run_forever(self) -> None:
         super().call_soon(self._turn)
@@ -88,13 +90,20 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         else:
             self._idle_turns += 1
         idle = self._idle_turns >= IDLE_TURNS
-        if idle and self._in_threads and self._looks < THREAD_LOOKS:
-            self._looks += 1
-            super().call_later(LOOK_AGAIN_S, self._turn)
+        if idle and self._in_threads:
+            self._wait_for_thread()
         elif idle and not self._pass_time():
             super().call_later(LOOK_AGAIN_S, self._turn)
         else:
             super().call_soon(self._turn)
+
+    def _wait_for_thread(self) -> None:
+        true_s = monotonic()
+        if self._waits_since is None:
+            self._waits_since = true_s
+        if true_s - self._waits_since > BLOCKED_S:
+            raise TimeoutError(f"a thread was not done after {BLOCKED_S:g} s: no virtual time passes while one works")
+        super().call_later(LOOK_AGAIN_S, self._turn)
 
     def _pass_time(self) -> bool:
         """To the next timer; False without one."""

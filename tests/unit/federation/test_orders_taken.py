@@ -16,6 +16,7 @@ from skygcs.federation.audit_file import AuditFile
 from skygcs.federation.daemon_orders import Carried
 from skygcs.federation.orders_taken import ANSWER_S, DISK_WAIT_S, FLIGHT_END_WAIT_S, OrdersTaken, names_stop
 from support.inline_disk import Inline
+from support.virtual_asyncio import stuck_threads
 
 pytestmark = pytest.mark.looptime
 
@@ -134,14 +135,15 @@ async def test_a_stuck_disk_keeps_no_landing_and_the_loop_goes_on(tmp_path: Path
     daemon = Daemon()
     home = Home(tmp_path / "orders.jsonl", daemon)
     home.thread.stuck = True
-    began, landing, arming = home.loop.time(), home.order(1), home.order(2, "vehicles.arm", in_s=5.0)
-    assert (await home.give(landing))["status"] == "done"
-    assert home.loop.time() - began == pytest.approx(FLIGHT_END_WAIT_S)
-    assert (await home.give(arming))["status"] == "running"
-    await asyncio.sleep(DISK_WAIT_S)
-    refused = await home.ask(arming)
-    assert refused["status"] == "refused" and "cannot record" in refused["text"]
-    assert [method for _, method, _ in daemon.orders] == ["vehicles.land"]
+    with stuck_threads():
+        began, landing, arming = home.loop.time(), home.order(1), home.order(2, "vehicles.arm", in_s=5.0)
+        assert (await home.give(landing))["status"] == "done"
+        assert home.loop.time() - began == pytest.approx(FLIGHT_END_WAIT_S)
+        assert (await home.give(arming))["status"] == "running"
+        await asyncio.sleep(DISK_WAIT_S)
+        refused = await home.ask(arming)
+        assert refused["status"] == "refused" and "cannot record" in refused["text"]
+        assert [method for _, method, _ in daemon.orders] == ["vehicles.land"]
     home.thread.stuck = False
     assert (await home.give(home.order(3)))["status"] == "done"
     await home.taken.close()

@@ -1,0 +1,55 @@
+"""No virtual time passes while a thread works, on either loop: how long it takes is no matter of a test."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import pytest
+
+from support.virtual_uvloop import VirtualUvloop
+
+
+async def timers_during_a_thread() -> tuple[float, int]:
+    """Virtual time that passed while a thread worked for a tenth of a second of true time, and ticks in it."""
+    loop, ticks = asyncio.get_running_loop(), 0
+
+    async def tick() -> None:
+        nonlocal ticks
+        while True:
+            await asyncio.sleep(0.01)
+            ticks += 1
+
+    ticking = asyncio.create_task(tick())
+    await asyncio.sleep(0)
+    begun = loop.time()
+    await asyncio.to_thread(time.sleep, 0.1)
+    passed_s, ticked = loop.time() - begun, ticks
+    await asyncio.sleep(1.0)
+    ticking.cancel()
+    assert ticks >= 99, "it goes on afterwards"
+    return passed_s, ticked
+
+
+@pytest.mark.looptime
+async def test_the_clock_of_asyncio_stands_still() -> None:
+    assert await timers_during_a_thread() == (0.0, 0)
+
+
+def test_the_clock_of_uvloop_stands_still() -> None:
+    with asyncio.Runner(loop_factory=VirtualUvloop) as runner:
+        assert runner.run(timers_during_a_thread()) == (0.0, 0)
+
+
+@pytest.mark.looptime
+async def test_a_thread_that_waits_for_virtual_time_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("support.virtual_asyncio.BLOCKED_S", 0.05)
+    over = threading.Event()
+    waiting = asyncio.get_running_loop().run_in_executor(None, over.wait)
+    try:
+        with pytest.raises(TimeoutError, match="no virtual time passes"):
+            asyncio.get_running_loop()._selector.select(1.0)  # type: ignore[attr-defined]
+    finally:
+        over.set()
+        await waiting
