@@ -1,8 +1,18 @@
-"""Numbers as they are shown to people."""
+"""Numbers as they come from files and other programs, and as they are shown to people."""
 
 from __future__ import annotations
 
 import math
+from typing import TypeGuard
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """True for a finite number; False for a truth value, and for an integer that is too large for a float, which JSON
+    and TOML may hold and which raises OverflowError in most that is done with it."""
+    try:
+        return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def rounded(value: float, decimals: int = 1) -> str:

@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.number_text import rounded
+from skygcs.number_text import is_number, rounded
 from support.table import each
+
+
+def test_an_integer_beyond_every_float_is_no_number() -> None:
+    assert [value for value in (7, -0.5, 10**300) if not is_number(value)] == []
+    assert [value for value in (10**400, -(10**400), math.nan, math.inf, True, "7", None) if is_number(value)] == []
 
 
 @each(

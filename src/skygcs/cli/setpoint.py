@@ -34,6 +34,7 @@ from skygcs.cli.options import Json, Targets
 from skygcs.cli.parsing import finite, parse_json, parse_unset_number, within
 from skygcs.cli.render import plural, print_json
 from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.number_text import is_number
 from skygcs.rpc.client import Client
 from skygcs.rpc.error_codes import INVALID_PARAMS, TARGET_ERROR
 
@@ -344,12 +345,12 @@ def _from_json(line: str) -> tuple[str | None, dict[str, Any]]:
     for key, (parameter, _) in VECTORS.items():
         if key in given:
             value = given[key]
-            if not (isinstance(value, list) and len(value) == 3 and all(x is None or _is_number(x) for x in value)):
+            if not (isinstance(value, list) and len(value) == 3 and all(x is None or is_number(x) for x in value)):
                 raise LineError(f"{key}: must be a list of three numbers (null: not given)")
             setpoint[parameter] = [None if x is None else float(x) for x in value]
     for key in (YAW, YAW_RATE):
         if given.get(key) is not None:
-            if not _is_number(given[key]):
+            if not is_number(given[key]):
                 raise LineError(f"{key}: must be a number")
             setpoint[key] = float(given[key])
     setpoint.update(_raw_from_json(given))
@@ -366,7 +367,7 @@ def _raw_from_json(given: Mapping[str, Any]) -> dict[str, Any]:
         values = given.get(key)
         if values is None:
             continue
-        if not (isinstance(values, list) and len(values) in lengths and all(map(_is_number, values))):
+        if not (isinstance(values, list) and len(values) in lengths and all(map(is_number, values))):
             raise LineError(f"{key}: must be a list of {' or '.join(map(str, lengths))} numbers")
         numbers = [float(value) for value in values]
         if key == "rates":
@@ -378,7 +379,7 @@ def _raw_from_json(given: Mapping[str, Any]) -> dict[str, Any]:
                 raise LineError(f"att has the yaw: give no {YAW} beside it")
             raw.update(zip(ANGLES, numbers, strict=True))
     if given.get(THRUST) is not None:
-        if not _is_number(given[THRUST]):
+        if not is_number(given[THRUST]):
             raise LineError(f"{THRUST}: must be a number")
         raw[THRUST] = float(given[THRUST])
     return raw
@@ -465,10 +466,6 @@ def _number(column: str, cell: str) -> float:
     if not math.isfinite(value):
         raise LineError(f"{column}: {cell[:40]!r} is not a finite number")
     return value
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _is_text_of_number(cell: str) -> bool:

@@ -50,6 +50,7 @@ from skygcs.core.federation.site_names import SITE_NAME, qualified, select_at
 from skygcs.core.vehicle import stop
 from skygcs.errors import BusError, NobodyThere, RefusedError, ReplyLost, TargetError
 from skygcs.federation.hub_config import ORDERS, STOPS
+from skygcs.number_text import is_number
 from skygcs.rpc.order_reports import OrderReports
 
 FIRST_ANSWER_S = 0.8
@@ -482,7 +483,7 @@ class _SiteClock:
         try:
             answer = from_json(payload, allow_inf_nan=False)
             remote_s, run = answer["site_s"], answer.get("run")
-            if isinstance(remote_s, bool) or not isinstance(remote_s, int | float):
+            if not is_number(remote_s):
                 raise TypeError
         except (ValueError, TypeError, KeyError, AttributeError):
             return f"{self._site} answers with something else than its clock"

@@ -36,6 +36,7 @@ from skygcs.federation.bus import Bus, Message
 from skygcs.federation.daemon_link import DaemonLink
 from skygcs.federation.own_origin import OwnOrigin
 from skygcs.federation.site_clock import SiteClock
+from skygcs.number_text import is_number
 from skygcs.rpc.client import Client
 
 SLOW_S = 0.5
@@ -204,7 +205,7 @@ class Publisher:
         except ValueError:
             asked = None
         t0_s = asked.get("t0_s") if isinstance(asked, dict) else None
-        if isinstance(t0_s, bool) or not isinstance(t0_s, int | float):
+        if not is_number(t0_s):
             self.counters["pings_bad"] += 1
             return to_json({"v": 1, "error": "a ping has t0_s, a number"})
         return to_json({"t0_s": t0_s, "site_s": site_s, "run": self._states.run})

@@ -20,7 +20,7 @@ import structlog
 from pydantic_core import from_json, to_json
 
 from skygcs.core.federation.order_messages import MAX_SEQ
-from skygcs.core.federation.received_json import cleaned, is_number
+from skygcs.core.federation.received_json import cleaned
 from skygcs.core.federation.remote_sites import FORGET_AFTER_S, MAX_SITES, RemoteSites
 from skygcs.core.federation.site_names import SITE_NAME
 from skygcs.core.federation.state_batch import decode_batch
@@ -28,6 +28,7 @@ from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import BusError
 from skygcs.federation.bus import Bus, Message
 from skygcs.federation.site_clock import SiteClock
+from skygcs.number_text import is_number
 
 FAST_HZ = 10
 """``subscribe_hz`` from which a station reads the fast batches."""
@@ -230,7 +231,7 @@ class Readers:
             t0_s, site_s, run = answer["t0_s"], answer["site_s"], answer["run"]
         except (ValueError, KeyError, TypeError):
             t0_s = site_s = run = None
-        if t0_s != sent or not isinstance(run, str) or isinstance(site_s, bool) or not isinstance(site_s, int | float):
+        if t0_s != sent or not isinstance(run, str) or not is_number(site_s):
             self.counters["pings_bad"] += 1
             return
         if self._sites.compare_clock(site, run, sent, received, site_s, unix_received=time.time()):

@@ -7,6 +7,7 @@ drifts. Each answer of daemon.info is one comparison (`core.clock_offset`).
 from __future__ import annotations
 
 from skygcs.core.clock_offset import ClockComparison
+from skygcs.number_text import is_number
 
 SAME_CLOCK_S = 0.1
 """Event loops keep the time of their turn: milliseconds, on a busy machine tens of them."""
@@ -23,7 +24,7 @@ class DaemonClock:
     def sample(self, sent_at: float, daemon_now_s: object, came_at: float) -> None:
         """The daemon's clock was ``daemon_now_s`` between two times of this process. A value that is no time is left
         out: the daemon is of another version."""
-        if isinstance(daemon_now_s, bool) or not isinstance(daemon_now_s, int | float):
+        if not is_number(daemon_now_s):
             return
         self._comparison.add(sent_at, came_at, daemon_now_s, wall_received=0.0, remote_wall=0.0)
         best = self._comparison.best(came_at)

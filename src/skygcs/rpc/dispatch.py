@@ -31,6 +31,7 @@ from skygcs.errors import (
     SkygcsError,
     TargetError,
 )
+from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import (
     INTERNAL_ERROR,
     INVALID_PARAMS,
@@ -302,7 +303,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
     request_id = request.get("id")
     if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
         request_id = None
-    if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float):
+    if not is_number(deadline_s):
         return error_reply(request_id, INVALID_REQUEST, "deadline_s must be a number: seconds of daemon.info's now_s")
     if now <= deadline_s:
         return None

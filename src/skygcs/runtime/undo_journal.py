@@ -124,7 +124,7 @@ class UndoJournal:
         for path in self._files():
             try:
                 change = _read(path)
-            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
                 if len(self.problems) < MAX_ENTRIES:
                     self.problems.append(f"{path.name} cannot be read: {error}"[:200])
                 continue
@@ -165,7 +165,8 @@ class UndoJournal:
 
 
 def _read(path: Path) -> Change:
-    """Read an entry. Raises OSError, and ValueError, KeyError or TypeError for an invalid one."""
+    """Read an entry. Raises OSError, and for an invalid one ValueError, KeyError, TypeError, AttributeError or
+    OverflowError."""
     with path.open("rb") as file:
         table = json.loads(file.read(MAX_FILE_BYTES))
     if table["format"] != FORMAT:

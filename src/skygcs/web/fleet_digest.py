@@ -18,6 +18,7 @@ from typing import Any
 from pydantic_core import from_json, to_json
 
 from skygcs.errors import RpcError
+from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
 
 LARGE_FLEET = 200
@@ -166,13 +167,7 @@ def _table(value: object) -> Mapping[str, Any]:
 
 
 def _number(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) else None
+    return float(value) if is_number(value) else None
 
 
 def _rounded(value: object) -> float | None:

@@ -24,6 +24,7 @@ from skygcs.config.files import open_regular
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import RpcError, SkygcsError
 from skygcs.events import Event
+from skygcs.number_text import is_number
 from skygcs.rpc.client_connection import OnReport
 from skygcs.rpc.error_codes import INVALID_PARAMS, REFUSED, TARGET_ERROR
 from skygcs.tlog.files import FileWindow, LogFile
@@ -400,6 +401,6 @@ _END: Any = object()
 
 def _number(params: dict[str, Any], name: str) -> float:
     value = params.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not is_number(value):
         raise RpcError(INVALID_PARAMS, f"{name} must be a number")
     return float(value)

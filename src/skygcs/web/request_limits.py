@@ -6,6 +6,7 @@ An order that ends a flight has an allowance of its own, so that no flood of oth
 from __future__ import annotations
 
 from skygcs.core.token_bucket import TokenBucket
+from skygcs.number_text import is_number
 
 MAX_MESSAGE_BYTES = 4 << 20
 """A plan for a fleet of 50 with its trajectories is some 2 MB as text."""
@@ -85,9 +86,9 @@ class PageLimits:
 
 def deadline_problem(deadline_s: object, now: float) -> str | None:
     """Why an order with this deadline is not carried out; None: it is in time."""
-    if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float):
+    if not is_number(deadline_s):
         return "an order needs deadline_s, in the clock of web.hello"
-    if not deadline_s <= now + DEADLINE_MAX_S:  # compared, not subtracted: an integer may be too large for a float
+    if not deadline_s <= now + DEADLINE_MAX_S:
         return f"deadline_s is more than {DEADLINE_MAX_S:g} s ahead"
     if deadline_s < now:
         return f"came {now - max(deadline_s, 0.0):.1f} s after its deadline; it was not carried out"

@@ -27,6 +27,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
+from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
@@ -137,8 +138,7 @@ class WebProcess:
 
     async def _subscribe(self, page: PageClient, params: dict[str, Any]) -> dict[str, Any]:
         rate_hz = params.get("rate_hz", DEFAULT_RATE_HZ)
-        numeric = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
-        if not numeric or not LEAST_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+        if not is_number(rate_hz) or not LEAST_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
             raise RpcError(INVALID_PARAMS, f"rate_hz must be a number from {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g}")
         return {"seq": page.subscribe(float(rate_hz))}
 

@@ -102,6 +102,7 @@ def test_every_problem_is_reported_at_once_with_its_line(tmp_path: Path) -> None
         ("[vehicles]\na = 3", "t.toml", "vehicles.a: must be a table"),
         ("[vehicles.a]\nfinal = [1, 2]", "t.toml", "three numbers"),
         ("[vehicles.a]\nfinal = [1, 2, true]", "t.toml", "True is not a number"),
+        (f"[vehicles.a]\nfinal = [1, 2, {'9' * 400}]", "t.toml", "inf is not within"),
         ("[vehicles.a]\nfinal = [1, 2, 3]\nyaw = 3", "t.toml", "no key 'yaw'"),
         ("[vehicles.a]\ninitial_heading_deg = 3", "t.toml", "neither an initial nor"),
     ],

@@ -279,7 +279,7 @@ def test_a_request_is_refused_after_its_deadline_only() -> None:
     assert reply["error"]["message"] == "read 2.5 s after its deadline; it was not carried out"
 
 
-@each("deadline_s", [None, "10", True, [], {}])
+@each("deadline_s", [None, "10", True, [], {}, -(10**400)])
 @each("request_id", [None, True, []])
 def test_a_deadline_that_is_no_time_is_refused(deadline_s: object, request_id: object) -> None:
     reply = deadline_refusal({"id": request_id, "deadline_s": deadline_s}, 0.0)

@@ -55,6 +55,14 @@ def test_a_disk_that_fails_refuses_the_change_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == [] and journal.left() == []
 
 
+def test_a_file_with_a_number_beyond_every_float_is_a_problem(tmp_path: Path) -> None:
+    journal = UndoJournal(tmp_path)
+    change = begin(journal)
+    kept = tmp_path / f"{change.id}.json"
+    (tmp_path / "huge.json").write_text(kept.read_text().replace('"before": {', '"before": {"X": ' + "9" * 400 + ", "))
+    assert journal.left() == [] and journal.problems[0].startswith("huge.json cannot be read: int too large")
+
+
 def test_beyond_its_bound_nothing_is_begun(tmp_path: Path) -> None:
     journal = UndoJournal(tmp_path)
     for number in range(MAX_ENTRIES):

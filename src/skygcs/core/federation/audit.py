@@ -22,7 +22,8 @@ from skygcs.core.federation.order_messages import (
     Status,
     is_key,
 )
-from skygcs.core.federation.received_json import MAX_TEXT_CHARS, is_number, printable
+from skygcs.core.federation.received_json import MAX_TEXT_CHARS, printable
+from skygcs.number_text import is_number
 
 MAX_PARAMS_BYTES = 1024
 """Longer parameters are left out of the record: the daemon refuses an order with them."""

@@ -26,7 +26,8 @@ from enum import StrEnum
 
 from pydantic_core import from_json, to_json
 
-from skygcs.core.federation.received_json import MAX_INTEGER, is_number, printable
+from skygcs.core.federation.received_json import MAX_INTEGER, printable
+from skygcs.number_text import is_number
 
 ASKS = 3
 ASK_EVERY_S = 0.2

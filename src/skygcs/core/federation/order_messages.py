@@ -15,8 +15,9 @@ from typing import Any, Literal
 
 from pydantic_core import from_json, to_json
 
-from skygcs.core.federation.received_json import MAX_TEXT_CHARS, cleaned, is_number, printable
+from skygcs.core.federation.received_json import MAX_TEXT_CHARS, cleaned, printable
 from skygcs.core.federation.site_names import MAX_NAME_CHARS, name_of_token, subject_token
+from skygcs.number_text import is_number
 
 VERSION = 1
 

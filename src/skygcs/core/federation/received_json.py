@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeGuard
+from typing import Any
 
 MAX_BY_CHARS = 100
 """Longest name of the user and station that gave an order."""
@@ -35,11 +35,3 @@ def printable(text: str, most_chars: int = MAX_BY_CHARS) -> str:
     """A text of another station for logs and screens: cut to ``most_chars``, control characters replaced."""
     text = text[:most_chars]
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
-
-
-def is_number(value: object) -> TypeGuard[int | float]:
-    """True for a finite number; False for an integer that is too large for a float."""
-    try:
-        return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
-    except OverflowError:
-        return False

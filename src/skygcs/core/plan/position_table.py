@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -169,6 +170,8 @@ def _coordinate(where: str, value: Any, largest: float, problems: list[str]) -> 
         if value is None or isinstance(value, bool):
             raise ValueError
         number = float(value)
+    except OverflowError:  # an integer of TOML beyond every float
+        number = math.inf
     except (TypeError, ValueError):
         problems.append(f"{where}: {'missing' if value is None else f'{value!r} is not a number'}")
         return None

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skygcs.ext.mocap.pose import Pose, Quaternion, Vector
+from skygcs.number_text import is_number
 
 MAX_LINE_BYTES = 4096
 """PIPE_BUF of Linux: a write of so much into a pipe is whole or not at all, so a line is never torn. Some 35 bodies."""
@@ -125,10 +126,4 @@ def _pose(at: float, body: Any) -> Pose | None:
 
 
 def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) else None
+    return float(value) if is_number(value) else None

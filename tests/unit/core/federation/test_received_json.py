@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic_core import from_json
 
-from skygcs.core.federation.received_json import MAX_INTEGER, MAX_TEXT_CHARS, cleaned, is_number, printable
+from skygcs.core.federation.received_json import MAX_INTEGER, MAX_TEXT_CHARS, cleaned, printable
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -27,7 +27,6 @@ def test_numbers_that_pydantic_reads_as_infinity_or_without_bounds_are_dropped()
     found = from_json(b'{"a":1e999,"b":[-1e999,1.5],"c":1' + 400 * b"0" + b',"d":true,"e":7}', allow_inf_nan=False)
     assert cleaned(found) == {"a": None, "b": [None, 1.5], "c": None, "d": True, "e": 7}
     assert cleaned([MAX_INTEGER, MAX_INTEGER + 1, -MAX_INTEGER - 1]) == [MAX_INTEGER, None, None]
-    assert not is_number(10**400) and not is_number(True) and is_number(7)
 
 
 def test_texts_are_cut_and_their_control_characters_replaced() -> None:
