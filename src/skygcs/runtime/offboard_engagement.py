@@ -156,7 +156,6 @@ class OffboardEngagement:
         """Whether somebody insisted on gains that bear less."""
         self._law_changed = False
         self._hover_thrust_set = False
-        self._closed = False
         self._ended_at = -math.inf
 
     @property
@@ -456,8 +455,7 @@ class OffboardEngagement:
         await self._tasks.settled()
 
     def close(self) -> None:
-        """Control ends, and never begins again: an order may still be on its way to a vehicle that was dropped."""
-        self._closed = True
+        """End control and all that belongs to it."""
         self.release("skygcs is shutting down")
         self._tasks.close()
 
@@ -465,8 +463,7 @@ class OffboardEngagement:
 
     def _check_entry(self, now: float) -> None:
         """Raises RefusedError if it must not be flown by setpoints now."""
-        refusal = "it was forgotten: nothing flies it any more" if self._closed else None
-        refusal = refusal or self._services.links.authority_refusal(self._vehicle.sysid)
+        refusal = self._services.links.authority_refusal(self._vehicle.sysid)
         refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"

@@ -101,6 +101,7 @@ class VehicleActor:
         self.config = config
         self.channel = ""
         """Label of the channel that carried its last heartbeat."""
+        self._closed = False
         self._services = services
         self._loop = services.loop
         self._dialect = services.dialect
@@ -371,6 +372,9 @@ class VehicleActor:
         )
 
     def close(self) -> None:
+        """End what is under way. Control never begins again: an order may still be on its way to a vehicle that was
+        dropped."""
+        self._closed = True
         self.takeoffs.cancel()
         self.unattended.close()
         self.offboard.close()
@@ -668,6 +672,8 @@ class VehicleActor:
         return await self._orders.track("control", self._switched_off())
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
+        if self._closed:
+            return self._orders.finish("control", Outcome.refused("it was forgotten: nothing flies it any more"))
         return await self._orders.track("control", self.offboard.engage(ControlMode(mode), force=force))
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:

@@ -1044,3 +1044,14 @@ async def test_the_state_shows_the_channel_free_parts_and_is_the_callers_own() -
         state["position"]["lat_deg"] = 0
         assert actor.state(ground.loop.time())["position"]["lat_deg"] == pytest.approx(HOME[0])
         assert actor.channel == "test"
+
+
+async def test_control_on_its_way_to_a_vehicle_that_was_dropped_does_not_begin() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground)
+        actor.close()
+        before = len(vehicle.got)
+        outcome = await actor.control("position")
+        assert not outcome.ok and "it was forgotten: nothing flies it any more" in outcome.message
+        await asyncio.sleep(5)
+        assert len(vehicle.got) == before
