@@ -248,22 +248,14 @@ class Extensions:
     def runs(self) -> Iterator[tuple[str, Coroutine[Any, Any, None]]]:
         """The work of each, by the name of its table."""
         for table, part in self._parts.items():
-            yield table, self._repeated(part.run)
+            yield table, repeated(part.run, self._on_fault)
 
     async def serve(self, new_session: NewSession) -> None:
         """Let all accept clients in ways of their own, until it is cancelled."""
         async with asyncio.TaskGroup() as group:
             for table, part in self._parts.items():
-                serving = self._repeated(functools.partial(part.serve, new_session))
+                serving = repeated(functools.partial(part.serve, new_session), self._on_fault)
                 group.create_task(serving, name=f"clients of {table}")
-
-    async def _repeated(self, work: Callable[[], Awaitable[None]]) -> None:
-        while True:
-            try:
-                return await work()
-            except Exception as error:
-                self._on_fault(error)
-            await asyncio.sleep(AGAIN_S)
 
     def close(self) -> None:
         """End the work of all."""
@@ -280,3 +272,13 @@ class Extensions:
                 await part.ended()
             except Exception as error:
                 self._on_fault(error)
+
+
+async def repeated(work: Callable[[], Awaitable[None]], on_fault: Callable[[Exception], None]) -> None:
+    """Do this work to its end; after a fault of ours, which goes to ``on_fault``, again `AGAIN_S` later."""
+    while True:
+        try:
+            return await work()
+        except Exception as error:
+            on_fault(error)
+        await asyncio.sleep(AGAIN_S)

@@ -251,4 +251,4 @@ class OrdersTaken:
     def _warn(self, problem: str | None) -> None:
         if problem is not None and not self._warned:
             _log.warning("orders of other stations cannot be recorded", reason=problem)
-        self._warned = self._warned or problem is not None
+            self._warned = True

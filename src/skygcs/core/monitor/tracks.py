@@ -6,7 +6,7 @@
     is disarmed but shows signs of flight               flying
     is disarmed, or armed on the ground                 parked: an obstacle at rest for what flies, not for one another
     reports no position, or an impossible one           not watched
-    flies and has been silent for `TRACK_SILENT_S`            lost: not watched any more, an obstacle for orders
+    flies and has been silent for `TRACK_SILENT_S`      lost: not watched any more, an obstacle for orders
     shares its system id on one link, is a recording    not watched: where it is is not known
 
 A parked vehicle stays an obstacle where it was last heard until it is forgotten, and so does a lost one, with the space

@@ -17,7 +17,7 @@ from skygcs.ext.companions.companions_table import CompanionsConfig, companions_
 from skygcs.ext.companions.ground_finder import GroundAnnouncement
 from skygcs.ext.companions.pinned_client import connect_pinned
 from skygcs.ext.companions.tls import Identity
-from skygcs.extension import AGAIN_S, Extension, StateGroup
+from skygcs.extension import Extension, StateGroup, repeated
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ class Companions(Extension[CompanionsConfig]):
         async with asyncio.TaskGroup() as group:
             group.create_task(self.links.run(), name="connections to companions")
             if self._announcement is not None:
-                group.create_task(self._announce(self._announcement), name="ground announcement")
+                announcing = repeated(self._announcement.run, self.core.hub.fault)  # its fault ends no connection
+                group.create_task(announcing, name="ground announcement")
 
     def status(self) -> dict[str, Any]:
         """JSON-able, for companions.status."""
@@ -97,12 +98,3 @@ class Companions(Extension[CompanionsConfig]):
     def _dial_to(self, companion: str, host: str, port: int) -> Dial:
         """The way to connect to a companion; the files are read each time, so that a new pin counts at once."""
         return partial(connect_pinned, host, port, Identity.of_ground(self.config.key_dir, companion))
-
-    async def _announce(self, announcement: GroundAnnouncement) -> None:
-        """Announce. A fault of ours in it ends no connection."""
-        while True:
-            try:
-                return await announcement.run()
-            except Exception as error:
-                self.core.hub.fault(error)
-            await asyncio.sleep(AGAIN_S)
