@@ -87,7 +87,8 @@ class Extension(Generic[C]):
 
     @classmethod
     def notes(cls, config: Any) -> list[str]:
-        """What is missing and may come before the daemon starts, for `skygcs check`: a package, a file, a device."""
+        """Return what is missing and may come before the daemon starts, for `skygcs check`: a package, a file, a
+        device."""
         return []
 
     @classmethod
@@ -115,11 +116,11 @@ class Extension(Generic[C]):
         return ()
 
     def info(self) -> Mapping[str, Any] | None:
-        """What daemon.info shows under the name of its table; None: nothing."""
+        """Return what daemon.info shows under the name of its table; None: nothing."""
         return None
 
     def announcement(self) -> str:
-        """What the log says of it when the daemon is up; "": nothing."""
+        """Return what the log says of it when the daemon is up; "": nothing."""
         return ""
 
     # -- its life
@@ -228,11 +229,11 @@ class Extensions:
         return None
 
     def info(self) -> dict[str, Any]:
-        """What they show in daemon.info, by the names of their tables."""
+        """Return what they show in daemon.info, by the names of their tables."""
         return {table: info for table, part in self._parts.items() if (info := part.info()) is not None}
 
     def announcements(self) -> dict[str, str]:
-        """What the log says of them when the daemon is up, by the names of their tables."""
+        """Return what the log says of them when the daemon is up, by the names of their tables."""
         return {table: text for table, part in self._parts.items() if (text := part.announcement())}
 
     def bytes_per_s(self, channel_id: int) -> float:

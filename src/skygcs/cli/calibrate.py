@@ -109,7 +109,7 @@ async def _show(gcs: Client, waiting: set[str]) -> None:
 
 
 def _line(status: dict[str, Any]) -> str:
-    """What the person at the vehicle has to know."""
+    """Return what the person at the vehicle has to know."""
     pose = POSES.get(status["pose"] or "", "")
     if status["confirm"]:
         return f"lay it {pose}, then press Enter"

@@ -316,7 +316,7 @@ def _guarded(command: Callable[[], int | None]) -> int:
 
 
 async def bytes_of(descriptor: int) -> AsyncIterator[bytes]:
-    """What arrives at a pipe, a terminal or a file.
+    """Return what arrives at a pipe, a terminal or a file.
 
     A thread reads it and ends with the process: an event loop cannot watch a file, and a read that waits for a silent
     program cannot be cancelled.

@@ -298,7 +298,7 @@ async def at_rate(source: AsyncIterator[bytes], bytes_per_s: float) -> AsyncIter
 
 
 def line_of(tally: CorrectionTally, bytes_per_s: float | None) -> str:
-    """What was sent, in one line."""
+    """Return what was sent, in one line."""
     counts = tally.counts
     rate = "" if bytes_per_s is None else f", {bytes_per_s:,.0f} B/s"
     types = " ".join(f"{type_}:{tally.types[type_]:,}" for type_ in sorted(tally.types, key=int))

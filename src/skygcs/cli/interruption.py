@@ -93,7 +93,7 @@ class Unanswered(NamedTuple):
 
 
 def interrupted_lines(pending: Sequence[Unanswered]) -> list[str]:
-    """What is said of each order among the requests."""
+    """Return what is said of each order among the requests."""
     lines = []
     for request in pending:
         after = AFTER.get(request.method)

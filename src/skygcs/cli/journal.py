@@ -18,7 +18,7 @@ MAX_VALUE_BYTES = 8192
 
 
 def goes_to_journal() -> bool:
-    """Whether stderr is the journal's stream (systemd sets $JOURNAL_STREAM to its device and inode)."""
+    """True if stderr is the journal's stream (systemd sets $JOURNAL_STREAM to its device and inode)."""
     try:
         device, inode = map(int, os.environ["JOURNAL_STREAM"].split(":"))
         status = os.fstat(sys.stderr.fileno())

@@ -234,7 +234,7 @@ def _select(
 
 
 async def look(gcs: Client) -> RenderableType:
-    """What each radio carries now; without a radio, why there is nothing to show."""
+    """Return what each radio carries now; without a radio, why there is nothing to show."""
     from rich.text import Text
 
     radios = await gcs.call("link.status")
@@ -350,7 +350,7 @@ COUNT_WORDS = {
 
 
 def third_party_lines(up: dict[str, Any]) -> list[str]:
-    """What other programs send to the vehicles through this radio; no line if they have sent nothing."""
+    """Return what other programs send to the vehicles through this radio; no line if they have sent nothing."""
     third_party, corrections = up.get("third_party"), up.get("corrections")
     lines = []
     if third_party is not None and third_party["sources"]:

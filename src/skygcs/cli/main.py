@@ -120,7 +120,7 @@ def _example(command: Any) -> str:
 
 
 def _escaped(text: str | None) -> str | None:
-    """What rich.markup.escape returns; importing rich for it would take longer than the command."""
+    """Return what rich.markup.escape returns; importing rich for it would take longer than the command."""
     return text and re.sub(r"\[(?=[a-z#/@])", r"\\[", text)
 
 

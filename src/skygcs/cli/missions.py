@@ -627,7 +627,7 @@ async def _held(gcs: Client, name: str, lists: Sequence[str]) -> dict[str, Any]:
 
 
 def held_line(answer: dict[str, Any], sent: MissionPlan, kind: MissionType, file: str, family: Family | None) -> str:
-    """What a vehicle holds of one list, compared with the list that was sent."""
+    """Return what a vehicle holds of one list, compared with the list that was sent."""
     count, last = answer["items"], answer["last"]
     if count is None:
         ended = "" if last is None else f"{last['message']}; "

@@ -617,7 +617,7 @@ def rounding_note(name: str, rounding: Rounding) -> Iterator[str]:
 
 
 def after_lines(vehicle: str, left: Sequence[Change]) -> Iterator[str]:
-    """What differs from the file after everything was set and read again."""
+    """Return what differs from the file after everything was set and read again."""
     if not left:
         yield f"{vehicle}: read again, nothing differs from the file"
         return
@@ -627,7 +627,7 @@ def after_lines(vehicle: str, left: Sequence[Change]) -> Iterator[str]:
 
 
 def plan_lines(vehicle: str, made: ApplyPlan) -> Iterator[str]:
-    """What applying a file would do."""
+    """Return what applying a file would do."""
     yield f"{vehicle}: {len(made.changes)} to set, {made.same} equal, {len(made.skipped)} left alone"
     for note in rounding_note("the file", made.rounding):
         yield f"  {note}"

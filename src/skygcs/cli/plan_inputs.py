@@ -40,7 +40,7 @@ Places = dict[str, Vector]
 
 
 def bytes_of(file: Path) -> bytes:
-    """What a file holds, one byte more than is read at most. Raises PlanFileError."""
+    """Return what a file holds, one byte more than is read at most. Raises PlanFileError."""
     try:
         with file.open("rb") as opened:
             return opened.read(MAX_FILE_BYTES + 1)

@@ -261,7 +261,7 @@ def headline(status: State) -> str:
 
 
 def report_lines(report: State) -> Iterator[str]:
-    """What was found: what is in the way first, then what to know."""
+    """Return what was found: what is in the way first, then what to know."""
     yield by_line(report)
     order = {"refused": 0, "warning": 1, "note": 2, "ok": 3}
     for finding in sorted(report["findings"], key=lambda f: order.get(f["severity"], 0)):
@@ -285,7 +285,7 @@ def by_line(report: State) -> str:
 
 
 def notes(report: State) -> Iterable[str]:
-    """What passed but should be known."""
+    """Return what passed but should be known."""
     yield by_line(report)
     for finding in report["findings"]:
         if finding["severity"] in ("refused", "warning"):

@@ -111,7 +111,7 @@ def report_lines(
 
 
 def complaints(report: Report) -> list[Mapping[str, Any]]:
-    """What failed, worst first, then what is unknown."""
+    """Return what failed, worst first, then what is unknown."""
     wrong = [f for f in report["findings"] if f["verdict"] in ("fail", "unknown")]
     return sorted(wrong, key=lambda f: (f["verdict"] == "unknown", SEVERITIES.index(f["severity"])))
 

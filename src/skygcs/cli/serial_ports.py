@@ -82,7 +82,7 @@ async def _reopen(gcs: Client, link: str) -> None:
 
 
 def explain(error: Exception) -> str:
-    """What to do about a port that cannot be opened, or failed."""
+    """Return what to do about a port that cannot be opened, or failed."""
     code = error.errno if isinstance(error, OSError) else error.args[0] if isinstance(error, termios.error) else None
     match code:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:

@@ -156,7 +156,7 @@ def install(fleet_file: Path, *, user: bool, force: bool) -> int:
 
 
 def status(*, user: bool) -> int:
-    """What systemd says of it; its exit code."""
+    """Return what systemd says of it; its exit code."""
     return subprocess.call(["systemctl", *(["--user"] if user else []), "--no-pager", "status", NAME])
 
 

@@ -451,7 +451,7 @@ def _px4_number(locks: list[IO[bytes]]) -> int:
 
 
 def _px4_runs(number: int) -> bool:
-    """Whether a PX4 holds the lock of this instance number."""
+    """True if a PX4 holds the lock of this instance number."""
     try:
         with open(f"/tmp/px4_lock-{number}", "r+b") as lock:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

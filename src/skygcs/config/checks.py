@@ -83,8 +83,8 @@ def control_place_problems(config: FleetConfig, places: Mapping[str, str]) -> li
 
 
 def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[str]:
-    """What conflicts if this link is added, or takes the place of the one of its name, as text for a person. What was
-    in conflict before, among others, is none of its concern."""
+    """Return what conflicts if this link is added, or takes the place of the one of its name, as text for a person.
+    What was in conflict before, among others, is none of its concern."""
     others = {n: other for n, other in config.links.items() if n != name}
     before = conflicts(config.model_copy(update={"links": others}))
     after = conflicts(config.model_copy(update={"links": {**others, name: link}}))
@@ -442,7 +442,7 @@ def endpoint_warnings(config: FleetConfig) -> dict[str, str]:
 
 
 def _is_wrong(path: KeyPath, wrong: Collection[KeyPath]) -> bool:
-    """Whether this key, or one within it, was refused for its own value."""
+    """True if this key, or one within it, was refused for its own value."""
     return any(other[: len(path)] == path for other in wrong)
 
 

@@ -165,7 +165,7 @@ class ControlSettings(Model):
         )
 
     def guard(self) -> GuardConfig:
-        """What the guard watches."""
+        """Return what the guard watches."""
         keys = ("attitude_delay_s", "velocity_delay_s", "stale_s", "position_stale_s", "battery_min_percent")
         given = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
         return GuardConfig(**given)
@@ -176,7 +176,7 @@ class ControlSettings(Model):
         return RawLimits(**{key: value for key, value in raw.model_dump().items() if value is not None})
 
     def trajectory_limits(self) -> TrajectoryLimits:
-        """What it may be sent along. Raises ConfigError."""
+        """Return what it may be sent along. Raises ConfigError."""
         given = (self.trajectory or TrajectorySettings()).model_dump()
         return TrajectoryLimits(**{key: value for key, value in given.items() if value is not None})
 
@@ -193,7 +193,8 @@ class ControlSettings(Model):
         return Fence(origin, **given)
 
     def problems(self) -> list[tuple[tuple[str, ...], str]]:
-        """What is impossible together though each key by itself is not: the path of a key in this table, and a text.
+        """Return what is impossible together though each key by itself is not: the path of a key in this table, and a
+        text.
 
         For complete settings only (`over`): a key of one level may be valid only with one of another.
         """

@@ -102,7 +102,7 @@ def load_dialect(
 
 
 def offline_dialect() -> Dialect:
-    """What offline tools use: everything pymavlink knows plus the PX4 extras, so that most logs decode whole."""
+    """Return what offline tools use: everything pymavlink knows plus the PX4 extras, so that most logs decode whole."""
     return load_dialect(["all", PX4_EXTRAS])
 
 

@@ -36,7 +36,7 @@ class TableOwner(Protocol):
 
     @classmethod
     def notes(cls, config: Any) -> list[str]:
-        """What is missing and may come before the daemon starts."""
+        """Return what is missing and may come before the daemon starts."""
         ...
 
 

@@ -138,7 +138,7 @@ class FederationConfig(Model):
 
 
 def federation_problems(federation: FederationConfig | None, vehicles: Collection[str]) -> list[Problem]:
-    """What contradicts the rest of the fleet file, whose vehicles have these names."""
+    """Return what contradicts the rest of the fleet file, whose vehicles have these names."""
     if federation is None:
         return []
     problems: list[Problem] = []

@@ -201,7 +201,7 @@ def _place_problems(config: FleetConfig, owners: Mapping[str, type[TableOwner]])
 
 
 def _mentions(problem: Problem, wrong: set[KeyPath]) -> bool:
-    """Whether a problem is only there because a wrong key was taken away."""
+    """True if a problem is only there because a wrong key was taken away."""
     return any(_key_text(path) in problem.text for path in wrong if path)
 
 

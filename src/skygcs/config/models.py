@@ -360,16 +360,16 @@ class VehicleConfig(Model):
     streams: dict[str, float] = Field(default_factory=lambda: dict(DEFAULT_RATES_HZ))
     control: ControlSettings = ControlSettings()
     control_planned: bool = False
-    """Whether any level has a control table: it is to be flown by setpoints."""
+    """True if any level has a control table: it is to be flown by setpoints."""
     preflight: PreflightSettings = PreflightSettings()
     require_preflight: bool = False
     separation: SeparationSettings = SeparationSettings()
     flight_time_min: float | None = None
     battery_reserve_percent: float | None = None
     named: bool = False
-    """Whether it is in the fleet file."""
+    """True if it is in the fleet file."""
     delegated: bool = False
-    """Whether [federation.vehicles] names it."""
+    """True if [federation.vehicles] names it."""
 
 
 class OriginConfig(Model):

@@ -73,7 +73,7 @@ class QuantileSketch:
         return self._greatest
 
     def at_least(self) -> float | None:
-        """What no value is below; None without any."""
+        """Return what no value is below; None without any."""
         if len(self) == 0:
             return None
         lowest = min(min(counts) for counts in (self._counts, self._before) if counts)

@@ -71,7 +71,7 @@ class Permissions(NamedTuple):
 
 
 def permissions(inventory: HubInventory, name: str) -> Permissions:
-    """What this user of the inventory may do."""
+    """Return what this user of the inventory may do."""
     user = inventory.users[name]
     if user.role == "keeper":
         return _keeper(user)

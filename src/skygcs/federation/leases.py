@@ -443,7 +443,8 @@ class Leases:
         return to_json({"refusal": refusal})
 
     async def _busy(self, name: str) -> str | None:
-        """What this site does with a vehicle now; None for nothing. A daemon that does not answer may be flying it."""
+        """Return what this site does with a vehicle now; None for nothing. A daemon that does not answer may be flying
+        it."""
         try:
             async with asyncio.timeout(BUSY_WITHIN_S):
                 state = await self._link.call("vehicles.get", target=name)

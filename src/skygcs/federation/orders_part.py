@@ -39,7 +39,7 @@ class OrdersTakenPart:
         site's name."""
         self.not_held: NotHeld = held
         self.others_took_orders: Callable[[], bool] = lambda: False
-        """Whether another bridge has acted as this site since this one began: its orders are not in the record here."""
+        """True if another bridge has acted as this site since this one began: its orders are not in the record here."""
         self._station = station
         self._records: asyncio.Queue[tuple[str, bytes]] = asyncio.Queue(MAX_WAITING_RECORDS)
         self._records_lost = 0

@@ -212,7 +212,8 @@ class OrdersSent:
         return await self._order(method, params, vehicles, user, several=len(vehicles) > 1)
 
     async def answer_outcome(self, params: Json) -> Json:
-        """What became of an order to a vehicle of another site, by the id that its outcome showed. The site is asked.
+        """Return what became of an order to a vehicle of another site, by the id that its outcome showed. The site is
+        asked.
 
         An order that has not come there when it is asked is refused from then on."""
         return await self.outcome(str(params["id"]))

@@ -96,7 +96,7 @@ class OrdersTaken:
         self._file = file
         self._disk = disk
         self._warned = False
-        """Whether it was logged that orders cannot be recorded."""
+        """True if it was logged that orders cannot be recorded."""
         self._publish = publish
         self._not_held = not_held
         self._clock = clock

@@ -188,8 +188,8 @@ class Readers:
             observe(site, event)
 
     def _sender(self, site: str, now: float) -> _Sender | None:
-        """What is kept of a site that is heard now; None: all MAX_SENDERS places are taken by sites that were heard
-        within FORGET_AFTER_S."""
+        """Return what is kept of a site that is heard now; None: all MAX_SENDERS places are taken by sites that were
+        heard within FORGET_AFTER_S."""
         sender = self._senders.get(site)
         if sender is None:
             if len(self._senders) >= MAX_SENDERS:

@@ -25,7 +25,7 @@ def find_server() -> str:
 
 
 def server_version(program: str) -> str:
-    """What ``nats-server --version`` prints; "" if it does not run."""
+    """Return what ``nats-server --version`` prints; "" if it does not run."""
     try:
         done = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=10, check=False)
     except (OSError, subprocess.SubprocessError):
@@ -40,7 +40,7 @@ def parsed_version(text: str) -> tuple[int, int, int] | None:
 
 
 def version_warning(text: str) -> str | None:
-    """What is wrong with this version of nats-server; None: nothing that is known here."""
+    """Return what is wrong with this version of nats-server; None: nothing that is known here."""
     version = parsed_version(text)
     if version is None or (version >= FIXED_VERSION and not (2, 10, 0) <= version < (2, 10, 2)):
         return None

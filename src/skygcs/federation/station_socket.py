@@ -80,7 +80,7 @@ class StationSocket:
         self._unix.release()
 
     def admit(self, client: StationClient) -> bool:
-        """Whether a new client has a place; ``restricted`` is set of one beyond the places. One without is answered."""
+        """True if a new client has a place; ``restricted`` is set of one beyond the places. One without is answered."""
         self.counters["connections"] += 1
         if len(self.clients) >= MAX_CLIENTS:
             now = asyncio.get_running_loop().time()

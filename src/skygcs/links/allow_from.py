@@ -71,7 +71,7 @@ class Admission:
         self._reported_at = float("-inf")
 
     def allows(self, address: Address) -> bool:
-        """Whether ``allow_from`` allows this address. Call it before anything from it is parsed."""
+        """True if ``allow_from`` allows this address. Call it before anything from it is parsed."""
         host = format_host(address)
         if host in self._networks:
             return True

@@ -80,12 +80,12 @@ class LinkHost(Protocol):
 
     @property
     def dialect(self) -> Dialect:
-        """What a link needs that makes or reads frames itself (simulated, replay)."""
+        """Return what a link needs that makes or reads frames itself (simulated, replay)."""
         ...
 
     @property
     def fast_path(self) -> Table | None:
-        """What the fast paths of all links share; None: every frame goes through `on_frames`."""
+        """Return what the fast paths of all links share; None: every frame goes through `on_frames`."""
         ...
 
     @property
@@ -122,11 +122,11 @@ class LinkHost(Protocol):
         ...
 
     def carries_autopilot(self, channel: Channel) -> bool:
-        """Whether an autopilot is heard on this channel."""
+        """True if an autopilot is heard on this channel."""
         ...
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
-        """Whether an unknown sender of these frames may become a peer of this link: where signatures are required, one
+        """True if an unknown sender of these frames may become a peer of this link: where signatures are required, one
         frame must be signed with the link's key."""
         ...
 
@@ -139,10 +139,10 @@ class Channel(ABC):
     """One route target. ``peer`` is a person's name for the other end ("192.168.1.7:14550", "/dev/ttyUSB0")."""
 
     in_datagrams = False
-    """Whether what comes from here comes in datagrams."""
+    """True if what comes from here comes in datagrams."""
 
     whole_datagrams = False
-    """Whether frames of one datagram with the same destinations may be sent on in one (`send_whole`)."""
+    """True if frames of one datagram with the same destinations may be sent on in one (`send_whole`)."""
 
     fast_path: FastPath | None = None
     """The compiled fast path for datagrams from this peer, and ..."""
@@ -196,7 +196,7 @@ class Channel(ABC):
         raise NotImplementedError
 
     def is_kept_back(self, outgoing: Outgoing) -> bool:
-        """Whether the gate keeps this from being written now. Only where there is a ``gate``."""
+        """True if the gate keeps this from being written now. Only where there is a ``gate``."""
         return self.gate is not None and not self.gate(self.id, outgoing)
 
     def encode(self, outgoing: Outgoing) -> bytes:
@@ -248,12 +248,12 @@ class Link(ABC):
 
     @property
     def bytes_per_s(self) -> float | None:
-        """What all its channels together carry, both ways; None where that is no limit."""
+        """Return what all its channels together carry, both ways; None where that is no limit."""
         return None
 
     @property
     def shares_air(self) -> bool:
-        """Whether all its channels go through one air of `bytes_per_s`, so that the streams of the vehicles behind
+        """True if all its channels go through one air of `bytes_per_s`, so that the streams of the vehicles behind
         them are planned together. A channel into a radio has an `AirBudget` for that instead."""
         return False
 

@@ -31,7 +31,8 @@ _log = structlog.get_logger("skygcs")
 
 
 def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
-    """What all fast paths of one hub share; None if there is no compiled code. ``recording``: collect tlog records."""
+    """Return what all fast paths of one hub share; None if there is no compiled code. ``recording``: collect tlog
+    records."""
     if os.environ.get(PURE):
         return None
     try:

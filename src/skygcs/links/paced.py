@@ -82,7 +82,7 @@ class AirBudget:
         return self._put(outgoing, priority, now, key, size, 0)
 
     def pop(self, now: float) -> tuple[Outgoing, Priority] | None:
-        """What is to be written now; see `TxQueue.pop`."""
+        """Return what is to be written now; see `TxQueue.pop`."""
         if (released := self.third_party.poll(now)) is not None:
             self._put_third_party(*released, now)
         if not self.queue.waiting(Priority.CORRECTION):  # one at a time: which is next is decided as late as can be
@@ -106,7 +106,7 @@ class AirBudget:
         return lost
 
     def __len__(self) -> int:
-        """What waits, here or in the queue."""
+        """Return what waits, here or in the queue."""
         return len(self.queue) + self.third_party.waiting + len(self.corrections)
 
     # -- what the radio says
@@ -151,7 +151,7 @@ class AirBudget:
         self.corrections.set_rate(self._corrections_rate(rate), now)
 
     def status(self, now: float) -> dict[str, Any]:
-        """What the radio bears up, what it reports, how each class fares, and what others send."""
+        """Return what the radio bears up, what it reports, how each class fares, and what others send."""
         return {
             **self.pacer.status(now),
             "classes": self.queue.status(),
@@ -227,7 +227,7 @@ class AirBudget:
 
 
 def third_party_rules(keys: ThirdPartyKeys, dialect: Dialect) -> ThirdPartyRules:
-    """What a link's [third_party] table says. Raises KeyError for a message name the dialect does not have."""
+    """Return what a link's [third_party] table says. Raises KeyError for a message name the dialect does not have."""
 
     def msgid(name: str) -> int:
         return int(name) if name.isdecimal() else dialect.find(name).msgid

@@ -63,7 +63,7 @@ def bytes_outstanding(fd: int) -> int:
 
 
 def explain(error: Exception, device: str, baud: int) -> str:
-    """What to do about a port that cannot be opened or set up."""
+    """Return what to do about a port that cannot be opened or set up."""
     code = error.errno if isinstance(error, OSError) else error.args[0] if isinstance(error, termios.error) else None
     match code:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:

@@ -87,7 +87,7 @@ def emulated(
 
 
 def rates_of(link: models.SimulatedLinkConfig) -> RadioRates:
-    """What the daemon may know of the radio at its port: what the keys of a serial link would say."""
+    """Return what the daemon may know of the radio at its port: what the keys of a serial link would say."""
     assert link.radio is not None
     air = link.radio.air_kbps if link.air_speed_kbps is None else link.air_speed_kbps
     return RadioRates(link.radio.baud, air, link.nodes or link.radio.nodes, link.duty_cycle, link.uplink_share)

@@ -179,7 +179,7 @@ class QueuedChannel(Channel):
         return taken
 
     def _pop(self, now: float) -> tuple[Outgoing, Priority] | None:
-        """What is to be written now; None if nothing waits or the budget is spent."""
+        """Return what is to be written now; None if nothing waits or the budget is spent."""
         popped = self._line.pop(now)
         if self.gate is not None:
             while popped is not None and not self.gate(self.id, popped[0]):  # the authority ended while it waited
@@ -340,7 +340,7 @@ class StreamChannel(QueuedChannel):
             self._watcher.want_write(False)
 
     def _has_room(self) -> bool:
-        """Whether the kernel holds little enough to write one more frame; if not, the time to look again is set."""
+        """True if the kernel holds little enough to write one more frame; if not, the time to look again is set."""
         if self._outstanding is None or not self._line:
             return True
         held = self._outstanding()

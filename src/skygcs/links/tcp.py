@@ -157,7 +157,7 @@ class TcpServerLink(Link):
                 sock.close()
 
     def _has_place(self, address: Address) -> bool:
-        """Whether a newcomer is admitted by its address; the client it replaces is closed."""
+        """True if a newcomer is admitted by its address; the client it replaces is closed."""
         if len(self._clients) < self.config.max_clients:
             return True
         admitted, key = self._admission.place_for(address, autopilot=False, now=self.loop.time())

@@ -392,7 +392,7 @@ class UdpServerLink(UdpLink):
         return channel
 
     def _takes_place(self, address: Address, frames: list[Frame], now: float) -> bool:
-        """Whether a newcomer is admitted although all places are taken; the peer it replaces is detached."""
+        """True if a newcomer is admitted although all places are taken; the peer it replaces is detached."""
         autopilot = any(frame.msgid == HEARTBEAT and discovers(frame) for frame in frames)
         admitted, key = self._admission.place_for(address, autopilot=autopilot, now=now)
         if isinstance(key, tuple):
@@ -518,7 +518,7 @@ class UdpBroadcastLink(UdpLink):
         channel.peer = format_address(self._everybody)
 
     def _is_own(self, address: Address) -> bool:
-        """Whether this is our own broadcast: our port at an address of this machine.
+        """True if this is our own broadcast: our port at an address of this machine.
 
         Connecting a UDP socket sends nothing; to one of its own addresses a machine talks from that same address.
         """

@@ -178,13 +178,14 @@ class XBeeLink(Link):
         self._wrong_reported = False
 
     def counters(self) -> dict[str, Any]:
-        """What the module is and counts; ``refused_packets``: from nodes that are not of ``nodes``, or too many."""
+        """Return what the module is and counts; ``refused_packets``: from nodes that are not of ``nodes``, or too
+        many."""
         return {"device": self.config.device, "modem": self.modem.status(), "refused_packets": self._refused}
 
     # -- towards the module
 
     def broadcasts(self, outgoing: Outgoing) -> bool:
-        """Whether this is sent to all nodes at once."""
+        """True if this is sent to all nodes at once."""
         return (
             self.config.broadcast
             and len(self._nodes) > 1

@@ -88,7 +88,7 @@ def with_text(request: bytes, text: bytes) -> bytes:
 
 
 def without_text(request: bytes) -> JsonObject:
-    """What `with_text` made, or a request without it, decoded. Raises PlanFileError for the text, ValueError."""
+    """Return what `with_text` made, or a request without it, decoded. Raises PlanFileError for the text, ValueError."""
     head, _, text = request.partition(b"\n")
     found: JsonObject = json.loads(head)
     if text:

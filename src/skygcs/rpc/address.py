@@ -31,7 +31,7 @@ def tcp_address(address: str) -> tuple[str, int] | None:
 
 
 def client_address(address: str | os.PathLike[str] | None = None) -> str:
-    """What a client connects to: the argument, else $SKYGCS_SOCKET, else the default path.
+    """Return what a client connects to: the argument, else $SKYGCS_SOCKET, else the default path.
 
     A path, or ``tcp://HOST:PORT`` (a daemon with ``tcp_port``, usually through an SSH tunnel).
     """

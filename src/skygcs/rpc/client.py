@@ -124,7 +124,7 @@ class Client:
 
     @property
     def connected(self) -> bool:
-        """Whether the connection is open, as far as is known here: a call then is really sent."""
+        """True if the connection is open, as far as is known here: a call then is really sent."""
         return self._connection is not None and self._connection.is_open
 
     async def close(self) -> None:

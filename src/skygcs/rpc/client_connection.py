@@ -71,7 +71,7 @@ class ClientTls(Protocol):
     def shutdown_s(self) -> float: ...
     @property
     def closed_early_hint(self) -> str:
-        """What may be wrong if the other side closes before its first answer."""
+        """Return what may be wrong if the other side closes before its first answer."""
         ...
 
     def is_pinned(self, transport: Any) -> bool:
@@ -141,7 +141,7 @@ class ClientConnection(asyncio.Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known here."""
+        """True if the connection is open, as far as is known here."""
         return self._lost is None
 
     def unanswered(self) -> list[tuple[str, Mapping[str, Any]]]:

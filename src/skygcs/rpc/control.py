@@ -56,7 +56,7 @@ class ControlGainsParams(TargetsParams):
     force: bool = Field(False, description="Also gains that the measured delay leaves too little margin.")
 
     def changes(self) -> dict[str, Any]:
-        """What is to change, nested as it came."""
+        """Return what is to change, nested as it came."""
         given = self.model_dump(exclude={"targets", "force"}, exclude_none=True)
         return {key: value for key, value in given.items() if value != {}}
 

@@ -145,7 +145,7 @@ class MethodTable(Mapping[str, Method[C]]):
         return len(self._methods)
 
     def missing(self, name: str) -> Later | None:
-        """What has to be imported before this method can be called."""
+        """Return what has to be imported before this method can be called."""
         found = self._methods.get(name)
         if not isinstance(found, Later):
             return None
@@ -223,7 +223,7 @@ class Dispatcher(Generic[C]):
         return None if notification else result_reply(request_id, name, result)
 
     def outlives_client(self, request: object) -> bool:
-        """Whether a request that `start` answered with a coroutine is to be finished without its client, too."""
+        """True if a request that `start` answered with a coroutine is to be finished without its client, too."""
         if not isinstance(request, dict) or self._methods.missing(request["method"]) is not None:
             return False
         return self._methods[request["method"]].outlives_client

@@ -168,7 +168,7 @@ def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
 
 
 def corrections_status(context: Context, _: NoParams) -> JsonObject:
-    """What corrections went, what each radio made of them, and the fix of every vehicle."""
+    """Return what corrections went, what each radio made of them, and the fix of every vehicle."""
     return context.services.corrections.status()
 
 

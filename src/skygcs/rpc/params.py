@@ -287,7 +287,7 @@ def _entry(param: Param) -> JsonObject:
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:
-    """What is known of vehicles' parameters without asking them, and how far a list is."""
+    """Return what is known of vehicles' parameters without asking them, and how far a list is."""
     return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 

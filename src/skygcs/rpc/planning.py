@@ -271,7 +271,7 @@ def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
 
 
 def plan_jobs(context: Context, _: NoParams) -> JsonObject:
-    """What is being planned, and what waits for it."""
+    """Return what is being planned, and what waits for it."""
     queue = context.services.planning
     counters = queue.counters
     return {
@@ -380,7 +380,7 @@ class _Facts:
         return {actor.name: asdict(actor.config.control.motion_limits()) | given for actor in actors}
 
     def space(self, names: Iterable[str]) -> FlightSpace:
-        """What was given, and the fleet's vehicles that take no part. Raises RefusedError."""
+        """Return what was given, and the fleet's vehicles that take no part. Raises RefusedError."""
         given, taking_part = self._params.space or SpaceParams.model_validate({}), set(names)
         if 0 < len(given.fence) < 3:
             raise InvalidParams(("space.fence", "a fence has three corners at least"))
@@ -411,7 +411,7 @@ class _Facts:
         return replace(allowed.joined(asked), ceiling_m=min(lower, default=None))
 
     def notes(self) -> JsonObject:
-        """What the answer says of the vehicles that take no part."""
+        """Return what the answer says of the vehicles that take no part."""
         way = {} if self._way is None else {"by": self._way.by.value, "why": self._way.reason}
         return {"standing": self._standing, "unknown": self._unknown, **way}
 

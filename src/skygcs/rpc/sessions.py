@@ -128,7 +128,7 @@ class Session(asyncio.Protocol):
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
         self.restricted = False
-        """Whether it came when all places were taken: one request, of those that are `always` answered."""
+        """True if it came when all places were taken: one request, of those that are `always` answered."""
         self.used_at = hub.loop.time()
         """When its last whole line came."""
         self.writable = True
@@ -245,7 +245,7 @@ class Session(asyncio.Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether it waits for the outcome of a request."""
+        """True if it waits for the outcome of a request."""
         return bool(self.tasks)
 
     def idle_s(self, now: float) -> float:
@@ -275,13 +275,13 @@ class Session(asyncio.Protocol):
 
     @property
     def is_local(self) -> bool:
-        """Whether it came by the Unix socket."""
+        """True if it came by the Unix socket."""
         sock = self._transport.get_extra_info("socket") if self._transport is not None else None
         return sock is not None and sock.family == socket.AF_UNIX
 
     @property
     def is_of_the_last(self) -> bool:
-        """Whether it has one of the last descriptors."""
+        """True if it has one of the last descriptors."""
         sock = self._transport.get_extra_info("socket") if self._transport is not None else None
         return sock is not None and is_of_the_last(sock.fileno())
 
@@ -380,7 +380,7 @@ class Session(asyncio.Protocol):
                 self._run([reply], batch=False)
 
     def _refused_for_now(self, request: object) -> bool:
-        """Whether this is not answered since all places are taken. A connection beyond them has one request."""
+        """True if this is not answered since all places are taken. A connection beyond them has one request."""
         if not self.restricted or self._hub.promote(self):
             return False
         self._answered = True
@@ -633,7 +633,7 @@ class Sessions:
             self._let_in_beyond(session)
 
     def promote(self, session: Session) -> bool:
-        """Whether a connection beyond the places has one now."""
+        """True if a connection beyond the places has one now."""
         if len(self._placed) >= MAX_SESSIONS and not self._close_idle():
             return False
         del self._reserve[session]
@@ -670,7 +670,7 @@ class Sessions:
         return f"all {MAX_SESSIONS} places are taken"
 
     def _close_idle(self) -> bool:
-        """Whether a place was made free by closing the session that was idle for longest."""
+        """True if a place was made free by closing the session that was idle for longest."""
         now = self.loop.time()
         idle = max(self._placed, key=lambda session: session.idle_s(now), default=None)
         if idle is None or idle.idle_s(now) < IDLE_S:

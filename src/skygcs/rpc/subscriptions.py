@@ -77,7 +77,7 @@ class TelemetrySubscription:
         self.known: list[VehicleActor] = []
 
     def due(self, before: int, tick: int) -> bool:
-        """Whether an update belongs to the grid ticks (before, tick]. Equal rates are due together."""
+        """True if an update belongs to the grid ticks (before, tick]. Equal rates are due together."""
         return math.floor(tick * GRID_S * self.rate_hz) != math.floor(before * GRID_S * self.rate_hz)
 
     def next_due(self, tick: int) -> int:
@@ -345,7 +345,7 @@ class MessageSubscription(QueuedSubscription):
         self._last: dict[tuple[int, int, int], float] = {}
 
     def passes(self, frame: Frame, now: float) -> bool:
-        """Whether the rate lets this one through (a tenth of a period early is in time: senders jitter)."""
+        """True if the rate lets this one through (a tenth of a period early is in time: senders jitter)."""
         if self.rate_hz is None:
             return True
         key = (frame.sysid, frame.compid, frame.msgid)

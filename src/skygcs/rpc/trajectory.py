@@ -148,7 +148,7 @@ def trajectory_unload(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def trajectory_status(context: Context, params: ListParams) -> JsonObject:
-    """What is loaded and flown, and the daemon's clock."""
+    """Return what is loaded and flown, and the daemon's clock."""
     actors = resolve(context.services, params.targets)
     return {
         "now_s": context.services.now(),

@@ -345,7 +345,7 @@ class AirPlanner:
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.link.name}))
 
     def _down_of(self, radio: _Radio) -> dict[str, float]:
-        """What comes down from all vehicles of a radio."""
+        """Return what comes down from all vehicles of a radio."""
         total, each = radio.budget
         planned = sum(plan_bytes_per_s(rates, self._bytes) for rates in radio.planned.values())
         return {

@@ -324,7 +324,7 @@ class Fleet:
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
 
     def may_fly(self, key: int) -> bool:
-        """Whether this is a vehicle that may be in the air now (`core.vehicle.supply`)."""
+        """True if this is a vehicle that may be in the air now (`core.vehicle.supply`)."""
         actor = self.vehicles.get(key)
         return actor is not None and may_fly(actor.vehicle, self._loop.time())
 
@@ -918,7 +918,7 @@ class Fleet:
         self.flights.note(self._notes(now, time.time() - now), states, now)
 
     def _notes(self, now: float, to_unix_s: float) -> list[FlightNote]:
-        """What flies, or has flown. ``to_unix_s``: from the loop's clock to Unix time."""
+        """Return what flies, or has flown. ``to_unix_s``: from the loop's clock to Unix time."""
         notes = []
         for actor in (a for a in self.vehicles.values() if not a.vehicle.replayed):
             flying, flown_by = is_flying(actor.vehicle, now), actor.unattended.watch.owed_to
@@ -1059,5 +1059,5 @@ def _origin(config: FleetConfig) -> Origin | None:
 
 
 def _succeeded(task: asyncio.Task[Outcome]) -> bool:
-    """Whether an order ended well."""
+    """True if an order ended well."""
     return task.done() and not task.cancelled() and task.exception() is None and task.result().ok

@@ -36,7 +36,7 @@ def margin_rule(
 
 
 def uncertainty(actor: VehicleActor) -> Uncertainty:
-    """What is known of one vehicle, and where each value comes from."""
+    """Return what is known of one vehicle, and where each value comes from."""
     known: dict[str, Any] = {}
     sources: dict[str, str] = {}
     settings = actor.config.separation

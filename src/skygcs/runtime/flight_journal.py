@@ -70,7 +70,7 @@ class FlightJournal:
             return []
 
     def due(self, states: tuple[Any, ...], now: float, *, flying: bool) -> bool:
-        """Whether a note has to be made: ``states`` differ from those of the last note, or one is in the air."""
+        """True if a note has to be made: ``states`` differ from those of the last note, or one is in the air."""
         return states != self._states or (flying and now - self._noted_at >= PERIOD_S)
 
     def note(self, notes: Sequence[FlightNote], states: tuple[Any, ...], now: float) -> None:

@@ -153,7 +153,7 @@ class OffboardEngagement:
         self._attitude_delay_s = settings.guard().attitude_delay_s
         """As it is set; flown is what the gains bear of it."""
         self._gains_forced = False
-        """Whether somebody insisted on gains that bear less."""
+        """True if somebody insisted on gains that bear less."""
         self._law_changed = False
         self._hover_thrust_set = False
         self._ended_at = -math.inf
@@ -165,7 +165,7 @@ class OffboardEngagement:
 
     @property
     def sends_setpoints(self) -> bool:
-        """Whether setpoints to it take a share of the daemon's links."""
+        """True if setpoints to it take a share of the daemon's links."""
         return self.controller.active
 
     @property
@@ -262,7 +262,7 @@ class OffboardEngagement:
         self._publish("control", text, {"state": "flying"})
 
     def _follows_ours(self) -> bool:
-        """Whether it flies by our setpoints now, if they come: under control, or engaged in the mode it was in."""
+        """True if it flies by our setpoints now, if they come: under control, or engaged in the mode it was in."""
         return self.controller.state is OffboardState.FLYING or offboard_entry.is_following(self._vehicle)
 
     async def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:

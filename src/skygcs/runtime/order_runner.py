@@ -210,7 +210,7 @@ class OrderRunner:
         return outcome
 
     def _changes_mode(self, plan: Plan) -> bool:
-        """Whether a step of it ends with a mode that the vehicle is not in now."""
+        """True if a step of it ends with a mode that the vehicle is not in now."""
         now = self._loop.time()
         return any(isinstance(s.expect, ModeIn) and not s.expect.met(self._vehicle, now) for s in plan.steps)
 
@@ -363,7 +363,7 @@ class OrderRunner:
         return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
 
     def _known_unsupported(self, step: Step, plan: Plan) -> bool:
-        """Whether the vehicle has said since its start that it lacks this command, for which there is another way. An
+        """True if the vehicle has said since its start that it lacks this command, for which there is another way. An
         order that ends a motion asks again: its other way may be the weaker one."""
         if step.command is None or not step.instead or plan.order in ENDS_MOTION:
             return False

@@ -35,7 +35,7 @@ class OutgoingGate:
         clearance: Clearance | None,
         reached: Callable[[], Iterable[Vehicle]],
     ) -> bool:
-        """Whether a message of ours may be sent. ``reached``: the vehicles that will accept it. One that may not is
+        """True if a message of ours may be sent. ``reached``: the vehicles that will accept it. One that may not is
         counted, and reported once per kind."""
         if clearance is not None and clearance.covers(name, fields):
             return True

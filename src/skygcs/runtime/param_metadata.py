@@ -110,7 +110,8 @@ class VehicleMetadata:
         }
 
     def notes(self, values: Mapping[str, Value]) -> dict[str, str]:
-        """What is to be said of values that were set, by name: a range that was not kept, a reboot that is needed."""
+        """Return what is to be said of values that were set, by name: a range that was not kept, a reboot that is
+        needed."""
         notes = {}
         for name, entry in self.of(values).items():
             said = [entry.outside(values[name]) or entry.without_meaning(values[name])]

@@ -353,7 +353,7 @@ class VehicleParams:
 
     @property
     def cache(self) -> ParamCache:
-        """What is kept on disk."""
+        """Return what is kept on disk."""
         return self._services.param_cache
 
     def known(self) -> Mapping[str, Param]:

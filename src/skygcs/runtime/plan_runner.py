@@ -182,7 +182,7 @@ class _Checked:
     """Return heights in metres that are to be set before the flight begins."""
 
     def passes(self, *, force: bool) -> bool:
-        """Whether nothing found keeps the plan on the ground."""
+        """True if nothing found keeps the plan on the ground."""
         return not refusals(self.findings, force=force)
 
     def report(self, *, force: bool) -> dict[str, Any]:
@@ -344,7 +344,7 @@ class PlanRunner:
         return ChosenWay(choice, link_findings(actors, choice, narrow, control_mode, self._loop.time(), timed=timed))
 
     def _locked(self, kept: KeptPlan, actors: Sequence[VehicleActor], origin: Origin, *, held: bool) -> FlightLock:
-        """What the flight is checked with; ``held`` from here to the end of the flight."""
+        """Return what the flight is checked with; ``held`` from here to the end of the flight."""
         flown = [(actor.vehicle, actor.config.control) for actor in actors]
         lock = self._fleet.locks.make(Holder.PLAN, kept.name, origin, flown)
         if held:
@@ -730,7 +730,7 @@ class PlanRunner:
 
     @property
     def moving(self) -> bool:
-        """Whether a flight is under way."""
+        """True if a flight is under way."""
         return self.flight is not None and not self.flight.execution.over
 
 
@@ -879,7 +879,7 @@ def _climb_s(prepared: Prepared, measured: Measured) -> float:
 
 
 def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -> FlightSpace:
-    """What the plan says stands somewhere, and what is measured: that counts."""
+    """Return what the plan says stands somewhere, and what is measured: that counts."""
     standing = {name: place for name, place in space.standing.items() if name not in taking_part}
     return replace(space, standing={**standing, **measured.others})
 

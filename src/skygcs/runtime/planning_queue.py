@@ -131,7 +131,7 @@ class PlanningQueue:
             self.cancel(number=number)
 
     def status(self) -> list[dict[str, Any]]:
-        """What is computed and what waits, the oldest first."""
+        """Return what is computed and what waits, the oldest first."""
         now = self._loop.time()
         return [
             {

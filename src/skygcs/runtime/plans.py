@@ -51,7 +51,7 @@ class Plans:
 
     @property
     def runner(self) -> PlanRunner:
-        """What loads, checks and flies a plan; made when it is first asked for."""
+        """Return what loads, checks and flies a plan; made when it is first asked for."""
         if self._runner is None:
             from skygcs.runtime.plan_runner import PlanRunner
 
@@ -62,11 +62,11 @@ class Plans:
 
     @property
     def moving(self) -> bool:
-        """Whether a flight is under way."""
+        """True if a flight is under way."""
         return self._runner is not None and self._runner.moving
 
     def record(self, actor: VehicleActor) -> FlightRecord:
-        """What is measured of this vehicle's battery in flight."""
+        """Return what is measured of this vehicle's battery in flight."""
         key = actor.vehicle.key
         if key not in self._records:
             self._records[key] = self.recalled.pop(key, FlightRecord())

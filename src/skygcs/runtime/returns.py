@@ -245,7 +245,7 @@ class Returns:
             waits.retry_at = self._loop.time() + AGAIN_S
 
     def _moves(self) -> bool:
-        """Whether one of them has moved, or landed, in the last `STUCK_S`."""
+        """True if one of them has moved, or landed, in the last `STUCK_S`."""
         now = self._loop.time()
         for key, actor in self._members.items():
             one = self._returning(actor, now)
@@ -309,7 +309,7 @@ class Returns:
 
 
 def _is_placed(vehicle: Vehicle, now: float) -> bool:
-    """Whether its way home is known: it flies, is heard, and reports where it and its home are."""
+    """True if its way home is known: it flies, is heard, and reports where it and its home are."""
     position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
     placed = position is not None and position["lat_deg"] is not None and home is not None
     copter = vehicle.kind is VehicleClass.COPTER  # others cannot stay where they are

@@ -223,7 +223,7 @@ class SigningSetup:
         return Outcome(False, "timeout", why, TRIES, self._loop.time() - began, tuple(texts))
 
     def _left(self, vehicle: Vehicle, key: bytes) -> str:
-        """What remains to be changed on our links to the vehicle."""
+        """Return what remains to be changed on our links to the vehicle."""
         heard = {c.link.name: c for c in self._hub.channels.values() if vehicle.key in c.sources}
         silent = [name for name in heard if self._signing.link_key(name) is None]
         other = [name for name in heard if self._signing.link_key(name) not in (None, key)]

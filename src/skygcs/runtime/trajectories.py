@@ -222,7 +222,7 @@ class Trajectories:
             return self._start(actors, chosen, {}, max(at_s, self._loop.time()), speed_factor, lock)
 
     def _lock_of(self, chosen: Mapping[VehicleActor, LoadedTrajectory]) -> FlightLock | None:
-        """What these fly by from now on, held while they do; None without an origin."""
+        """Return what these fly by from now on, held while they do; None without an origin."""
         first, loaded = next(iter(chosen.items()), (None, None))
         if first is None or loaded is None or first.vehicle.origin is None:
             return None
@@ -231,7 +231,7 @@ class Trajectories:
         return self._locks.take(lock, lambda: self._flown_by(lock))
 
     def _flown_by(self, lock: FlightLock) -> bool:
-        """Whether a group flies by this lock, or is about to."""
+        """True if a group flies by this lock, or is about to."""
         now = self._loop.time()
         groups = (group for group in self._groups if group.lock is lock and group.flights)
         return self._starting is lock or any(group.clock.at(now).state not in OVER for group in groups)
@@ -239,7 +239,7 @@ class Trajectories:
     def _chosen(
         self, actors: Sequence[VehicleActor]
     ) -> tuple[dict[VehicleActor, LoadedTrajectory], dict[VehicleActor, str]]:
-        """What is loaded for each, and why others do not start: nothing is, or another site commands them."""
+        """Return what is loaded for each, and why others do not start: nothing is, or another site commands them."""
         missing = "no trajectory is loaded: `skygcs-cli trajectory load FILE {}` first"
         refused = {actor: missing.format(actor.name) for actor in actors if actor not in self._loaded}
         refused |= {actor: why for actor in actors if (why := actor.authority_refusal()) is not None}
@@ -429,7 +429,7 @@ class Trajectories:
         ]
 
     def status(self, actors: Sequence[VehicleActor]) -> list[dict[str, Any]]:
-        """What is loaded and flown, by vehicle; those without either are left out."""
+        """Return what is loaded and flown, by vehicle; those without either are left out."""
         now, found = self._loop.time(), []
         for actor in actors:
             loaded, flight = self._loaded.get(actor), actor.offboard.controller.flight

@@ -144,7 +144,7 @@ class UnattendedHolds:
 
 
 def _target(frame: Frame) -> Target | None:
-    """What a message of another station makes the vehicle fly to; None: it moves nothing."""
+    """Return what a message of another station makes the vehicle fly to; None: it moves nothing."""
     fields = frame.fields()
     name = "" if frame.info is None else frame.info.name
     if name == "SET_ATTITUDE_TARGET":

@@ -74,7 +74,7 @@ class CopterVehicle(SimVehicle):
     can_sign = True
     named_param_index = 65535
     renumbers_at_once = False
-    """Whether a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
+    """True if a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
     attitude_timeout_s: float | None = COPTER.attitude_timeout_s.simulated
     """None: GUID_TIMEOUT (3 s), as from 4.1 on; before, GUIDED_ATTITUDE_TIMEOUT_MS: 1 s."""
 
@@ -492,7 +492,7 @@ class CopterVehicle(SimVehicle):
         return m.MAV_RESULT_ACCEPTED
 
     def inside_fence(self, east_m: float, north_m: float, up_m: float) -> bool:
-        """Whether GUIDED takes a target there; without a fence, everywhere."""
+        """True if GUIDED takes a target there; without a fence, everywhere."""
         return self.breach(east_m, north_m, up_m) == ""
 
     def guided_waypoint(self, item: MissionItem, now: float) -> bool:

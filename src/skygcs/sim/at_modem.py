@@ -155,7 +155,7 @@ class AtRadio:
             self._output += data
 
     def take_traffic(self) -> bytes:
-        """What was heard as data since the last call."""
+        """Return what was heard as data since the last call."""
         traffic, self.traffic = self.traffic, b""
         return traffic
 
@@ -172,7 +172,7 @@ class AtRadio:
             self._output += data
 
     def take_output(self, baud: int) -> bytes:
-        """What it sent since the last call, as a listener at ``baud`` receives it."""
+        """Return what it sent since the last call, as a listener at ``baud`` receives it."""
         output = bytes(self._output)
         self._output.clear()
         if baud != self.baud:
@@ -298,7 +298,7 @@ class AtRadio:
             return
 
     def hears(self, other: AtRadio) -> bool:
-        """Whether what one sends reaches the other: that one is on, and their settings since they started agree."""
+        """True if what one sends reaches the other: that one is on, and their settings since they started agree."""
         alike = ("NETID", "AIR_SPEED", "ECC", "MIN_FREQ", "MAX_FREQ", "NUM_CHANNELS")
         return not other.faults.silent and all(
             self._value(name, self._in_force) == other._value(name, other._in_force) for name in alike

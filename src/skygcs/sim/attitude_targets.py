@@ -43,7 +43,7 @@ class Refusal(Enum):
 
 
 def px4_attitude(fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
-    """What PX4 makes of it.
+    """Return what PX4 makes of it.
 
     With an attitude, of the rates that of the yaw alone counts, as feed-forward; without, roll and pitch rates are
     needed, and a yaw rate that is ignored leaves the turn that there is. A thrust that is ignored is none: the motors
@@ -79,7 +79,7 @@ def copter_attitude(
     angle_boost: bool = False,
     upright: float = 1.0,
 ) -> AttitudeSetpoint | Refusal:
-    """What ArduCopter makes of it in GUIDED.
+    """Return what ArduCopter makes of it in GUIDED.
 
     Without an attitude it flies the rates (none: 0), with both the attitude turns on with the rates. Without
     GUID_OPTIONS bit 3 (``thrust_as_thrust``) the thrust is a climb rate: 0.5 holds the height, 1 climbs with

@@ -37,7 +37,7 @@ class Fact(Generic[T]):
 
     @property
     def simulated(self) -> T:
-        """What the simulator does."""
+        """Return what the simulator does."""
         return self.value if self.used is None else self.used
 
 
@@ -134,7 +134,7 @@ class Answers:
     mission_current_beyond: int
     """DO_SET_MISSION_CURRENT of an item that is not there."""
     forced_arming: bool
-    """Whether 21196 in param2 passes over the arming checks."""
+    """True if 21196 in param2 passes over the arming checks."""
 
 
 @dataclass(frozen=True, slots=True)

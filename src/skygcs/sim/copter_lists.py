@@ -273,7 +273,7 @@ def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
 
 
 def _place_refusal(item: MissionItem) -> int:
-    """What `mavlink_int_to_mission_cmd` has against the place of an item that has one; 0: nothing."""
+    """Return what `mavlink_int_to_mission_cmd` has against the place of an item that has one; 0: nothing."""
     if abs(item.x) > 900_000_000:
         return m.MAV_MISSION_INVALID_PARAM5_X
     if abs(item.y) > 1_800_000_000:
@@ -285,7 +285,7 @@ def _place_refusal(item: MissionItem) -> int:
 
 
 def as_kept(item: MissionItem) -> MissionItem:
-    """What is left of an item in the vehicle's storage."""
+    """Return what is left of an item in the vehicle's storage."""
     p1, p2, p3, p4 = (value or 0.0 for value in item.params)
     kept = replace(item, params=(p1, p2, p3, p4), autocontinue=True)
     if item.command in RULES.with_place:

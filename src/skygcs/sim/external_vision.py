@@ -54,11 +54,11 @@ class ExternalVision:
         """Time stamps of the last poses."""
 
     def usable(self, now: float) -> bool:
-        """Whether the estimator has a position by poses."""
+        """True if the estimator has a position by poses."""
         return self._began and self.last_at is not None and now - self.last_at <= KEPT_S[self._autopilot]
 
     def takes(self, name: str, fields: Mapping[str, Any]) -> bool:
-        """Whether the firmware reads this message at all."""
+        """True if the firmware reads this message at all."""
         if name != "ODOMETRY":
             return True
         if self._autopilot == m.MAV_AUTOPILOT_PX4:

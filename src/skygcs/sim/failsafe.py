@@ -135,7 +135,7 @@ def outside(v: VehicleState, east_m: float, north_m: float, up_m: float, *, radi
 
 
 def copter_fence_present(v: VehicleState) -> bool:
-    """Whether a fence is set up, enabled or not (AC_Fence::present)."""
+    """True if a fence is set up, enabled or not (AC_Fence::present)."""
     polygon = FENCE_POLYGON if v.lists.fence else 0
     return bool(int(v.params["FENCE_TYPE"]) & (FENCE_HEIGHT | FENCE_CIRCLE | FENCE_FLOOR | polygon))
 

@@ -62,8 +62,8 @@ def _watch_ground(v: VehicleState, now: float) -> None:
 def _as_flown(
     v: VehicleState, setpoint: Setpoint | PositionTarget | AttitudeSetpoint | None, limits: Limits, dt_s: float
 ) -> Setpoint | AttitudeSetpoint | AccelerationSetpoint | None:
-    """What the body flies: the acceleration that the firmware's controller asks for on the way to a position target;
-    the setpoint of a leg, towards where the vehicle, wrong about where it is, takes it to be."""
+    """Return what the body flies: the acceleration that the firmware's controller asks for on the way to a position
+    target; the setpoint of a leg, towards where the vehicle, wrong about where it is, takes it to be."""
     if isinstance(setpoint, PositionTarget):
         return v.position_control.step(v.estimated, dt_s, setpoint, limits)
     if v.estimated is v.motion or not isinstance(setpoint, Setpoint):

@@ -35,12 +35,13 @@ class GroundRadio:
         return self.radio.baud
 
     def hear(self, data: bytes, now: float, baud: int) -> bytes:
-        """What was written to its port at a rate; what of it goes on air."""
+        """Return what was written to its port at a rate; what of it goes on air."""
         self.radio.hear(data, now, baud)
         return self.radio.take_traffic()
 
     def step(self, came: Sequence[bytes], now: float, baud: int) -> bytes:
-        """What comes out of its port for somebody who listens at a rate. ``came``: from the air, and its reports."""
+        """Return what comes out of its port for somebody who listens at a rate. ``came``: from the air, and its
+        reports."""
         self._air.cut_off = frozenset(
             node for node, remote in enumerate(self.radio.remotes, 1) if not self.radio.hears(remote)
         )

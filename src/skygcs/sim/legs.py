@@ -93,7 +93,7 @@ class Plan:
     def step(
         self, motion: Body, limits: Limits, now: float
     ) -> tuple[Setpoint | PositionTarget | AttitudeSetpoint | None, Limits]:
-        """What to steer to now, and the limits on the way; moves on to the next leg when one is finished."""
+        """Return what to steer to now, and the limits on the way; moves on to the next leg when one is finished."""
         while self._legs and _finished(self._legs[0], motion, now):
             if len(self._legs) == 1:
                 self.arrived = True

@@ -49,11 +49,11 @@ class MissionRun(ABC):
 
     first_seq = 0
     reports_reached_items = False
-    """Whether items that do not move it are reported as reached, too; of several reached at once only the last is
+    """True if items that do not move it are reported as reached, too; of several reached at once only the last is
     reported."""
 
     reports_each = False
-    """Whether items that do not move it are reported as reached, each in turn (PX4)."""
+    """True if items that do not move it are reported as reached, each in turn (PX4)."""
 
     def __init__(self) -> None:
         self.seq = 0
@@ -120,7 +120,7 @@ class MissionRun(ABC):
             self.state = m.MISSION_STATE_PAUSED
 
     def set_current(self, v: MissionVehicle, seq_on_wire: int, now: float) -> bool:
-        """Whether there is such an item; a vehicle that flies its mission goes there."""
+        """True if there is such an item; a vehicle that flies its mission goes there."""
         seq = seq_on_wire - self.first_seq
         if not 0 <= seq < len(v.lists.mission):
             return False

@@ -36,7 +36,7 @@ class BoardSigning:
         self._gate = Gate(key, self.clock, SignatureStreams(self.clock), frozenset({RADIO, RADIO_STATUS}))
 
     def hears(self, frame: Frame) -> bool:
-        """Whether a received frame may count."""
+        """True if a received frame may count."""
         return self._gate is None or self._gate.check(frame, 0) in (SignatureVerdict.SIGNED, SignatureVerdict.ALLOWED)
 
     def signed(self, raw: bytes, info: MessageInfo) -> bytes:

@@ -87,7 +87,7 @@ class Params:
         self._index = {p.name: i for i, p in enumerate(self._all)}
 
     def encode(self, param: Param) -> float:
-        """What goes into PARAM_VALUE.param_value."""
+        """Return what goes into PARAM_VALUE.param_value."""
         if not self._bytewise or param.type == m.MAV_PARAM_TYPE_REAL32:
             return param.value
         value: float = struct.unpack("<f", struct.pack("<i", int(param.value)))[0]

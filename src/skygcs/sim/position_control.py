@@ -51,7 +51,7 @@ class ControlGains:
 
     @property
     def accel_max_mps2(self) -> float:
-        """What it can push sideways with its lift at hover."""
+        """Return what it can push sideways with its lift at hover."""
         return GRAVITY_MPS2 * tan(self.tilt_max_rad)
 
 

@@ -74,7 +74,7 @@ def is_position(lat_deg: float, lon_deg: float) -> bool:
 
 
 def px4_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | str:
-    """What PX4 makes of it; a text: it refuses the message with it, and it counts as none."""
+    """Return what PX4 makes of it; a text: it refuses the message with it, and it counts as none."""
     mask, frame = int(fields["type_mask"]), int(fields["coordinate_frame"])
     position = NO_AXES
     velocity = _axes(_ned_to_enu(fields["vx"], fields["vy"], fields["vz"]), mask, VELOCITY_IGNORE)
@@ -101,7 +101,7 @@ def px4_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarget 
 
 
 def copter_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | None:
-    """What ArduCopter makes of it in GUIDED; None: it takes no notice."""
+    """Return what ArduCopter makes of it in GUIDED; None: it takes no notice."""
     mask, frame = int(fields["type_mask"]), int(fields["coordinate_frame"])
     global_frame = name.endswith("GLOBAL_INT")
     if not global_frame and frame not in LOCAL_FRAMES:

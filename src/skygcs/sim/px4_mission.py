@@ -85,5 +85,5 @@ class Px4Run(MissionRun):
 
 
 def ids(lists: MissionLists) -> bytes:
-    """What PX4 adds to MISSION_CURRENT: mission_id, fence_id, rally_points_id."""
+    """Return what PX4 adds to MISSION_CURRENT: mission_id, fence_id, rally_points_id."""
     return b"".join(lists.opaque_id(kind).to_bytes(4, "little") for kind in MissionType)

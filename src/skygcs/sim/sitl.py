@@ -271,7 +271,7 @@ class Readiness:
 
     @property
     def missing(self) -> list[str]:
-        """What is not there yet, in the order in which it comes."""
+        """Return what is not there yet, in the order in which it comes."""
         return [what for what in ("heartbeat", "position", "estimator", "arming checks") if not self._seen.get(what)]
 
 

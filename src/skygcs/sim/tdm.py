@@ -64,7 +64,7 @@ class TdmConfig:
     burst_s: float = 1.0
     """How long a fade lasts on average."""
     rtscts: bool = False
-    """Whether a program that writes to a radio waits while its buffer is full, instead of losing bytes in it."""
+    """True if a program that writes to a radio waits while its buffer is full, instead of losing bytes in it."""
     node_ids: tuple[int, ...] | None = None
     """As the radios are configured, where that is wrong: nodes of one id send in one slot, and nobody hears either."""
     distances_m: tuple[float, ...] = ()
@@ -169,7 +169,7 @@ class TdmNetwork:
         return max(0, 100 - round(100 * self._nodes[node].buffered / TX_BUFFER_BYTES))
 
     def has_room(self, node: int, size: int) -> bool:
-        """Whether CTS lets a frame into this radio (where there is none it always seems so)."""
+        """True if CTS lets a frame into this radio (where there is none it always seems so)."""
         at = self._nodes[node]
         waiting = sum(len(raw) for _, raw in at.arriving)
         return not self.config.rtscts or at.buffered + waiting + size <= TX_BUFFER_BYTES
@@ -231,7 +231,8 @@ class TdmNetwork:
                         self._receive(receiver, packet, arrives)
 
     def _packets(self, number: int) -> list[list[bytes]]:
-        """What goes in one slot: whole frames, as many as two packets hold. A longer one has a packet for itself."""
+        """Return what goes in one slot: whole frames, as many as two packets hold. A longer one has a packet for
+        itself."""
         node = self._nodes[number]
         packets: list[list[bytes]] = []
         for _ in range(PACKETS_PER_SLOT):

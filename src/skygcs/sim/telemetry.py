@@ -289,7 +289,7 @@ def rc_channels(v: VehicleState, now: float) -> Fields:
 
 
 def _body_accel(v: VehicleState) -> Vector:
-    """What the accelerometer feels (FRD, m/s²): everything but gravity, turned into the body."""
+    """Return what the accelerometer feels (FRD, m/s²): everything but gravity, turned into the body."""
     motion = v.reported
     east, north, up = motion.accel_enu_mps2
     forward = north * cos(motion.yaw_rad) + east * sin(motion.yaw_rad)

@@ -56,9 +56,9 @@ class VehicleState(ABC):
     named_param_index: int | None
     """param_index of an answer to a request by name; None: the parameter's own."""
     can_sign: bool = False
-    """Whether SETUP_SIGNING does anything; PX4 1.16 takes no notice."""
+    """True if SETUP_SIGNING does anything; PX4 1.16 takes no notice."""
     hears_broadcast_commands: bool = True
-    """Whether a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
+    """True if a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
     mode: int
     """HEARTBEAT.custom_mode."""
     lists: MissionLists
@@ -120,7 +120,7 @@ class VehicleState(ABC):
     @staticmethod
     @abstractmethod
     def make_position_control(gains: ControlGains) -> PositionControl:
-        """What follows its targets in OFFBOARD or GUIDED."""
+        """Return what follows its targets in OFFBOARD or GUIDED."""
 
     @property
     @abstractmethod
@@ -273,7 +273,7 @@ class VehicleState(ABC):
         """Send a telemetry message built from the present state; False if this vehicle has none of this name."""
 
     def tail_of(self, name: str) -> bytes:
-        """What its firmware sends behind the fields that the dialect knows."""
+        """Return what its firmware sends behind the fields that the dialect knows."""
         return b""
 
     def send_soon(self, name: str) -> None:
@@ -302,7 +302,7 @@ class VehicleState(ABC):
 
     @property
     def reported(self) -> Body:
-        """What telemetry says: what was believed a latency ago."""
+        """Return what telemetry says: what was believed a latency ago."""
         return self.sensors.reported
 
     @property
@@ -351,7 +351,7 @@ class VehicleState(ABC):
 
     @property
     def local_origin(self) -> Home:
-        """What its local frame is about: what a ground station set, else where it was first powered."""
+        """Return what its local frame is about: what a ground station set, else where it was first powered."""
         return self.local_zero or Home(0.0, 0.0, 0.0)
 
     def true_position(self) -> tuple[float, float, float]:
@@ -360,7 +360,7 @@ class VehicleState(ABC):
         return lat_deg, lon_deg, self.where.alt_amsl_m + self.motion.up_m
 
     def sysid_of_params(self) -> int:
-        """What the parameter says; 1 if that is no system id."""
+        """Return what the parameter says; 1 if that is no system id."""
         sysid = int(self.params[self.sysid_param])
         return sysid if 1 <= sysid <= 255 else 1
 

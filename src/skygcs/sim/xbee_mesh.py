@@ -152,7 +152,7 @@ class XBeeMesh:
 
     @property
     def escaped(self) -> bool:
-        """Whether the ground's module is in API mode 2."""
+        """True if the ground's module is in API mode 2."""
         return self._registers["AP"] == b"\x02"
 
     def address(self, vehicle: int) -> int:

@@ -105,7 +105,7 @@ class RecordFinder:
 
     @property
     def at_end(self) -> bool:
-        """Whether the whole file was read."""
+        """True if the whole file was read."""
         return self.at >= self._size
 
     def find(self, looks: int) -> LogEntry | None:
@@ -150,7 +150,7 @@ class RecordFinder:
         return LogEntry(raw, frame, verdict, unix_us, 0.0, at)
 
     def _in_place(self, unix_us: int, following: bytes) -> bool:
-        """Whether a record follows; at the end of the file, whether one went before.
+        """True if a record follows; at the end of the file, whether one went before.
 
         Its time must be near this one's, or both real: without that, noise would make a bad record of every 16 kB.
         """
@@ -163,7 +163,7 @@ class RecordFinder:
         return unix_us in _REAL_TIMES_US if other is None else _belong_together(unix_us, other)
 
     def _holds_record(self, unix_us: int, raw: bytes) -> bool:
-        """Whether a good record stands inside: then the length is damaged and the record would be lost."""
+        """True if a good record stands inside: then the length is damaged and the record would be lost."""
         for found in _MAGIC.finditer(raw, TIME_BYTES):
             at = found.start()
             size = frame_size(raw, at)
@@ -176,7 +176,7 @@ class RecordFinder:
 
 
 def _belong_together(a_us: int, b_us: int) -> bool:
-    """Whether these may be the times of two records of one file: near each other, or both real."""
+    """True if these may be the times of two records of one file: near each other, or both real."""
     if a_us in _REAL_TIMES_US and b_us in _REAL_TIMES_US:
         return True
     return -CLOCK_STEP_US < a_us - b_us < CLOCK_STEP_US and a_us < _REAL_TIMES_US.stop

@@ -41,7 +41,7 @@ class Selection:
 
     @property
     def absolute(self) -> bool:
-        """Whether a time of day is set, which a raw capture does not have."""
+        """True if a time of day is set, which a raw capture does not have."""
         return isinstance(self.begin, int) or isinstance(self.end, int)
 
     @property
@@ -76,7 +76,7 @@ class Selection:
         return bool(system) and any(s == system and c in (None, 0, component) for s, c in self.sources)
 
     def has(self, sysid: int, compid: int) -> bool:
-        """Whether this source matches; all do if none is set."""
+        """True if this source matches; all do if none is set."""
         return not self.sources or (sysid, None) in self.sources or (sysid, compid) in self.sources
 
 

@@ -413,7 +413,7 @@ async def _done_within(task: asyncio.Task[Any], seconds: float) -> bool:
 
 
 def _listens(path: str) -> bool:
-    """Whether a process takes connections at this path, or would if it were less busy."""
+    """True if a process takes connections at this path, or would if it were less busy."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
         try:
             probe.connect(path)

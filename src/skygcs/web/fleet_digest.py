@@ -74,7 +74,7 @@ class Digest:
         return self.connected and self.silence_now_s(now) < VEHICLE_SILENT_S
 
     def matches(self, words: Iterable[str], now: float) -> bool:
-        """Whether each word is in it. The page's own filter has the same words (columns.ts)."""
+        """True if each word is in it. The page's own filter has the same words (columns.ts)."""
         heard = self.heard(now)
         text = f"{self.words} {'heard' if heard else 'silent'}"
         if self.problem or not heard:

@@ -106,7 +106,7 @@ def _motion(limits: Sequence[float]) -> MotionLimits:
 
 
 def _space(asked: PlanCheck, own: FlightSpace) -> FlightSpace:
-    """What the file says, and what the page adds or replaces."""
+    """Return what the file says, and what the page adds or replaces."""
     if 0 < len(asked.fence) < 3:
         raise RefusedError("fence: a fence has three corners at least")
     standing = {name: _vector(place) for name, place in asked.standing.items()}
@@ -216,7 +216,8 @@ def _phase_names(plan: Plan) -> list[str]:
 
 
 def paths_of(trajectories: Mapping[str, Trajectory], phases: Sequence[str] = ()) -> dict[str, Any]:
-    """What the timeline draws: by vehicle, pieces [duration_s, [east…], [north…], [up…]] with ascending coefficients.
+    """Return what the timeline draws: by vehicle, pieces [duration_s, [east…], [north…], [up…]] with ascending
+    coefficients.
 
     ``exact`` is false where the plan is too long for that and each piece is a straight line between two samples.
     """

@@ -208,7 +208,7 @@ class ReplaySource:
         deadline_s: float | None = None,
         on_report: OnReport | None = None,
     ) -> bytes:
-        """What a recording can answer, encoded. Raises RpcError."""
+        """Return what a recording can answer, encoded. Raises RpcError."""
         return to_json(self._result(method, params), inf_nan_mode="null", serialize_unknown=True)
 
     def _result(self, method: str, params: dict[str, Any]) -> Any:

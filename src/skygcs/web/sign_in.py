@@ -97,7 +97,7 @@ class SignIn:
         return granted.role
 
     def identity(self, cookie: str) -> str:
-        """What distinguishes browsers without being a secret."""
+        """Return what distinguishes browsers without being a secret."""
         return _digest(cookie)
 
     def sign_out(self) -> int:

@@ -77,7 +77,7 @@ class LatestStates:
         self._round_began: float | None = None
         self._round_over = False
         self._marked = False
-        """Whether the source marks the end of a round."""
+        """True if the source marks the end of a round."""
 
     def __len__(self) -> int:
         return len(self._entries)

@@ -281,7 +281,8 @@ def _tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
 
 
 def _read_cookies(path: Path) -> dict[str, Any]:
-    """What an earlier process on this port saved; {} if nothing was saved or other users could have written it."""
+    """Return what an earlier process on this port saved; {} if nothing was saved or other users could have written
+    it."""
     try:
         stat = path.stat(follow_symlinks=False)
         if stat.st_uid != os.geteuid() or stat.st_mode & 0o077 or stat.st_size > 1 << 20:

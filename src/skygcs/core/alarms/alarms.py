@@ -76,7 +76,7 @@ class Alarms:
         return sorted(self._by_key.values(), key=lambda alarm: (not alarm.open, -alarm.number))
 
     def marks(self) -> tuple[tuple[int, bool, int], ...]:
-        """What changes with every change: number, condition and count of each."""
+        """Return what changes with every change: number, condition and count of each."""
         return tuple((a.number, a.active, a.count + sum(a.consequences.values())) for a in self._by_key.values())
 
     def take(self, signal: Signal, now_unix_s: float) -> Alarm | None:

@@ -79,13 +79,13 @@ Rule = Callable[[Event, VehicleFacts], list[Signal]]
 
 
 def signals(event: Event, facts: VehicleFacts) -> list[Signal]:
-    """What an event begins or ends."""
+    """Return what an event begins or ends."""
     rule = RULES.get(event.kind)
     return [] if rule is None else rule(event, facts)
 
 
 def battery(vehicle: str, percent: float, limits: tuple[float, float], facts: VehicleFacts) -> Signal | None:
-    """What a battery's charge begins or ends. ``limits``: low and critical, in percent."""
+    """Return what a battery's charge begins or ends. ``limits``: low and critical, in percent."""
     low, critical = limits
     if percent > low + HYSTERESIS_PERCENT:
         return Signal("battery", vehicle, False)

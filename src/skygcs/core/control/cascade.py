@@ -90,13 +90,13 @@ class Reference(_Judged):
 
     @property
     def moves(self) -> bool:
-        """Whether it has a velocity: only then does an acceleration mean anything, and only then is it ahead of itself
+        """True if it has a velocity: only then does an acceleration mean anything, and only then is it ahead of itself
         by the time an order takes."""
         return self.vel_enu_mps != ZERO
 
     @property
     def velocity_only(self) -> bool:
-        """Whether at least one axis follows a velocity and has no position."""
+        """True if at least one axis follows a velocity and has no position."""
         return self.velocity_only_xy or self.velocity_only_z
 
     def ahead(self, time_s: float) -> Reference:

@@ -105,7 +105,7 @@ class DelayMeter:
     def __init__(self, *, share: float = 0.5) -> None:
         self.share = share
         self.fast = False
-        """Whether to ping five times a second, and more often while a ping is overdue; may be set at any time."""
+        """True if to ping five times a second, and more often while a ping is overdue; may be set at any time."""
         self.pings = 0
         self.strange = 0
         """Pongs nobody waited for: of another station, twice, too late, or before their ping."""
@@ -165,7 +165,7 @@ class DelayMeter:
         self.bound_s = 0.0 if len(waiting) < UNANSWERED else max(now - waiting[UNANSWERED - 1][1], 0.0)
 
     def due_ping(self, now: float) -> bool:
-        """Whether to send a ping now."""
+        """True if to send a ping now."""
         if self._last_ping is None or now < self._last_ping:
             return True
         if now - self._regular_at >= self._period_s() - EARLY_S:
@@ -180,7 +180,7 @@ class DelayMeter:
         return FAST_PERIOD_S if self.fast else PERIOD_S
 
     def _overdue(self, now: float) -> bool:
-        """Whether the oldest ping since the last answer takes longer than round trips do."""
+        """True if the oldest ping since the last answer takes longer than round trips do."""
         if self.rtt_p95_s is None or not self._unanswered:
             return False
         return now - self._unanswered[0][1] >= self.rtt_p95_s + OVERDUE_S
@@ -228,7 +228,7 @@ class DelayMeter:
 
     @property
     def overdue(self) -> bool:
-        """Whether pings that are not answered decide, and not the round trips measured (as of the last tick)."""
+        """True if pings that are not answered decide, and not the round trips measured (as of the last tick)."""
         return self.rtt_p95_s is not None and self.bound_s > self.rtt_p95_s
 
     @property

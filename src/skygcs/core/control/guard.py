@@ -229,7 +229,7 @@ class Guard:
         self._checked_at = -math.inf
         self._as_wanted = Verdict("send", wanted, (), changed=False)
         self._as_before = False
-        """Whether the last check found no reason and the mode is the wanted one: another such check changes nothing."""
+        """True if the last check found no reason and the mode is the wanted one: another such check changes nothing."""
 
     def why_not(self, facts: Facts) -> tuple[str, ...]:
         """All present reasons against the wanted mode. Changes nothing."""

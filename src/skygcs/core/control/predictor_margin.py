@@ -58,7 +58,7 @@ class DelayRange:
 
     @property
     def holds(self) -> bool:
-        """Whether it is stable with a delay that is wrong by `UNCERTAINTY` of it."""
+        """True if it is stable with a delay that is wrong by `UNCERTAINTY` of it."""
         return self.margin_s >= UNCERTAINTY * self.assumed_s
 
 

@@ -218,7 +218,7 @@ class _RowReader:
         return self._float(), self._float(), self._float()
 
     def _empty(self, count: int) -> bool:
-        """Whether the next ones are all empty; they are taken then."""
+        """True if the next ones are all empty; they are taken then."""
         if any(self._cells[self._next : self._next + count]):
             return False
         self._next += count

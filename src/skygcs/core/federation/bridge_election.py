@@ -105,7 +105,7 @@ class BridgeElection:
 
     @property
     def claim(self) -> BridgeClaim:
-        """What is to be published now."""
+        """Return what is to be published now."""
         return BridgeClaim(self._run, self.state, self._active_since_unix_s, self._host, self._pid)
 
     @property

@@ -101,7 +101,8 @@ def encode(packet: Packet) -> bytes:
 
 
 def decode(frame_payload: bytes) -> Packet | None:
-    """What a FILE_TRANSFER_PROTOCOL frame's payload, trimmed or not, says as a reply; None if its size cannot be."""
+    """Return what a FILE_TRANSFER_PROTOCOL frame's payload, trimmed or not, says as a reply; None if its size cannot
+    be."""
     raw = frame_payload[_PAYLOAD_AT:].ljust(PAYLOAD_BYTES, b"\0")
     seq, session, opcode, size, req_opcode, burst_complete, offset = _HEAD.unpack_from(raw)
     if size > MAX_DATA_BYTES:
@@ -111,7 +112,7 @@ def decode(frame_payload: bytes) -> Packet | None:
 
 
 def error_text(packet: Packet) -> str:
-    """What a NAK says, for a person."""
+    """Return what a NAK says, for a person."""
     if packet.error == Error.FAIL_ERRNO and len(packet.data) > 1:
         return f"it failed with error number {packet.data[1]}"
     try:

@@ -105,7 +105,7 @@ def encoding_of(autopilot: int, capabilities: int | None) -> Encoding:
 
 
 def is_name(text: str) -> bool:
-    """Whether it can be a parameter's name."""
+    """True if it can be a parameter's name."""
     return _NAME.fullmatch(text) is not None
 
 
@@ -177,7 +177,7 @@ def from_bits(bits: int, type_: ParamType, encoding: Encoding) -> Value:
 
 
 def held_as(value: Value, type_: ParamType) -> Value:
-    """What a vehicle that takes the value will say it holds. Raises ValueError as `to_bits` does."""
+    """Return what a vehicle that takes the value will say it holds. Raises ValueError as `to_bits` does."""
     return from_bits(to_bits(value, type_, Encoding.BYTEWISE), type_, Encoding.BYTEWISE)
 
 

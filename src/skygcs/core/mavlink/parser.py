@@ -280,7 +280,7 @@ def _v1_lengths(dialect: Dialect) -> tuple[range | None, ...]:
 
 
 def _some_extra_fits(raw: bytes) -> bool:
-    """Whether any CRC_EXTRA makes the CRC of this frame right: true for every intact frame, for 1 of 256 others."""
+    """True if any CRC_EXTRA makes the CRC of this frame right: true for every intact frame, for 1 of 256 others."""
     crc_at = crc_offset(raw)
     before_extra = mcrf4xx(raw[1:crc_at])
     sent = raw[crc_at] | raw[crc_at + 1] << 8

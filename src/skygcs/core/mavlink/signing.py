@@ -107,7 +107,7 @@ def timestamp_of(signed: bytes) -> int:
 
 
 def is_signed_with(signed: bytes, key: bytes) -> bool:
-    """Whether this signed frame carries the signature of this key."""
+    """True if this signed frame carries the signature of this key."""
     digest = hashlib.sha256(key + signed[:-DIGEST_BYTES]).digest()
     return hmac.compare_digest(digest[:DIGEST_BYTES], signed[-DIGEST_BYTES:])
 
@@ -207,7 +207,7 @@ class Gate:
         self._allowed = allowed
 
     def check(self, frame: Frame, wall: int) -> SignatureVerdict:
-        """What becomes of a frame received at ``wall`` (`timestamp_at`)."""
+        """Return what becomes of a frame received at ``wall`` (`timestamp_at`)."""
         if not frame.signed:
             allowed = self._allowed
             return SignatureVerdict.ALLOWED if allowed is None or frame.msgid in allowed else SignatureVerdict.UNSIGNED

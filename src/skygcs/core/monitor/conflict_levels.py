@@ -124,7 +124,7 @@ def _rank_with_goals(a: Track, b: Track, widened: float) -> tuple[float, float] 
 
 
 def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
-    """What two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
+    """Return what two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
     margin = pair_margin(a.footprint, b.footprint)
     ratio = margin.downwash_ratio
     certain_m = margin.total_m * widened

@@ -65,7 +65,7 @@ class _Path(NamedTuple):
     ahead_s: float
     """How long after it others are looked at that fly straight on."""
     strict: bool
-    """Whether vehicles count that stand within the margin already."""
+    """True if vehicles count that stand within the margin already."""
 
     @property
     def length_m(self) -> float:

@@ -229,7 +229,7 @@ def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
 
 
 def follows(track: Track, points: Sequence[Vector]) -> bool:
-    """Whether it is seen to be on its trajectory, of which these are the points from now on."""
+    """True if it is seen to be on its trajectory, of which these are the points from now on."""
     return len(points) > 1 and not track.parked and math.dist(track.place_m, points[0]) <= OFF_PLAN_M + track.ball_m
 
 
@@ -245,7 +245,7 @@ def planned_path(track: Track, points: Sequence[Vector]) -> tuple[Piece, ...]:
 
 
 def is_flying(vehicle: Vehicle, now: float) -> bool:
-    """Whether it is to be taken for flying; in doubt it is, if it is armed."""
+    """True if it is to be taken for flying; in doubt it is, if it is armed."""
     if not vehicle.armed:
         return contradiction(vehicle, now) is not None
     if vehicle.in_air(now) is not False:

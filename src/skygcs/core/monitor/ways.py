@@ -79,7 +79,7 @@ def distance_m(a: Way, b: Way) -> float:
 
 
 def too_near(a: Way, b: Way) -> bool:
-    """Whether two vehicles on these ways could come nearer than they need."""
+    """True if two vehicles on these ways could come nearer than they need."""
     need_m = needed_m(a, b)
     return _boxes_meet(a, b, need_m) and distance_m(a, b) < need_m
 

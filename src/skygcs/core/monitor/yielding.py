@@ -64,7 +64,7 @@ def why_not_yield(track: Track, now: float) -> str | None:
 
 
 def is_ranked_above(a: Vehicle, b: Vehicle, priority_a: int, priority_b: int) -> bool:
-    """Whether ``a`` has the right of way: the higher priority, else the earlier name."""
+    """True if ``a`` has the right of way: the higher priority, else the earlier name."""
     return (-priority_a, a.name, a.key) < (-priority_b, b.name, b.key)
 
 

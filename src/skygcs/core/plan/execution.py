@@ -269,11 +269,11 @@ class Execution:
         self._engaged: set[str] = set()
         """Vehicles that are under control, or were."""
         self._started = False
-        """Whether the step's clock was started."""
+        """True if the step's clock was started."""
         self._rounds: list[tuple[str, ...]] | None = None
         """Of a landing that was certified; the first is under way."""
         self._asked = False
-        """Whether the landing's certificate was asked for, or the hold of an abort ordered."""
+        """True if the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()
         self._unexpected_modes: dict[str, str] = {}
         """`Sight.unexpected_mode` of those that have one, as of the last look."""
@@ -353,7 +353,7 @@ class Execution:
     # -- orders of people
 
     def begin(self) -> list[Order]:
-        """What is ordered first."""
+        """Return what is ordered first."""
         if self.state is PlanState.ARMING:
             self._report(f"arming {_named(self.grounded)}")
             return [Order(OrderKind.ARM, self.grounded)]

@@ -84,7 +84,7 @@ class FlightSpace:
 
     @property
     def has_walls(self) -> bool:
-        """Whether anything but standing vehicles bounds it."""
+        """True if anything but standing vehicles bounds it."""
         return bool(self.fence or self.boxes) or self.floor_m is not None or self.ceiling_m is not None
 
     def joined(self, added: FlightSpace) -> FlightSpace:

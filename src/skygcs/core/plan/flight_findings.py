@@ -66,7 +66,7 @@ class Finding:
 
 
 def refused(vehicle: str | None, check: str, text: str, remedy: Remedy, *, insist: bool = False) -> Finding:
-    """What keeps a plan on the ground. ``insist``: force passes it."""
+    """Return what keeps a plan on the ground. ``insist``: force passes it."""
     return Finding(vehicle, check, Level.REFUSED, text, insist=insist, remedy=remedy)
 
 

@@ -111,7 +111,8 @@ def renamed(plan: Plan, names: Mapping[str, str]) -> Plan:
 
 
 def rest_of(steps: list[FlightStep], trajectory_s: float, names: frozenset[str]) -> list[FlightStep]:
-    """What is left of the steps for these vehicles, of which the first one has been flown up to ``trajectory_s``."""
+    """Return what is left of the steps for these vehicles, of which the first one has been flown up to
+    ``trajectory_s``."""
     if not steps:
         return []
     first, *others = steps
@@ -124,8 +125,8 @@ def rest_of(steps: list[FlightStep], trajectory_s: float, names: frozenset[str])
 
 
 def from_where(step: FlightStep, places: Places, downwash_ratio: float, limits: MotionLimits) -> FlightStep:
-    """What is left of a step of straight legs: of each from its nearest point to the vehicle's place on. A part of a
-    leg keeps what the whole one was certified to keep."""
+    """Return what is left of a step of straight legs: of each from its nearest point to the vehicle's place on. A part
+    of a leg keeps what the whole one was certified to keep."""
     left: dict[str, Trajectory] = {}
     for name, trajectory in step.trajectories.items():
         begin, end = trajectory.start_enu_m, trajectory.end_enu_m
@@ -141,14 +142,14 @@ def from_where(step: FlightStep, places: Places, downwash_ratio: float, limits: 
 
 
 def plan_of(step: FlightStep) -> Plan:
-    """What is certified of a step."""
+    """Return what is certified of a step."""
     if step.timed:
         return TimedPlan(step.trajectories)
     return PhasedPlan(step.starts(), (Phase(step.name, step.places()),))
 
 
 def remainder(trajectory: Trajectory, from_s: float) -> Trajectory:
-    """What is left of a trajectory from this time on; standing at its end, if nothing is."""
+    """Return what is left of a trajectory from this time on; standing at its end, if nothing is."""
     pieces: list[Piece] = []
     for begin_s, piece in zip(trajectory.begins_s, trajectory.pieces, strict=True):
         skipped_s = max(0.0, from_s - begin_s)

@@ -48,7 +48,7 @@ class WantedFormation:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether any vehicle may take any place; in the current formation each keeps its own."""
+        """True if any vehicle may take any place; in the current formation each keeps its own."""
         return self.shape != CURRENT
 
     def places(self, names: Sequence[str], starts: Mapping[str, Vector]) -> dict[str, Vector]:

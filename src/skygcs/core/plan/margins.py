@@ -80,7 +80,7 @@ class MarginRule:
             raise RefusedError(f"a margin of {self.fixed_m:g} m is not between 0.01 and {MAX_MARGIN_M:g} m")
 
     def terms(self, name: str, motion: Motion | None = None) -> dict[str, float]:
-        """What this vehicle adds to the margin of each of its pairs, in metres; ``motion`` in timed plans."""
+        """Return what this vehicle adds to the margin of each of its pairs, in metres; ``motion`` in timed plans."""
         if self.fixed_m is not None:
             return {"given": self.fixed_m / 2.0}
         u = self.by_vehicle.get(name, self.uncertainty)

@@ -64,7 +64,7 @@ def write_plan_json(plan: Plan, space: FlightSpace, certificate: Mapping[str, An
 
 
 def plan_content(plan: Plan, space: FlightSpace, certificate: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What is in the file, before it is encoded."""
+    """Return what is in the file, before it is encoded."""
     content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     if isinstance(plan, TimedPlan):
         content["kind"] = "timed"
@@ -83,7 +83,7 @@ def plan_content(plan: Plan, space: FlightSpace, certificate: Mapping[str, Any] 
 
 
 def space_content(space: FlightSpace) -> dict[str, Any]:
-    """What `space_of` reads."""
+    """Return what `space_of` reads."""
     return {
         "fence": space.fence,
         "floor_m": space.floor_m,

@@ -268,7 +268,8 @@ def at_speed(rule: MarginRule, speed_factor: float) -> MarginRule:
 
 
 def tubes_of(rule: MarginRule, plan: Plan) -> Tubes:
-    """What each vehicle may be off, from the terms of its margin that are about that. A fixed margin has the same."""
+    """Return what each vehicle may be off, from the terms of its margin that are about that. A fixed margin has the
+    same."""
     names = list(plan.trajectories) if isinstance(plan, TimedPlan) else list(plan.starts)
     motions = (
         dict(zip(names, motions_of(list(plan.trajectories.values())), strict=True))

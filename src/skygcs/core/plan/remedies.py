@@ -34,7 +34,7 @@ def again(before: str) -> Remedy:
 
 
 def insist(before: str) -> Remedy:
-    """What is not known, or not measured, can be insisted on."""
+    """Return what is not known, or not measured, can be insisted on."""
     return Remedy(f"{RUN} --force", before)
 
 

@@ -126,7 +126,7 @@ class _Archive:
             raise PlanFileError(source, "", "a file is in the zip twice")
 
     def referred(self, where: str, found: Ask) -> Ask:
-        """What is there, or in the member to which it refers. Raises PlanFileError."""
+        """Return what is there, or in the member to which it refers. Raises PlanFileError."""
         if "$ref" not in found:
             return found
         content = self.json(_get(self._source, where, found, "$ref", str))

@@ -75,8 +75,8 @@ def _yaw_at(times: list[float], yaws: list[float], t_s: float) -> float:
 
 
 def yaw_control(trajectory: Trajectory) -> dict[str, Any] | None:
-    """What `with_yaw` reads, within `YAW_ERROR_RAD`; None: the trajectory has no yaw. A full turn between two pieces is
-    left out, any other jump takes `JUMP_S`."""
+    """Return what `with_yaw` reads, within `YAW_ERROR_RAD`; None: the trajectory has no yaw. A full turn between two
+    pieces is left out, any other jump takes `JUMP_S`."""
     if not trajectory.has_yaw:
         return None
     found: list[tuple[float, float]] = []

@@ -45,7 +45,7 @@ class _Wall(NamedTuple):
 
     what: str
     margins: bool
-    """Whether a vehicle keeps its margin from it."""
+    """True if a vehicle keeps its margin from it."""
 
 
 def breaches(trajectories: Sequence[Trajectory], half_margins_m: Sequence[float], space: FlightSpace) -> list[Breach]:

@@ -122,7 +122,7 @@ def read_paths(source: str, data: bytes, vehicle: str | None = None) -> Mapping[
 
 
 def is_log(source: str, data: bytes) -> bool:
-    """Whether the first line names latitude and longitude. Raises PlanFileError."""
+    """True if the first line names latitude and longitude. Raises PlanFileError."""
     first = next(rows(source, text_of(source, data[: 1 << 12].rpartition(b"\n")[0] or data)), (0, []))[1]
     return set(LOG_COLUMNS) <= {cell.lower() for cell in first}
 

@@ -33,12 +33,12 @@ class Expectations:
     hdop_max: float = 2.0
     """PX4 wants a PDOP of 2.5, ArduPilot an HDOP of 1.4 or 2.0 by its board."""
     delegated: bool = False
-    """Whether other sites may command it, too ([federation.vehicles])."""
+    """True if other sites may command it, too ([federation.vehicles])."""
     mocap: bool = False
-    """Whether it flies by poses of motion capture, without GPS."""
+    """True if it flies by poses of motion capture, without GPS."""
     estimator: bool = True
     prearm: bool = True
-    """Whether the autopilot's own arming checks must be passed as well."""
+    """True if the autopilot's own arming checks must be passed as well."""
     sensors_required: tuple[str, ...] = ()
     """Names of sensors that must be present, enabled and healthy. Every enabled sensor must be healthy in any case."""
     sensors_ignored: tuple[str, ...] = ()
@@ -57,7 +57,7 @@ class Expectations:
     """Above home; 120 m is the ceiling for open flights in Europe and, as 400 ft, in Canada and the USA."""
     geofence_required: bool = False
     transmitter: bool | None = None
-    """Whether a pilot's transmitter belongs to it; None: not specified."""
+    """True if a pilot's transmitter belongs to it; None: not specified."""
     control: ControlMode | None = None
     """None: it will not be flown by setpoints."""
     setpoint_hz: float = 5.0
@@ -65,5 +65,5 @@ class Expectations:
 
     @property
     def by_attitude(self) -> bool:
-        """Whether it will get attitudes and thrusts; raw flight may send them, too."""
+        """True if it will get attitudes and thrusts; raw flight may send them, too."""
         return self.control in ("attitude", "raw")

@@ -121,7 +121,7 @@ def external_vision(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def _control_wrong(facts: Facts, missing: list[str]) -> list[tuple[str, Fix]]:
-    """What of the poses a PX4 does not take."""
+    """Return what of the poses a PX4 does not take."""
     control = facts.value("EKF2_EV_CTRL")
     if control is None:
         missing.append("EKF2_EV_CTRL")

@@ -73,7 +73,7 @@ class Facts:
 
     @property
     def able(self) -> bool:
-        """Whether its reports can be trusted: it is connected, live, and the only one with its system id."""
+        """True if its reports can be trusted: it is connected, live, and the only one with its system id."""
         state = self.state
         return bool(state["connected"]) and not state["duplicate_sysid"] and not state["replayed"]
 

@@ -90,7 +90,7 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether the vehicle is ready: no check failed, and none that matters is unknown."""
+        """True if the vehicle is ready: no check failed, and none that matters is unknown."""
         return not self.complaints
 
     @property

@@ -30,7 +30,7 @@ class Rule:
         return not (self.one_of or self.bits or self.no_bits) and self.least is None and self.most is None
 
     def holds(self, value: Value) -> bool:
-        """Whether a value that a vehicle holds satisfies the rule; a 32-bit float may differ in its last digit."""
+        """True if a value that a vehicle holds satisfies the rule; a 32-bit float may differ in its last digit."""
         if self.one_of and not any(equal(value, wanted) for wanted in self.one_of):
             return False
         if self.least is not None and value < self.least and not equal(value, self.least):

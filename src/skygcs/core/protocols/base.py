@@ -68,4 +68,4 @@ class ProtocolMachine(ABC):
     @property
     @abstractmethod
     def done(self) -> bool:
-        """Whether it is over."""
+        """True if it is over."""

@@ -176,7 +176,7 @@ class Ack:
         )
 
     def is_for(self, sysid: int, compid: int) -> bool:
-        """Whether it answers us; 0 is an autopilot that does not name the receiver."""
+        """True if it answers us; 0 is an autopilot that does not name the receiver."""
         return self.target_system in (0, sysid) and self.target_component in (0, compid)
 
 

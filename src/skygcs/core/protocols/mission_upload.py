@@ -239,13 +239,13 @@ class MissionUpload(MissionProtocol):
         return (*passed, *self._again(now, why))
 
     def _passed(self, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-        """What of the download's effects is the upload's."""
+        """Return what of the download's effects is the upload's."""
         passed = tuple(effect for effect in effects if isinstance(effect, Send))
         self.sent += len(passed)
         return passed
 
     def _same(self, held: tuple[MissionItem, ...]) -> bool:
-        """Whether the vehicle holds what was sent, as far as can be seen: it may drop parameters that it has no use
+        """True if the vehicle holds what was sent, as far as can be seen: it may drop parameters that it has no use
         for, and its home is its own."""
         pairs = list(zip(self._items, held, strict=False))[self._home_first :]
         return len(held) == len(self._items) and all(same_item(sent, kept) for sent, kept in pairs)
@@ -279,7 +279,7 @@ class MissionUpload(MissionProtocol):
         return self._end(now, result, f"{message}; {held}", state)
 
     def _held(self, *, refused: bool) -> tuple[ListState, str]:
-        """What the vehicle holds after an upload that came to no good end. ``refused``: it has said so."""
+        """Return what the vehicle holds after an upload that came to no good end. ``refused``: it has said so."""
         word = self.kind.word
         if self._all_sent and not refused:
             return "unknown", f"it may hold the new {word} or not: download it to see"

@@ -212,7 +212,7 @@ class ParamList(ProtocolMachine):
         return (stop, *self._finish(now, result, message))
 
     def _contradicts(self, index: int, name: str) -> bool:
-        """Whether it does not fit what came before: the vehicle counts its parameters anew."""
+        """True if it does not fit what came before: the vehicle counts its parameters anew."""
         return self._names.get(index, name) != name or self._index_of.get(name, index) != index
 
     def _restart(self, now: float) -> tuple[Effect, ...]:

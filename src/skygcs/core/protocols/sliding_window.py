@@ -88,7 +88,7 @@ class SlidingWindow:
         self.given_up.clear()
 
     def __contains__(self, number: int) -> bool:
-        """Whether a request is under way."""
+        """True if a request is under way."""
         return number in self._in_progress
 
     def answered(self, number: int, now: float, *, measure: bool = True) -> None:

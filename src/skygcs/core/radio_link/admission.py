@@ -102,7 +102,7 @@ class Note(NamedTuple):
 
 
 IsWaiting = Callable[[Priority, Hashable, Hashable], bool]
-"""Whether an entry of this class, flow and key is in the radio's queue."""
+"""True if an entry of this class, flow and key is in the radio's queue."""
 
 
 class _Source:
@@ -129,15 +129,15 @@ class _Source:
         self.counts[what] = self.counts.get(what, 0) + number
 
     def take(self, key: Hashable, hz: float, burst: float, now: float) -> bool:
-        """Whether the rate of this key allows one more."""
+        """True if the rate of this key allows one more."""
         bucket = self.buckets.get(key)
         if bucket is None:
             bucket = self.buckets[key] = TokenBucket(hz, burst, now)
         return bucket.take(now)
 
     def key_of(self, frame: ThirdPartyFrame) -> Hashable:
-        """What a repeat of it has in common with it. A change is repeated only if nothing else was changed in between:
-        on, off, on are three."""
+        """Return what a repeat of it has in common with it. A change is repeated only if nothing else was changed in
+        between: on, off, on are three."""
         if not frame.is_change:
             return frame.identity
         identity, number = self.changes.get(frame.target, (None, 0))
@@ -147,7 +147,7 @@ class _Source:
         return (*frame.identity, number)
 
     def status(self, now: float) -> dict[str, Any]:
-        """What became of its frames; JSON-able."""
+        """Return what became of its frames; JSON-able."""
         counts = dict(sorted(self.counts.items()))
         return {
             "source": "others" if self.key == OTHERS else f"{self.key >> 8}/{self.key & 0xFF}",
@@ -350,7 +350,7 @@ class ThirdPartyTraffic:
         return later
 
     def _charge(self, part: TokenBucket, frame: ThirdPartyFrame, now: float) -> bool:
-        """Whether this part of the share pays for the frame; if so the whole share is charged as well."""
+        """True if this part of the share pays for the frame; if so the whole share is charged as well."""
         if not part.take(now, frame.size):
             return False
         self.budget.spend(frame.size, now)

@@ -191,7 +191,7 @@ class ThirdPartyFrame(NamedTuple):
 
     @property
     def identity(self) -> tuple[int, int, bytes]:
-        """What a repeat has in common with it. Sequence numbers and a COMMAND_LONG's count of repeats differ."""
+        """Return what a repeat has in common with it. Sequence numbers and a COMMAND_LONG's count of repeats differ."""
         payload = self.payload
         if self.msgid == COMMAND_LONG:
             payload = payload[:_CONFIRMATION_AT].rstrip(b"\0")
@@ -199,7 +199,7 @@ class ThirdPartyFrame(NamedTuple):
 
     @property
     def is_change(self) -> bool:
-        """Whether its effect depends on what follows it: an order, a parameter that is set."""
+        """True if its effect depends on what follows it: an order, a parameter that is set."""
         return self.kind is Kind.ORDER or self.msgid in (PARAM_SET, PARAM_EXT_SET)
 
 

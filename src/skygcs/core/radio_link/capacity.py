@@ -91,7 +91,8 @@ def round_s(air_kbps: float, nodes: int) -> float:
 
 
 def uplink_bytes_per_s(baud: int, air_kbps: float | None, nodes: int, share: float | None = None) -> float:
-    """What may go up. ``share``: instead of `HALF_DUPLEX_SHARE` of the serial rate or `SLOT_SHARE` of the slot."""
+    """Return what may go up. ``share``: instead of `HALF_DUPLEX_SHARE` of the serial rate or `SLOT_SHARE` of the
+    slot."""
     serial = baud / BITS_PER_BYTE
     if air_kbps is None:
         return serial * (share or HALF_DUPLEX_SHARE)
@@ -99,8 +100,8 @@ def uplink_bytes_per_s(baud: int, air_kbps: float | None, nodes: int, share: flo
 
 
 def setpoint_bytes_per_s(uplink: float, taken: float, vehicles: int, share: float = SETPOINT_SHARE) -> float:
-    """What one of so many vehicles has for its setpoints, of an uplink that carries ``taken`` otherwise: the budget of
-    `link plan` and of everything that is flown by setpoints."""
+    """Return what one of so many vehicles has for its setpoints, of an uplink that carries ``taken`` otherwise: the
+    budget of `link plan` and of everything that is flown by setpoints."""
     return share * max(0.0, uplink - taken) / vehicles
 
 
@@ -267,7 +268,8 @@ GOTO = "one goto per vehicle (47 B each; land and rtl for all of them in one fra
 
 
 def _proposals(demand: LinkDemand) -> list[str]:
-    """What makes it fit, the one that costs least first; then how many vehicles fit as it is, and what gets more in."""
+    """Return what makes it fit, the one that costs least first; then how many vehicles fit as it is, and what gets more
+    in."""
     reach = {text: _most_vehicles(trial) for text, trial in _changes(demand)}
     found = [text for text, most in reach.items() if most >= demand.vehicles]
     if not found and demand.setpoint != "none":

@@ -192,7 +192,7 @@ class Corrections:
     # -- the inside
 
     def _is_served(self, source: int, now: float) -> bool:
-        """Whether this is the base to follow; another one takes over once the last has been silent."""
+        """True if this is the base to follow; another one takes over once the last has been silent."""
         if source != self.source:
             if self.source is not None and now < self._source_at + SOURCE_SILENT_S:
                 return False

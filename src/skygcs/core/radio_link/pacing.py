@@ -108,7 +108,7 @@ class RadioRates:
     """Instead of HALF_DUPLEX_SHARE of the serial rate or SLOT_SHARE of the slot."""
 
     def base_bytes_per_s(self, vehicles: int) -> float:
-        """What may go up with so many vehicles behind it while the radio reports nothing else."""
+        """Return what may go up with so many vehicles behind it while the radio reports nothing else."""
         nodes = self.node_count(vehicles)
         return uplink_bytes_per_s(self.baud, self.air_kbps, nodes, self.uplink_share) * self.duty_cycle
 
@@ -146,7 +146,7 @@ class Pacer:
         return self.history[-1] if self.history else None
 
     def fresh(self, now: float) -> bool:
-        """Whether the radio reports."""
+        """True if the radio reports."""
         return self.last is not None and now - self.last.at <= STALE_AFTER_S
 
     def on_report(self, report: RadioReport, sent_bytes: int) -> bool:

@@ -78,7 +78,7 @@ class ProgramStreams:
                 programs.add(program)
 
     def left_behind(self, is_connected: Callable[[Program], bool]) -> dict[int, list[Leftover]]:
-        """What the programs that are gone have left, each stream once, by vehicle."""
+        """Return what the programs that are gone have left, each stream once, by vehicle."""
         left: dict[int, list[Leftover]] = {}
         for vehicle, requests in list(self._vehicles.items()):
             for stream, programs in list(requests.programs.items()):
@@ -108,8 +108,9 @@ class Request(NamedTuple):
 
 
 def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapping[str, float]) -> list[Request]:
-    """What to ask for so that it is as before; [] if it is. ``rates_hz``: what comes now; ``wanted_hz``: what skygcs
-    itself asks for, which is no part of a group's rate, and is asked for again where a group's change ends it."""
+    """Return what to ask for so that it is as before; [] if it is. ``rates_hz``: what comes now; ``wanted_hz``: what
+    skygcs itself asks for, which is no part of a group's rate, and is asked for again where a group's change ends
+    it."""
     group, message = leftover.stream
     before_hz = leftover.before_hz
     if message is not None:
@@ -132,7 +133,7 @@ def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapp
 
 
 def _is_same(now_hz: float, before_hz: float, own_hz: float | None) -> bool:
-    """Whether it comes as before, or as skygcs asks for it."""
+    """True if it comes as before, or as skygcs asks for it."""
     rates_hz = (before_hz,) if own_hz is None else (before_hz, own_hz)
     return any(abs(now_hz - hz) <= ABOUT_HZ or hz / SAME <= now_hz <= hz * SAME for hz in rates_hz)
 

@@ -95,7 +95,7 @@ class _Watch:
     since: float
     count: int
     right: bool | None = None
-    """Whether it arrives as wanted; None: not known yet."""
+    """True if it arrives as wanted; None: not known yet."""
     requested_at: float | None = None
     read_at: float | None = None
     """When its interval was asked for; None: that question is not open."""
@@ -164,7 +164,7 @@ class RateController:
 
     @property
     def settled(self) -> bool:
-        """Whether every wanted message was requested and none is known to arrive wrongly."""
+        """True if every wanted message was requested and none is known to arrive wrongly."""
         return all(
             name in self._left or ((watch := self._watches.get(name)) is not None and watch.right is not False)
             for name in self.rates_hz

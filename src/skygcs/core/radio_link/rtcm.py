@@ -74,7 +74,7 @@ def _crc_table() -> tuple[int, ...]:
 
 
 def content_of(frame: bytes) -> RtcmContent:
-    """What a whole RTCM frame is."""
+    """Return what a whole RTCM frame is."""
     body = frame[HEADER_BYTES:-CRC_BYTES]
     if len(body) < 2:
         return RtcmContent(0, 0, None)  # a filler, or a maker's

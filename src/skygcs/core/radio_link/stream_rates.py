@@ -93,7 +93,7 @@ NORMAL, SELECTED, CONTROLLED = 1.0, 2.0, 4.0
 
 
 def rate_problem(rate_hz: float, most_hz: float = MAX_RATE_HZ) -> str | None:
-    """What is wrong with a rate, in words; None: it is 0 (off) or one that a message may have."""
+    """Return what is wrong with a rate, in words; None: it is 0 (off) or one that a message may have."""
     if rate_hz == 0 or LEAST_RATE_HZ <= rate_hz <= most_hz:
         return None
     return f"must be 0 (off) or {LEAST_RATE_HZ:g} to {most_hz:g} Hz, not {rate_hz:g}"
@@ -194,7 +194,7 @@ class Downlink:
         self._good_since: float | None = None
 
     def look(self, loss: float | None, txbuf_free: float | None, now: float) -> bool:
-        """Whether the factor changed. ``loss``: of all vehicles' frames lately, None if not known."""
+        """True if the factor changed. ``loss``: of all vehicles' frames lately, None if not known."""
         bad = (loss is not None and loss > LOSS_HIGH) or (txbuf_free is not None and txbuf_free < TXBUF_LOW)
         good = not bad and (loss is None or loss < LOSS_LOW)
         self._bad_since = (self._bad_since if self._bad_since is not None else now) if bad else None

@@ -140,7 +140,7 @@ class _Class(Generic[T]):
         return min(self._used, key=self._used.__getitem__)  # of equals the one that waits longest
 
     def head(self) -> Waiting[T]:
-        """What goes next. Only where something waits."""
+        """Return what goes next. Only where something waits."""
         return next(iter(self.lines[self.next_flow()].values()))
 
     def take(self) -> Waiting[T]:
@@ -227,7 +227,7 @@ class TxQueue(Generic[T]):
         return self._classes[priority].length
 
     def holds(self, priority: Priority, flow: Hashable, key: Hashable) -> bool:
-        """Whether an entry of this class, flow and key waits: one that is offered now would take its place."""
+        """True if an entry of this class, flow and key waits: one that is offered now would take its place."""
         line = self._classes[priority].lines.get(flow)
         return line is not None and (key,) in line
 
@@ -364,5 +364,5 @@ class TxQueue(Generic[T]):
 
 
 def _charge(entry: Waiting[Any]) -> int:
-    """What the budget of the last class is charged for an entry: its bytes, and those of its answer."""
+    """Return what the budget of the last class is charged for an entry: its bytes, and those of its answer."""
     return entry[1] + entry[3]

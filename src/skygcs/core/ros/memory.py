@@ -62,7 +62,7 @@ class VehicleMemory:
 
     @property
     def undulation_m(self) -> float:
-        """What is added to a height above mean sea level, so that it counts from the ellipsoid."""
+        """Return what is added to a height above mean sea level, so that it counts from the ellipsoid."""
         if self.geoid_m is not None:
             return self.geoid_m
         return 0.0 if self.receiver_geoid_m is None else self.receiver_geoid_m

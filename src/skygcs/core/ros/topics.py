@@ -125,7 +125,7 @@ SOURCES: Mapping[str, Source] = {
 
 
 def samples(name: str, fields: Mapping[str, Any], arrival_ns: int, memory: VehicleMemory) -> list[Sample]:
-    """What is published of one MAVLink message of an autopilot, or of a radio; nothing of most messages.
+    """Return what is published of one MAVLink message of an autopilot, or of a radio; nothing of most messages.
 
     ``fields``: as the dialect decodes them; None, which is NaN in JSON, is taken as NaN."""
     source = SOURCES.get(name)

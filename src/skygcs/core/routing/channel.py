@@ -65,22 +65,22 @@ class Port:
         """Targets out of bounds that were reported."""
 
     def may_hear(self, sysid: int) -> bool:
-        """Whether frames of this system may be sent there."""
+        """True if frames of this system may be sent there."""
         return not self.bound or sysid in self.bound
 
     @property
     def restricts_out(self) -> bool:
-        """Whether each frame to it must be checked."""
+        """True if each frame to it must be checked."""
         return self.filter_out is not None or self.limiter_out is not None
 
     def may_forward(self, port: Port) -> bool:
-        """Whether frames from here may go there."""
+        """True if frames from here may go there."""
         if port is self or port.policy.replayed or (self.policy.replayed and port.policy.role != "gcs"):
             return False
         return self.policy.group is None or self.policy.group != port.policy.group
 
     def takes_broadcast(self, port: Port, kind: int) -> bool:
-        """Whether a frame without a target from here goes there; ``kind``: the bits above."""
+        """True if a frame without a target from here goes there; ``kind``: the bits above."""
         if not self.may_forward(port):
             return False
         if kind & TELEMETRY and port.policy.carries_vehicles:
@@ -92,7 +92,7 @@ class Port:
         return not (kind & OF_RADIO and (port.policy.carries_vehicles or port.vehicles or port.bound))
 
     def _speaks_of_its_own_to(self, port: Port) -> bool:
-        """Whether a broadcast of a bound channel reaches only its own vehicles on this one."""
+        """True if a broadcast of a bound channel reaches only its own vehicles on this one."""
         if port.bound or any(autopilot >> 8 not in self.bound for autopilot in port.vehicles):
             return False
         return bool(port.vehicles) or not port.policy.carries_vehicles

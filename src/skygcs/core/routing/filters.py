@@ -41,7 +41,7 @@ class MessageFilter:
         )
 
     def passes(self, msgid: int, sysid: int, compid: int) -> bool:
-        """Whether a frame with this header may pass."""
+        """True if a frame with this header may pass."""
         return (
             msgid not in self.block_msgids
             and sysid not in self.block_sysids
@@ -75,7 +75,7 @@ class RateLimiter:
         return bool(self.rates_hz) or self.default_hz is not None or self.bytes_per_s is not None
 
     def passes(self, source: int, msgid: int, size: int, targeted: bool, now: float) -> bool:
-        """Whether this frame may pass now; if so it is counted against the limits. ``source`` is sysid<<8|compid."""
+        """True if this frame may pass now; if so it is counted against the limits. ``source`` is sysid<<8|compid."""
         rate = self.rates_hz.get(msgid)
         exempt = targeted or msgid == 0
         if rate is None and not exempt:

@@ -218,7 +218,7 @@ class LinkHealth:
         return now - self.heard_at > DOUBT_SHARE * self.silent_limit_s
 
     def probe_due(self, now: float) -> bool:
-        """Whether a question is to be sent over it, whose answer ends its being deaf; true once per `DEAF_PROBE_S`."""
+        """True if a question is to be sent over it, whose answer ends its being deaf; true once per `DEAF_PROBE_S`."""
         due = self.deaf and self.health is not Health.DOWN and now - self._probed_at >= DEAF_PROBE_S
         if due:
             self._probed_at = now
@@ -338,7 +338,7 @@ def _loses_less(link: LinkHealth, chosen: LinkHealth) -> bool:
 
 
 def _fault_of(link: LinkHealth) -> str:
-    """What is wrong with a link that is not silent."""
+    """Return what is wrong with a link that is not silent."""
     if link.deaf:
         return "the vehicle does not hear us over it"
     if link.loss is not None and link.loss > FAIR_LOSS:

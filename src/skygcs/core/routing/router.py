@@ -118,7 +118,7 @@ class Router:
         self.on_switched: Callable[[int, int], None] = lambda source, channel_id: None
         """Called when a vehicle's state comes over this channel from now on, which also gets its orders."""
         self.may_fly: Callable[[int], bool] = lambda source: False
-        """Whether this is a vehicle that may be in the air: its last route stays (`core.vehicle.supply`)."""
+        """True if this is a vehicle that may be in the air: its last route stays (`core.vehicle.supply`)."""
         self.received: Callable[[int, int], tuple[int, int] | None] = lambda channel_id, source: None
         """Frames received and lost of a source on a channel; None: not counted."""
         self._room = RouteRoom()
@@ -169,7 +169,7 @@ class Router:
         }
 
     def _is_heard_directly(self, source: int) -> bool:
-        """Whether a vehicle is heard over a channel of its own, not only through a ground station or in a recording."""
+        """True if a vehicle is heard over a channel of its own, not only through a ground station or in a recording."""
         if not any(
             source in port.vehicles and port.policy.role != "gcs" and not port.policy.replayed
             for port in self._by_source.get(source, ())
@@ -178,7 +178,7 @@ class Router:
         return source not in self.state_sources or not self._is_station(self.state_sources[source].present_id)
 
     def _is_station(self, channel_id: int | None) -> bool:
-        """Whether this is the channel of a ground station."""
+        """True if this is the channel of a ground station."""
         port = self._ports.get(channel_id or 0)
         return port is not None and port.policy.role == "gcs"
 
@@ -407,7 +407,7 @@ class Router:
         self._note_route("learned", source, port, now)
 
     def _make_room(self, port: Port, source: int, frame: Frame, now: float) -> bool:
-        """Whether a new source may be kept on a full channel: an autopilot may, if another source can be removed."""
+        """True if a new source may be kept on a full channel: an autopilot may, if another source can be removed."""
         if self._room.became_crowded(port.policy.link, now):
             self._note("crowded", source, port)
         place = None
@@ -461,7 +461,7 @@ class Router:
         self._topology_changed(source)
 
     def supplies(self, channel_id: int, frame: Frame, now: float, *, copy: bool) -> bool:
-        """Whether this frame, of one of `state_sources`, counts for the vehicle's state; call it after `decide`.
+        """True if this frame, of one of `state_sources`, counts for the vehicle's state; call it after `decide`.
         ``copy``: the verdict was DUPLICATE."""
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
@@ -688,12 +688,12 @@ class Router:
         return tuple(p.id for p in ports)
 
     def leads_to_flying(self, channel_id: int) -> bool:
-        """Whether this is the last way to a vehicle that may be in the air."""
+        """True if this is the last way to a vehicle that may be in the air."""
         port = self._ports.get(channel_id)
         return port is not None and any(self._leads_to_flying(port, source) for source in port.vehicles)
 
     def _leads_to_flying(self, port: Port, source: int) -> bool:
-        """Whether no other channel has heard this source later, and it may be in the air."""
+        """True if no other channel has heard this source later, and it may be in the air."""
         if source not in port.vehicles or not self.may_fly(source):
             return False
         return all(p.heard[source] <= port.heard.get(source, -math.inf) for p in self._by_source.get(source, ()))
@@ -724,7 +724,7 @@ class Router:
 
 
 def _has_target(frame: Frame) -> bool:
-    """Whether the message has a target field, whatever its value."""
+    """True if the message has a target field, whatever its value."""
     return frame.info is not None and frame.info.target_system_offset >= 0
 
 

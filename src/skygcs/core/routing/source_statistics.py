@@ -91,7 +91,7 @@ class SourceStats:
         self._held = -1
         """The number of the newest frame if it is held; -1: it is not."""
         self._irregular = True
-        """Whether any of these needs to be looked at. False on a link that loses nothing."""
+        """True if any of these needs to be looked at. False on a link that loses nothing."""
         self._paused_at = float("-inf")
         self._lost_before = 0
         """When the newest jump after a pause was seen, and ``lost`` before it: for `restart`."""

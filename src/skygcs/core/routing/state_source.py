@@ -287,7 +287,7 @@ class StateSource:
         of: int | None = None,
         cost: int = DEFAULT_COST,
     ) -> bool:
-        """Whether this frame counts for the vehicle's state. ``of``: it is a copy of what came over that channel.
+        """True if this frame counts for the vehicle's state. ``of``: it is a copy of what came over that channel.
         ``cost``: the link's.
 
         A takeover has taken place when this returns; see ``reports``.
@@ -317,7 +317,7 @@ class StateSource:
         return frame.msgid in ANSWERS and of is None and self._answers(channel_id, now)
 
     def is_original(self, channel_id: int) -> bool:
-        """Whether this is the vehicle's own channel, the present one being a ground station's: it hands back what came
+        """True if this is the vehicle's own channel, the present one being a ground station's: it hands back what came
         over this one, or this one agrees."""
         heard = self._heard.get(channel_id)
         if heard is None or heard is self._present or heard.heartbeat_at == -math.inf:
@@ -325,7 +325,7 @@ class StateSource:
         return self._present.only_copies >= ECHOED_HEARTBEATS or self._agrees(heard)
 
     def may_be(self, channel_id: int) -> bool:
-        """Whether nothing shows that this channel hears another vehicle."""
+        """True if nothing shows that this channel hears another vehicle."""
         heard = self._heard.get(channel_id)
         return heard is None or (not heard.contradicted and self._may_be(heard))
 
@@ -389,7 +389,7 @@ class StateSource:
         return {i: h.health for i, h in self._heard.items() if i is not None and h is not self._present}
 
     def _is_able(self, channel_id: int, now: float) -> bool:
-        """Whether this channel hears the autopilot, and it is the same vehicle's."""
+        """True if this channel hears the autopilot, and it is the same vehicle's."""
         heard = self._heard[channel_id]
         hears = now - heard.heartbeat_at <= self._timeout_s(heard)
         return hears and not heard.contradicted and self._agrees(heard)
@@ -399,8 +399,8 @@ class StateSource:
         return {i: h.health for i, h in self._heard.items() if i is not None}
 
     def link_status(self, channel_id: int, now: float) -> dict[str, Any]:
-        """What a person is shown of one of several links: whether it is chosen, since when, and its health. ``changes``
-        counts those of the choice since the vehicle was first heard on several links."""
+        """Return what a person is shown of one of several links: whether it is chosen, since when, and its health.
+        ``changes`` counts those of the choice since the vehicle was first heard on several links."""
         link = self.links().get(channel_id)
         if link is None:
             return {}
@@ -600,6 +600,6 @@ class StateSource:
 
 
 def _same_boot(booted_at: float, other: float) -> bool:
-    """Whether two moments of start, in our time, are of one clock of 32 bits."""
+    """True if two moments of start, in our time, are of one clock of 32 bits."""
     off_s = (booted_at - other) % _WRAP_S
     return min(off_s, _WRAP_S - off_s) <= BOOT_AGREES_S

@@ -107,7 +107,7 @@ def readdressed(frame: Frame, sysid: int, target: int) -> Frame:
 
 
 def _can_be_targeted(frame: Frame) -> bool:
-    """Whether the message has a target field and carries it: MAVLink 1 has no extensions, as COMMAND_ACK's target."""
+    """True if the message has a target field and carries it: MAVLink 1 has no extensions, as COMMAND_ACK's target."""
     info = frame.info
     if info is None or info.target_system_offset < 0:
         return False

@@ -68,7 +68,7 @@ class RouteRoom:
             del self._of_link[link]
 
     def is_free(self, port: Port) -> bool:
-        """Whether this channel may keep one more source."""
+        """True if this channel may keep one more source."""
         known = len(port.heard)
         if known >= MAX_CHANNEL_ROUTES:
             return False
@@ -102,7 +102,7 @@ class RouteRoom:
         return over
 
     def may_note(self, link: str, now: float) -> bool:
-        """Whether one more learned or expired route of this link may be reported; counts it then."""
+        """True if one more learned or expired route of this link may be reported; counts it then."""
         left, as_of = self._notes.get(link, (float(ROUTE_NOTES), now))
         left = min(float(ROUTE_NOTES), left + (now - as_of) * ROUTE_NOTES_PER_S)
         self._notes[link] = (left - 1.0 if left >= 1.0 else left), now

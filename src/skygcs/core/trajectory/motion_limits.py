@@ -59,7 +59,7 @@ class MotionLimits:
 
 
 def least_limits(limits: Iterable[MotionLimits]) -> MotionLimits:
-    """What all of them can follow; the defaults of none."""
+    """Return what all of them can follow; the defaults of none."""
     given = [asdict(one) for one in limits]
     return MotionLimits(**{key: min(one[key] for one in given) for key in given[0]}) if given else MotionLimits()
 

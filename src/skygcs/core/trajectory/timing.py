@@ -158,7 +158,7 @@ def _direction(p: Vector, q: Vector) -> Vector:
 
 
 def _same(p: Vector, q: Vector) -> bool:
-    """Whether two unit vectors point the same way."""
+    """True if two unit vectors point the same way."""
     cross = (p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
     return math.hypot(*cross) <= SAME_DIRECTION and sum(a * b for a, b in zip(p, q, strict=True)) > 0.0
 

@@ -39,7 +39,7 @@ _PATTERNS = tuple((re.compile(pattern, re.IGNORECASE), todo) for pattern, todo i
 
 
 def todo_for(texts: Iterable[str], name: str) -> str | None:
-    """What the operator has to do before ``name`` arms; None if the reasons in ``texts`` may pass with time."""
+    """Return what the operator has to do before ``name`` arms; None if the reasons in ``texts`` may pass with time."""
     for text in texts:
         for pattern, todo in _PATTERNS:
             if pattern.search(text):

@@ -180,7 +180,7 @@ class Calibration:
 
     @property
     def answer_is_result(self) -> bool:
-        """Whether the acknowledgement of `start` is the result, which may come after `BLOCKING_TIMERS_S`."""
+        """True if the acknowledgement of `start` is the result, which may come after `BLOCKING_TIMERS_S`."""
         return not self._px4 and self.sensor in (Sensor.GYRO, Sensor.LEVEL)
 
     def confirm(self, now: float) -> CommandSpec | str:
@@ -363,7 +363,7 @@ class Calibration:
 
 
 def reader_of(calibration: Calibration) -> dict[str, Callable[[dict[str, Any], float], None]]:
-    """What a calibration does with the fields of a message, by the message's name."""
+    """Return what a calibration does with the fields of a message, by the message's name."""
 
     def on_command(fields: dict[str, Any], now: float) -> None:
         position = fields["param1"]

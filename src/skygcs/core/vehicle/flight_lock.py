@@ -206,7 +206,7 @@ class FlightLock:
         return next(member for member in self.members if member.name == name)
 
     def holds(self, key: int) -> bool:
-        """Whether a vehicle is a member."""
+        """True if a vehicle is a member."""
         return any(member.key == key for member in self.members)
 
     def of(self, names: frozenset[str]) -> FlightLock:
@@ -303,7 +303,7 @@ def member_of(vehicle: Vehicle, fence: Fence, limits: TrajectoryLimits, links: f
 
 
 def widens(before: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-    """Whether these fence parameters leave a vehicle all the room it had, with the same action; sizes of PX4 are
+    """True if these fence parameters leave a vehicle all the room it had, with the same action; sizes of PX4 are
     unlimited at 0, an ArduCopter's kinds of fence are bits. To switch the fence on or off is another action."""
     after = {**before, **wanted}
     for name, value in after.items():

@@ -303,14 +303,14 @@ class Clearance:
     commands: frozenset[int]
 
     def covers(self, name: str, fields: Mapping[str, Any]) -> bool:
-        """Whether it allows this message."""
+        """True if it allows this message."""
         if name in COMMAND_MESSAGES:
             return _whole(fields.get("command", -1)) in self.commands
         return name in self.messages
 
 
 def is_exempt(clearance: Clearance | None) -> bool:
-    """Whether it is of vehicles.stop, which is sent without authority over the vehicle, too."""
+    """True if it is of vehicles.stop, which is sent without authority over the vehicle, too."""
     return clearance is not None and clearance.order == "stop"
 
 

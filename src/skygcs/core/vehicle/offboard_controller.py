@@ -118,9 +118,9 @@ class OffboardController:
         self.reasons: tuple[str, ...] = ()
         self.attitude_hz_allowed = math.inf
         self.fast_pings = True
-        """Whether the link bears a ping five times a second while attitude is flown; may be set at any time."""
+        """True if the link bears a ping five times a second while attitude is flown; may be set at any time."""
         self.was_entered = False
-        """Whether the autopilot obeyed since the last `engage`."""
+        """True if the autopilot obeyed since the last `engage`."""
         self.refusing: str | None = None
         """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
         self._estimate_view = EstimateView(vehicle)
@@ -151,7 +151,7 @@ class OffboardController:
 
     @property
     def tracing(self) -> bool:
-        """Whether ticks carry a row for the trace."""
+        """True if ticks carry a row for the trace."""
         return self._setpoints.tracing
 
     @tracing.setter
@@ -160,7 +160,7 @@ class OffboardController:
 
     @property
     def active(self) -> bool:
-        """Whether `tick` has anything to do."""
+        """True if `tick` has anything to do."""
         return self.state is FLYING or self.state is ENGAGING
 
     @property
@@ -178,12 +178,12 @@ class OffboardController:
 
     @property
     def streaming(self) -> bool:
-        """Whether a stream of setpoints leads it now."""
+        """True if a stream of setpoints leads it now."""
         return self._source.streaming or self._raw.setpoint is not None
 
     @property
     def handing_over(self) -> bool:
-        """Whether a fixed attitude is sent before the setpoints of the control mode (`handover_attitude`)."""
+        """True if a fixed attitude is sent before the setpoints of the control mode (`handover_attitude`)."""
         return self._handover is not None
 
     @property
@@ -315,7 +315,7 @@ class OffboardController:
 
     @property
     def raw_allowed(self) -> bool:
-        """Whether raw setpoints are flown: they were ordered, and the guard has not rejected them."""
+        """True if raw setpoints are flown: they were ordered, and the guard has not rejected them."""
         return self.state is FLYING and self.wanted is RAW and self._guard.control_mode is RAW
 
     def stay(self) -> None:

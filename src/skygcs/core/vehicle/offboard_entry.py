@@ -176,13 +176,13 @@ def loss_refusal(vehicle: Vehicle) -> str | None:
 
 
 def moves_setpoints_on(vehicle: Vehicle) -> bool:
-    """Whether the autopilot moves a position on by its velocity until the next setpoint comes. ArduCopter does
+    """True if the autopilot moves a position on by its velocity until the next setpoint comes. ArduCopter does
     (AC_PosControl::input_pos_vel_accel_xy hands it on by a step in each run), PX4 holds it (trajectory_setpoint)."""
     return vehicle.family == "ardupilot"
 
 
 def keeps_lean(vehicle: Vehicle) -> bool:
-    """Whether its position control begins with the lean of the last attitude setpoint as its integral
+    """True if its position control begins with the lean of the last attitude setpoint as its integral
     (`handover_attitude`). ArduCopter's does; PX4 1.16's begins with none (resetIntegral while it flies an attitude)."""
     return vehicle.family == "ardupilot"
 
@@ -199,7 +199,7 @@ def loss_timeout_s(vehicle: Vehicle) -> float:
 
 
 def braking_limits(vehicle: Vehicle) -> BrakingLimits:
-    """What it slows down with."""
+    """Return what it slows down with."""
     return PX4_BRAKING if vehicle.family == "px4" else COPTER_BRAKING
 
 
@@ -233,7 +233,7 @@ def loss_note(vehicle: Vehicle, now: float) -> str | None:
 
 
 def loss_text(vehicle: Vehicle, now: float) -> str:
-    """What the vehicle does by itself when setpoints stop, as when this computer dies; dangerous or not."""
+    """Return what the vehicle does by itself when setpoints stop, as when this computer dies; dangerous or not."""
     if (note := loss_note(vehicle, now)) is not None:
         return note
     name = "COM_OBL_RC_ACT" if vehicle.family == "px4" else "FS_GCS_ENABLE"

@@ -25,7 +25,7 @@ class TickInput:
     state_age_s: float | None
     reference: Reference
     following: bool
-    """Whether the autopilot obeys: the integrators run only then."""
+    """True if the autopilot obeys: the integrators run only then."""
     loop: VelocityLoop | None = None
     """Velocity control predicts the state with this model; None: without prediction."""
     round_trip_s: float = 0.0

@@ -47,12 +47,12 @@ class ReferenceSource:
 
     @property
     def streaming(self) -> bool:
-        """Whether a stream of setpoints moves the reference now."""
+        """True if a stream of setpoints moves the reference now."""
         return self._until is not None
 
     @property
     def velocity_only(self) -> bool:
-        """Whether at least one axis follows a velocity and has no position."""
+        """True if at least one axis follows a velocity and has no position."""
         return self.reference.velocity_only
 
     def hold_at(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:

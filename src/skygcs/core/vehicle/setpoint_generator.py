@@ -56,7 +56,7 @@ class SetpointGenerator:
         self.predictor = PredictorMemory()
         """Velocity control's, after the last tick; a new one while it does not predict."""
         self.tracing = False
-        """Whether ticks carry a row for the trace."""
+        """True if ticks carry a row for the trace."""
         self.drag = DragObserver()
         """Position control's, of a PX4."""
         self._vehicle = vehicle
@@ -224,7 +224,7 @@ class SetpointGenerator:
         return gain * east, gain * north, up
 
     def _row(self, control_mode: ControlMode, given: TickInput) -> TraceRow | None:
-        """What this tick was given, for the trace; None if nobody records."""
+        """Return what this tick was given, for the trace; None if nobody records."""
         if not self.tracing or given.estimate is None:
             return None
         return TraceRow(
@@ -255,8 +255,8 @@ def _turn(reference: Reference) -> tuple[float | None, float | None]:
 
 
 def _beside_zero(place: GeodeticPosition) -> GeodeticPosition:
-    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
-    as the next: the equator and the first meridian are places like any other."""
+    """Return what would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is
+    sent as the next: the equator and the first meridian are places like any other."""
     if abs(place.lat_deg) >= LEAST_DEG and abs(place.lon_deg) >= LEAST_DEG:
         return place
     lat_deg, lon_deg = (c if abs(c) >= LEAST_DEG else LEAST_DEG for c in (place.lat_deg, place.lon_deg))

@@ -79,7 +79,7 @@ class SteadyThrust:
         self._samples.append((now, (thrust * east, thrust * north, thrust * cosine), estimate.vel_enu_mps))
 
     def memory(self, law: ControlConfig, now: float) -> Memory:
-        """What the law shall begin with, within its limits; nothing remembered where nothing fresh is known."""
+        """Return what the law shall begin with, within its limits; nothing remembered where nothing fresh is known."""
         samples = [sample for sample in self._samples if 0.0 <= now - sample[0] <= WINDOW_S]
         if not samples or now - samples[-1][0] > FRESH_S:
             return Memory()

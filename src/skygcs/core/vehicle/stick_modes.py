@@ -83,7 +83,7 @@ WEARS_NO_FORCE = frozenset({Without.FALLS, Without.KILLS})
 
 
 def without_sticks(model: VehicleModel, custom_mode: int) -> Without | None:
-    """What this vehicle would do in a mode in the air without sticks; None: it needs none there."""
+    """Return what this vehicle would do in a mode in the air without sticks; None: it needs none there."""
     name = mode_name(model, custom_mode)
     if model.family != "px4":
         return _ARDUPILOT.get(model.kind, {}).get(name)
@@ -93,7 +93,7 @@ def without_sticks(model: VehicleModel, custom_mode: int) -> Without | None:
 
 
 def needs_sticks(model: VehicleModel, vehicle: Vehicle, name: str) -> bool:
-    """Whether a mode, by a name that its firmware may have, is flown by sticks."""
+    """True if a mode, by a name that its firmware may have, is flown by sticks."""
     try:
         number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
     except KeyError:

@@ -23,7 +23,7 @@ MAYBE_FLYING_S = 1800.0
 
 
 def may_fly(vehicle: Vehicle, now: float) -> bool:
-    """Whether it may be in the air now, by what was heard of it last: in doubt it is."""
+    """True if it may be in the air now, by what was heard of it last: in doubt it is."""
     silence_s = vehicle.silence_s(now)
     if vehicle.replayed or silence_s is None or silence_s >= MAYBE_FLYING_S:
         return False

@@ -167,7 +167,7 @@ class TrajectoryFlight:
         return self._to_local(self.loaded.trajectory.at(self.clock.foreseen_s(at)).pos_enu_m)
 
     def over(self, now: float) -> bool:
-        """Whether its clock has come to an end: it stands there from now on."""
+        """True if its clock has come to an end: it stands there from now on."""
         return self.clock.at(now).state in OVER
 
     def status(self, now: float) -> dict[str, Any]:

@@ -156,7 +156,7 @@ class UnattendedWatch:
             self.on_order("hold")
 
     def tick(self, facts: Watched, now: float) -> Effect | None:
-        """What has to be done now; None: nothing."""
+        """Return what has to be done now; None: nothing."""
         if not facts.heard:
             self._since = None
             return None
@@ -184,7 +184,7 @@ class UnattendedWatch:
         return HoldIt(self._before, self._ordered > 1)
 
     def _is_others(self, left_at: float, now: float) -> bool:
-        """Whether another mode that it showed since ``left_at`` was entered, and nobody known flew it in that."""
+        """True if another mode that it showed since ``left_at`` was entered, and nobody known flew it in that."""
         return now - max(left_at, self._flown_at) > LEFT_S
 
     def _who(self, facts: Watched, now: float) -> str | None:
@@ -219,7 +219,7 @@ class UnattendedWatch:
 
 
 def follows_setpoints(vehicle: Vehicle) -> bool:
-    """Whether its last heartbeat shows a mode in which a multirotor follows setpoints."""
+    """True if its last heartbeat shows a mode in which a multirotor follows setpoints."""
     if vehicle.family == "ardupilot" and vehicle.kind is not VehicleClass.COPTER:
         return False
     return vehicle.mode in FOLLOWING.get(vehicle.family, ())

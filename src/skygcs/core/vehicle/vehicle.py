@@ -91,7 +91,7 @@ class Vehicle:
     """
 
     transmitter: bool | None = None
-    """Whether a pilot's transmitter belongs to it, by the fleet file; None: it does not say."""
+    """True if a pilot's transmitter belongs to it, by the fleet file; None: it does not say."""
     program: Program | None = None
     """The ArduPilot program of its banner; None: no banner has come, or it is not ArduPilot."""
     duplicate_beside = False

@@ -39,7 +39,7 @@ class VelocityPrediction:
 
     @property
     def allowed(self) -> bool:
-        """Whether velocity control predicts now."""
+        """True if velocity control predicts now."""
         return self.round_trip_s is not None
 
     def judge(self, law: ControlConfig, period_s: float, now: float) -> None:

@@ -184,7 +184,7 @@ class ApiParser(Generic[Decoded]):
 
     @property
     def pending(self) -> bool:
-        """Whether bytes of an unfinished frame are kept."""
+        """True if bytes of an unfinished frame are kept."""
         return bool(self._buffer)
 
     def feed(self, data: bytes) -> list[Decoded]:

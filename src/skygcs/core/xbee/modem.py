@@ -148,7 +148,7 @@ class XBeeModem:
         return [encode(at_command(self._next_id(), name), escaped=self.escaped) for name in QUESTIONS]
 
     def has_room(self) -> bool:
-        """Whether a payload may be given to the module."""
+        """True if a payload may be given to the module."""
         return self.state == "open" and len(self._outstanding) < WINDOW
 
     @property
@@ -220,7 +220,7 @@ class XBeeModem:
         )
 
     def why_wrong_mode(self) -> str | None:
-        """What is wrong with the module's API mode; None if it is right, or not known."""
+        """Return what is wrong with the module's API mode; None if it is right, or not known."""
         answer = self._answers.get("AP")
         wanted = 2 if self.escaped else 1
         if not answer or answer[-1] == wanted:

@@ -95,12 +95,12 @@ def show_setting(name: str, value: bytes) -> str:
 
 
 def same_value(name: str, left: bytes, right: bytes) -> bool:
-    """Whether two values of a register are the same: modules pad numbers with zeros."""
+    """True if two values of a register are the same: modules pad numbers with zeros."""
     return left == right if name == "NI" else left.lstrip(b"\0") == right.lstrip(b"\0")
 
 
 def problems(values: Mapping[str, bytes]) -> list[str]:
-    """What of a ground module's settings does not fit skygcs, one line each."""
+    """Return what of a ground module's settings does not fit skygcs, one line each."""
     found = []
     mode = int.from_bytes(values.get("AP", b"\2"), "big")
     if mode == 0:

@@ -61,7 +61,7 @@ STILL = StickDemand()
 
 
 def demand(axes: StickAxes, limits: StickLimits, values: Mapping[int, float]) -> StickDemand:
-    """What the sticks ask for; ``values`` by axis number, -1 to 1. An axis without a value is at its centre."""
+    """Return what the sticks ask for; ``values`` by axis number, -1 to 1. An axis without a value is at its centre."""
 
     def deflection(choice: AxisChoice) -> float:
         return choice.sign * values.get(choice.number, 0.0)

@@ -102,7 +102,7 @@ class StickSession:
         self._vel_mps = STILL.vel_mps
 
     def on_events(self, events: Iterable[JoystickEvent], now: float) -> list[Effect]:
-        """What the device reported, in its order: a release between two presses is never missed."""
+        """Return what the device reported, in its order: a release between two presses is never missed."""
         effects: list[Effect] = []
         for event in events:
             if event.kind == AXIS:

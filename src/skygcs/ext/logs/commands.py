@@ -384,7 +384,7 @@ def selection(
     fleet: Path | None = None,
     addressed: bool = False,
 ) -> Selection:
-    """What the options say. Raises BadParameter, ConfigError for the fleet file."""
+    """Return what the options say. Raises BadParameter, ConfigError for the fleet file."""
     chosen = Selection(
         begin=None if begin is None else moment(begin, "--from"),
         end=None if end is None else moment(end, "--to"),
@@ -543,7 +543,7 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
 
 
 def _remarks(answer: dict[str, Any]) -> list[str]:
-    """What is unusual, a line each."""
+    """Return what is unusual, a line each."""
     lines = []
     if answer["signed"]:
         lines.append(f"{answer['signed']} signed frames (the signatures are not checked)")

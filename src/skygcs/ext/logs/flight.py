@@ -108,7 +108,7 @@ class RecordedFlight:
         self.begin_s: float | None = None
         self.end_s = 0.0
         self._stamped = False
-        """Whether frames have times. A raw capture has only its senders' clocks, which stand still between reports."""
+        """True if frames have times. A raw capture has only its senders' clocks, which stand still between reports."""
         self._decoder = Decoder(dialect)
         self._names = {self._decoder.msgid_of(name): name for name in DECODED}
         self._names.pop(-1, None)

@@ -55,7 +55,7 @@ class PoseSample:
     orientation: Quaternion
     """LEVEL without a fresh attitude."""
     fix: bool
-    """Whether the last GPS_RAW_INT had a position; True if there was none."""
+    """True if the last GPS_RAW_INT had a position; True if there was none."""
 
 
 @dataclass(frozen=True, slots=True)

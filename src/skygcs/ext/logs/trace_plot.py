@@ -304,7 +304,7 @@ def _tilt_deg(row: TraceRow) -> float:
 
 
 def _nearly_most(values: list[float]) -> float:
-    """What one value in two hundred exceeds: a single pause does not flatten all the rest."""
+    """Return what one value in two hundred exceeds: a single pause does not flatten all the rest."""
     known = sorted(value for value in values if not math.isnan(value))
     return max(known[int(0.995 * (len(known) - 1))], 1.0) if known else 1.0
 

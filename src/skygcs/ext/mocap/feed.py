@@ -334,7 +334,7 @@ class MocapFeed:
         return rate_that_fits(config.message, config.rate_hz, budget, signed=channel.signing is not None)
 
     def bytes_per_s(self, channel_id: int) -> float:
-        """What the poses take of this channel."""
+        """Return what the poses take of this channel."""
         size = WIRE_BYTES[self._config.message]
         return sum(
             fed.rate_hz * size for fed in self._fed.values() if fed.channel is not None and fed.channel.id == channel_id

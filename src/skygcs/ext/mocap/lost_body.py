@@ -73,7 +73,7 @@ class LostBody:
         return (x, y, z) if too_fast <= 1.0 else (x / too_fast, y / too_fast, z / too_fast)
 
     def may_be(self, pose: Pose, own: OwnEstimate | None, others: Iterable[Vector], margin_m: float) -> bool:
-        """Whether this pose, the first after a loss, can be of the same body. ``own``: the vehicle's own estimate now;
+        """True if this pose, the first after a loss, can be of the same body. ``own``: the vehicle's own estimate now;
         ``others``: the places of the other bodies; ``margin_m`` is added to what is expected."""
         if not self._poses:
             return True

@@ -77,7 +77,7 @@ class PoseFilter:
         self._run_began = -math.inf
         self._run = 0
         self._run_is_it = True
-        """Whether the body of this run could be the vehicle's when it was seen first."""
+        """True if the body of this run could be the vehicle's when it was seen first."""
         self._other: Pose | None = None
         """The last pose of a run that could not."""
         self._lost = LostBody()
@@ -163,7 +163,7 @@ class PoseFilter:
         return "accepted"
 
     def _may_be(self, pose: Pose, own: OwnEstimate | None, others: Callable[[], Iterable[Vector]]) -> bool:
-        """Whether a body that is found again can be the one that was lost."""
+        """True if a body that is found again can be the one that was lost."""
         other, margin_m = self._other, self.limits.max_jump_m
         if other is not None and math.dist(other.pos_m, pose.pos_m) <= margin_m:
             return False

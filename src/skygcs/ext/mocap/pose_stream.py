@@ -44,7 +44,7 @@ class PoseStream:
         return pose
 
     def due(self, pose: Pose, rate_hz: float) -> bool:
-        """Whether this pose is to be sent, at this rate; its turn is then taken."""
+        """True if this pose is to be sent, at this rate; its turn is then taken."""
         self.rate_hz = rate_hz
         if rate_hz <= 0.0 or pose.at < self._next_at - SLACK / rate_hz:
             return False
@@ -57,7 +57,7 @@ class PoseStream:
         return self.filter.lost(now) and self.statistics.gone()
 
     def fresh(self, now: float) -> bool:
-        """Whether poses come and are sent."""
+        """True if poses come and are sent."""
         return not self.filter.lost(now) and not self.why
 
     def problem(self, now: float) -> str | None:

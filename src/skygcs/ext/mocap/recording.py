@@ -67,12 +67,12 @@ def frame_lines(at: float, bodies: Mapping[str, Body | None]) -> list[bytes]:
 
 
 def state_line(state: str, text: str) -> bytes:
-    """What the capture process does, as a line."""
+    """Return what the capture process does, as a line."""
     return json.dumps({"state": state, "text": text[:500]}).encode() + b"\n"
 
 
 def parse_line(line: bytes) -> CaptureFrameData | CaptureState | None:
-    """What a line says; None for anything else. Never raises."""
+    """Return what a line says; None for anything else. Never raises."""
     if len(line) > MAX_LINE_BYTES:
         return None
     try:

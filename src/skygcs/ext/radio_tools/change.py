@@ -83,15 +83,15 @@ class Ledger:
         return bool(self.wanted) or self.node_table is not None
 
     def farewell(self) -> bytes:
-        """What to write before the port is closed in mid-conversation: the radio at it passes data on again, and what
-        was not saved there is undone. A remote radio keeps what it has until it is powered off."""
+        """Return what to write before the port is closed in mid-conversation: the radio at it passes data on again, and
+        what was not saved there is undone. A remote radio keeps what it has until it is powered off."""
         if not self.command_line:
             return b""
         unsaved = not self.remote and (self.written or self.unsure or self.table_written) and self.saved is Fact.NO
         return b"\rATZ\r" if unsaved else b"\rATO\r"
 
     def sentences(self) -> list[str]:
-        """What a person must know, in order: the trouble first, then how the radio stands."""
+        """Return what a person must know, in order: the trouble first, then how the radio stands."""
         lines = [] if self.problem is None else [self.problem]
         if not self.has_work:
             return [*lines, "nothing was to be changed"] if self.finished else [*lines, "nothing was changed"]
@@ -122,7 +122,7 @@ class Ledger:
 
 
 def prepare(state: RadioState, changes: Mapping[str, int]) -> Ledger:
-    """What has to be written for ``changes``. Raises RefusedError with every change that cannot be right."""
+    """Return what has to be written for ``changes``. Raises RefusedError with every change that cannot be right."""
     ledger = Ledger(before=state.values)
     problems = []
     for name, value in changes.items():
@@ -297,14 +297,14 @@ class Visit:
     _command_line: bool = False
 
     def farewell(self) -> bytes:
-        """What to write to the port before it is closed in the middle; nothing once the visit is over."""
+        """Return what to write to the port before it is closed in the middle; nothing once the visit is over."""
         if self.ledger is not None:
             return self.ledger.farewell()
         return b"\rATO\r" if self._command_line else b""
 
 
 def look(visit: Visit, bauds: Sequence[int], remote: int | None) -> Generator[Step, Reply, RadioState]:
-    """What a radio holds. Raises LinkError."""
+    """Return what a radio holds. Raises LinkError."""
     _, state = yield from _arrive(visit, bauds, remote)
     yield from leave()
     visit._command_line = False

@@ -116,7 +116,7 @@ class Dialogue(Generic[T]):
 
     @property
     def result(self) -> T:
-        """What the procedure returned; only once it is `done`."""
+        """Return what the procedure returned; only once it is `done`."""
         assert self._result, "the dialogue is not over"
         return self._result[0]
 
@@ -125,7 +125,7 @@ class Dialogue(Generic[T]):
         return None if self.done else self._deadline
 
     def take_output(self) -> bytes:
-        """What is to be written now."""
+        """Return what is to be written now."""
         output, self._output = self._output, b""
         return output
 

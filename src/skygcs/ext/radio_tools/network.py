@@ -45,8 +45,8 @@ class NetworkPlan:
     common: NetworkSettings = NetworkSettings()
 
     def settings(self, position: int, firmware: Firmware) -> dict[str, int]:
-        """What the radio of the member at ``position`` (0: ground) must hold. NODECOUNT stands for the node table where
-        that is no register. Raises RefusedError for firmware that makes no such network."""
+        """Return what the radio of the member at ``position`` (0: ground) must hold. NODECOUNT stands for the node
+        table where that is no register. Raises RefusedError for firmware that makes no such network."""
         if firmware not in (Firmware.RFD_MULTIPOINT, Firmware.SIK_MULTIPOINT):
             raise RefusedError(
                 f"its firmware is {firmware}, which makes no network of several nodes; load multipoint firmware first "
@@ -104,7 +104,7 @@ def plan_network(
 
 
 def check_network(radios: Mapping[str, RadioState]) -> list[str]:
-    """What is wrong with these radios as one network, one line each; by the name of each radio."""
+    """Return what is wrong with these radios as one network, one line each; by the name of each radio."""
     found = [f"{where}: {text}" for where, r in radios.items() for text in inconsistencies(r.values, r.firmware)]
     if len(kinds := {r.firmware for r in radios.values()}) > 1:
         found.append("radios with different firmware do not hear each other: " + ", ".join(sorted(kinds)))

@@ -195,7 +195,7 @@ def _why_no_node(name: str, value: int, firmware: Firmware) -> str | None:
 
 
 def inconsistencies(values: Mapping[str, int], firmware: Firmware) -> list[str]:
-    """What one radio's settings do that nobody wants, one line each. Nothing here keeps it from being set."""
+    """Return what one radio's settings do that nobody wants, one line each. Nothing here keeps it from being set."""
     found = []
     known = _air_speeds(firmware)
     air = values.get("AIR_SPEED")
@@ -297,7 +297,7 @@ def restorable(backup: RadioState) -> dict[str, int]:
 
 
 def differences(left: Mapping[str, int], right: Mapping[str, int]) -> list[Difference]:
-    """What differs, in the order of the left one, then of the right one."""
+    """Return what differs, in the order of the left one, then of the right one."""
     names = [*left, *(name for name in right if name not in left)]
     return [Difference(n, left.get(n), right.get(n)) for n in names if left.get(n) != right.get(n)]
 

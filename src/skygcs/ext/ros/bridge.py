@@ -197,7 +197,7 @@ class Bridge:
             await asyncio.sleep(REPORT_S)
 
     def report(self, period_s: float) -> dict[str, Any]:
-        """What ros.report takes: rates since the last call, ``period_s`` ago."""
+        """Return what ros.report takes: rates since the last call, ``period_s`` ago."""
         used = [
             *((p.name, p.readers, p.sent, p.dropped) for p in self.node.publications.values() if p.readers),
             *((s.name, 0, s.received, s.rejected) for s in self.node.subscribers.values() if s.received),

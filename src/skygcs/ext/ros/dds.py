@@ -91,7 +91,7 @@ class Publication:
 
     @property
     def wanted(self) -> bool:
-        """Whether anything comes of writing: somebody reads, or may read it later."""
+        """True if anything comes of writing: somebody reads, or may read it later."""
         return self.latched or self.readers > 0
 
     def write(self, fields: Fields) -> None:

@@ -23,7 +23,7 @@ class PublicationPort(Protocol):
 
     @property
     def wanted(self) -> bool:
-        """Whether anything comes of writing."""
+        """True if anything comes of writing."""
         ...
 
     def write(self, fields: Fields) -> None:
@@ -84,7 +84,7 @@ class SharedTopics:
 
     @property
     def transforms_wanted(self) -> bool:
-        """Whether somebody reads /tf."""
+        """True if somebody reads /tf."""
         return self._tf.wanted
 
     def transform(self, transform: dict[str, Any]) -> None:

@@ -99,7 +99,8 @@ class Offboard:
         self.state, self.shown_mode = "idle", ""
 
     def next_step(self, vehicle: Mapping[str, Any], now: float) -> TakeOff | Engage | None:
-        """What is to be done now, by the vehicle's state as the daemon sends it; answer `Engage` by `on_engaged`."""
+        """Return what is to be done now, by the vehicle's state as the daemon sends it; answer `Engage` by
+        `on_engaged`."""
         demand = self._demand
         if self.state == "idle" or demand is None:
             return None

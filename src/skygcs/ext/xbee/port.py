@@ -204,7 +204,7 @@ class XBeePort:
             raise LinkError(f"{self.device}: {explain(error)}") from None
 
     def _read(self, until: float) -> bytes:
-        """What comes before the time; b"" when it is over."""
+        """Return what comes before the time; b"" when it is over."""
         left = until - time.monotonic()
         if left <= 0 or not select.select([self._port.fileno()], [], [], left)[0]:
             return b""
@@ -217,7 +217,7 @@ class XBeePort:
         return data
 
     def _frames(self, within_s: float) -> Iterator[ApiFrame]:
-        """What the module sends within the time; the caller stops when it has what it asked for."""
+        """Return what the module sends within the time; the caller stops when it has what it asked for."""
         until, parser, heard = time.monotonic() + within_s, ApiParser(decode, escaped=self.escaped), 0
         while heard < MAX_HEARD_BYTES and (data := self._read(until)):
             heard += len(data)
