@@ -8,7 +8,8 @@ from typing import Any
 
 
 async def start_process(*line: str, **options: Any) -> asyncio.subprocess.Process:
-    """As `asyncio.create_subprocess_exec`. Cancelled: the process is killed and waited for. Raises OSError."""
+    """Start a process like `asyncio.create_subprocess_exec`. Cancelled: the process is killed and waited for. Raises
+    OSError."""
     # uvloop only kills it: it is waited for by nobody, and the loop may be closed before its end
     starting = asyncio.create_task(asyncio.create_subprocess_exec(*line, **options), name=f"start of {line[0]}")
     try:

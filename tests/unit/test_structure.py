@@ -17,6 +17,9 @@ MAX_FUNCTION_LINES = 60
 MOST_FILES_OF_A_DAEMON = 355
 """Files that a daemon may import whose fleet file has no extension's table; 190 are wanted. It is only ever lowered."""
 
+NO_BEGINNING = {"Of", "As", "For", "What", "Whether", "Who"}
+"""A docstring is a sentence or a name, not the end of one that the reader has to begin."""
+
 
 @cache
 def modules() -> dict[str, ast.Module]:
@@ -48,6 +51,18 @@ def test_a_function_fits_a_screen() -> None:
         and (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > MAX_FUNCTION_LINES
     ]
     assert long == []
+
+
+def test_no_docstring_is_half_a_sentence() -> None:
+    owners = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    assert [
+        f"{module}: {docstring.splitlines()[0]}"
+        for module, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, owners)
+        and (docstring := ast.get_docstring(node))
+        and docstring.split(maxsplit=1)[0] in NO_BEGINNING
+    ] == []
 
 
 def test_no_module_imports_itself_through_others() -> None:

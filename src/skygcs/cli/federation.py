@@ -38,7 +38,7 @@ def sites(json_output: Json = False) -> None:
 
 
 async def _leases(gcs: Client) -> list[dict[str, Any]]:
-    """Of the vehicles that need one; none at a station that is no site."""
+    """Leases of the vehicles that need one; none at a station that is no site."""
     try:
         found: list[dict[str, Any]] = await gcs.call("federation.leases")
     except RpcError as error:

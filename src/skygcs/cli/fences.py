@@ -30,7 +30,7 @@ undo = typer.Typer(
 
 
 class FenceAction(StrEnum):
-    """What an autopilot does outside its fence; ArduCopter has no terminate."""
+    """Action of an autopilot outside its fence; ArduCopter has no terminate."""
 
     NONE = "none"
     WARN = "warn"

@@ -17,7 +17,7 @@ def gate(
     dialect: Annotated[str, typer.Option(help="Whose messages and commands are counted.")] = "ardupilotmega",
     json_output: Json = False,
 ) -> None:
-    """What the outgoing gate lets pass: by firmware, class and order what is sent, or why it is refused.
+    """Print what the outgoing gate lets pass: by firmware, class and order what is sent, or why it is refused.
 
     Example: skygcs-cli gate --dialect lab.xml
     """

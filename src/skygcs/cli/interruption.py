@@ -34,7 +34,7 @@ SHOWN = 12
 
 
 class AfterEffect(NamedTuple):
-    """What goes on after an order was sent and its client left, and what ends it; ``{targets}`` is filled in."""
+    """Effect that goes on after an order was sent and its client left, and what ends it; ``{targets}`` is filled in."""
 
     goes_on: str
     ends: str

@@ -28,7 +28,7 @@ def goes_to_journal() -> bool:
 
 
 class JournalLogger:
-    """What structlog calls with the fields of a record. Never blocks; a record that does not fit is left out."""
+    """Logger that structlog calls with the fields of a record. Never blocks; a record that does not fit is left out."""
 
     def __init__(self, path: str = SOCKET) -> None:
         self._path = path
@@ -41,7 +41,7 @@ class JournalLogger:
             self._socket.sendto(datagram(record), self._path)
 
     def close(self) -> None:
-        """For tests; the process keeps it to its end."""
+        """Close the journal, for tests; the process keeps it to its end."""
         self._socket.close()
 
     log = debug = info = warn = warning = error = critical = exception = msg

@@ -88,7 +88,7 @@ Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite FILE.")]
 
 @dataclass(frozen=True, slots=True)
 class _CheckRequest:
-    """What to check a plan file against."""
+    """Request to check a plan file."""
 
     limits: CheckLimits
     family: Family | None

@@ -67,7 +67,8 @@ def _order(name: str, targets: str, json_output: JsonForm, **params: Any) -> NoR
 
 
 def _order_confirmed(name: str, targets: str, json_output: JsonForm, confirm: str | None, **params: Any) -> NoReturn:
-    """As `_order`; if the daemon requires a word to confirm it, the person at the terminal is asked for the word."""
+    """Give an order like `_order`; if the daemon requires a word to confirm it, the person at the terminal is asked for
+    the word."""
 
     station = names_other_sites(targets)
 

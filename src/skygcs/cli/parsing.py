@@ -1,4 +1,5 @@
-"""What people type: numbers, lists, words, pairs of name and value; and negative numbers, which look like options."""
+"""Parsing of what people type: numbers, lists, words, pairs of name and value; and negative numbers, which look like
+options."""
 
 from __future__ import annotations
 

@@ -217,7 +217,7 @@ def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits
 
 @dataclass(frozen=True)
 class _Question:
-    """What `plan make` is asked for."""
+    """Question that `plan make` is asked."""
 
     files: tuple[Path, ...]
     shape: FormationOptions
@@ -228,11 +228,11 @@ class _Question:
     origin: Origin | None
 
     def given_limits(self) -> dict[str, Any]:
-        """For the daemon, which has each vehicle's own where none are given."""
+        """Limits for the daemon, which has each vehicle's own where none are given."""
         return {"limits": asdict(self.limits)} if self.within_limits else {}
 
     def request(self, rule: MarginRule, space: FlightSpace) -> dict[str, Any]:
-        """For a planning process. Raises SkygcsError."""
+        """Request for a planning process. Raises SkygcsError."""
         wanted = self.shape.wanted()
         starts, goals = self.ends(one_is_enough=wanted is not None)
         if wanted is not None:

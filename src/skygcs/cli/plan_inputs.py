@@ -1,4 +1,4 @@
-"""What commands about plans read: plan files, starts and goals, formations."""
+"""Inputs of commands about plans: plan files, starts and goals, formations."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ async def origin_of_fleet(gcs: Client, files: Iterable[Path]) -> Origin | None:
 
 
 def print_notes(found: ReadPlan) -> None:
-    """What was assumed or left out, on standard error."""
+    """Print what was assumed or left out, on standard error."""
     if found.origin is not None and found.notes:
         at = found.origin
         place = f"{at.lat_deg:.7f}, {at.lon_deg:.7f}, {at.alt_amsl_m:.2f} m AMSL, x to {at.x_heading_deg:g}°"

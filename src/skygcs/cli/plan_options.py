@@ -130,7 +130,7 @@ class SpaceOptions:
 
 
 def motion_limits(text: str | None) -> MotionLimits:
-    """Of --limits. Raises BadParameter."""
+    """Parse --limits. Raises BadParameter."""
     if text is None:
         return MotionLimits()
     speed, acceleration, jerk = numbers("--limits", text, 3)
@@ -142,7 +142,7 @@ def motion_limits(text: str | None) -> MotionLimits:
 
 
 def origin_of(text: str | None) -> Origin | None:
-    """Of --origin. Raises BadParameter."""
+    """Parse --origin. Raises BadParameter."""
     if text is None:
         return None
     lat, lon, alt = numbers("--origin", text, 3)

@@ -1,4 +1,4 @@
-"""What people read: tables, the live screen, outcomes, events and values as text; and JSON for programs.
+"""Output that people read: tables, the live screen, outcomes, events and values as text; and JSON for programs.
 
 rich is imported in functions only: a command that prints JSON starts without it.
 """

@@ -98,7 +98,7 @@ LABEL="skygcs_end"
 
 @dataclass(frozen=True, slots=True)
 class Installation:
-    """What the unit runs. ``user_name`` None: a unit of a user's own service manager."""
+    """Installation that the unit runs. ``user_name`` None: a unit of a user's own service manager."""
 
     fleet_file: Path
     log_dir: Path

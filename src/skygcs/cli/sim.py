@@ -143,12 +143,12 @@ def _pty_port(
 
 
 def parse_radio(text: str) -> EmulatedRadio:
-    """Of KBPS[,KEY=VALUE…]. Raises LinkError for a person."""
+    """Parse KBPS[,KEY=VALUE…]. Raises LinkError for a person."""
     return _parse_pairs("--radio", text, "air_kbps", EmulatedRadio)
 
 
 def parse_xbee(text: str) -> MeshConfig:
-    """Of KBPS[,KEY=VALUE…]; ``hops`` are separated by colons. Raises LinkError for a person."""
+    """Parse KBPS[,KEY=VALUE…]; ``hops`` are separated by colons. Raises LinkError for a person."""
     keys = _parse_pairs("--xbee", text, "rf_kbps", EmulatedXBees)
     return MeshConfig(**keys.model_dump())
 

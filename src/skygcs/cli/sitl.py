@@ -72,7 +72,7 @@ PR_SET_PDEATHSIG = 1
 
 @dataclass(frozen=True, slots=True)
 class SitlOptions:
-    """What the command line says; see `skygcs sitl --help`."""
+    """Options of the command line; see `skygcs sitl --help`."""
 
     px4: int
     ardupilot: int
@@ -184,7 +184,7 @@ class _Process:
 
 
 class _Listener(asyncio.DatagramProtocol):
-    """What the vehicles say on the launcher's link. Nothing is ever sent there."""
+    """Listener to what the vehicles say on the launcher's link. Nothing is ever sent there."""
 
     def __init__(self, dialect: Dialect, on_message: Any) -> None:
         self._dialect = dialect

@@ -218,7 +218,7 @@ def status_cells(state: State) -> tuple[str, ...]:
 
 
 def armed_word(state: State) -> str:
-    """Whether it is armed, and warnings that matter more."""
+    """Return whether it is armed, and warnings that matter more."""
     armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
     warnings = (("failsafe", "FAILSAFE"), ("duplicate_sysid", "DUPLICATE ID"), ("replayed", "REPLAY"))
     words = [word for key, word in warnings if state.get(key)]
@@ -230,7 +230,8 @@ def armed_word(state: State) -> str:
 
 
 def commander_word(state: State) -> str:
-    """Who commands a vehicle of [federation.vehicles]: "here", the other site, or "nobody"; "" for every other vehicle.
+    """Return which site commands a vehicle of [federation.vehicles]: "here", the other site, or "nobody"; "" for every
+    other vehicle.
 
     A vehicle of another site has the holder of its lease, as that site knows it.
     """

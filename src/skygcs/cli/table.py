@@ -55,7 +55,7 @@ DEFAULT_TIMEOUT_S = 120.0
 
 
 class TableAction(StrEnum):
-    """What to do with a table."""
+    """Action on a table."""
 
     CHECK = "check"
     INITIAL = "initial"

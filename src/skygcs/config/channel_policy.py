@@ -1,4 +1,4 @@
-"""What the keys of a link in the fleet file mean for routing: filters, rates, cost."""
+"""The meaning of a link's keys in the fleet file for routing: filters, rates, cost."""
 
 from __future__ import annotations
 

@@ -74,8 +74,9 @@ class RawSettings(Model):
 
 
 class TrajectorySettings(Model):
-    """What a vehicle may be sent along; see `core.vehicle.trajectory_flight.TrajectoryLimits`. Plans are timed by the
-    speeds, acceleration and jerk; one that is not set has the default of `MotionLimits` there."""
+    """Limits of trajectories that a vehicle may be sent along; see `core.vehicle.trajectory_flight.TrajectoryLimits`.
+    Plans are timed by the speeds, acceleration and jerk; one that is not set has the default of `MotionLimits`
+    there."""
 
     start_within_m: Annotated[float, Field(ge=0.1, le=100)] | None = None
     speed_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None

@@ -118,7 +118,7 @@ class HubInventory(Model):
 
     @property
     def local_url(self) -> str:
-        """For a client on the hub's own computer."""
+        """URL for a client on the hub's own computer."""
         return ServerAddress(self.tls is not None, self.local_host, self.port).url
 
     @property

@@ -153,7 +153,8 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def _as_json(table: dict[str, Any]) -> str:
-    """As JSON: only there pydantic's strict mode distinguishes "57600" from 57600 and still makes paths of text."""
+    """Encode as JSON: only there pydantic's strict mode distinguishes "57600" from 57600 and still makes paths of
+    text."""
     return json.dumps(table, default=str)
 
 

@@ -255,7 +255,7 @@ class ReplayLinkConfig(LinkCommon):
 
 
 class MemoryLinkConfig(LinkCommon):
-    """For tests: the other end is a Python object; a bad network on request."""
+    """A link for tests: the other end is a Python object; a bad network on request."""
 
     type: Literal["memory"] = "memory"
     loss: Annotated[float, Field(ge=0, le=1)] = 0.0

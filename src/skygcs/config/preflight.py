@@ -75,7 +75,7 @@ class RuleSettings(Model):
         return self
 
     def rule(self) -> Rule:
-        """As `core.preflight` has it."""
+        """The same rule for `core.preflight`."""
         return Rule(
             one_of=self.one_of or (),
             least=self.min,

@@ -27,7 +27,8 @@ RateHz = Annotated[float, Field(ge=0), AfterValidator(_rate)]
 
 
 class ThirdPartyKeys(Model):
-    """What ground stations and programs behind other links may send into a radio (`core.radio_link.admission`)."""
+    """Limits of what ground stations and programs behind other links may send into a radio
+    (`core.radio_link.admission`)."""
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     """PARAM_REQUEST_LIST: one vehicle's at a time, none, or all at once."""
@@ -78,7 +79,7 @@ class EmulatedRadio(Model):
 
 
 def _hop_counts(text: object) -> object:
-    """Of "1:2:3", as it is written on a command line."""
+    """Hop counts of "1:2:3", as they are written on a command line."""
     return tuple(text.split(":")) if isinstance(text, str) else text
 
 

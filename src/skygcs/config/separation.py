@@ -42,6 +42,6 @@ class SeparationSettings(Model):
         return lower.model_copy(update=given)
 
     def footprint(self) -> Footprint:
-        """As `core.separation` has it."""
+        """The same footprint for `core.separation`."""
         keys = ("wingspan_m", "position_error_m", "downwash_ratio", "acceleration_mps2")
         return Footprint(**{key: value for key in keys if (value := getattr(self, key)) is not None})

@@ -1,4 +1,4 @@
-"""What every table of the fleet file shares: its model, its paths, and problems with the line of their key."""
+"""Parts that every table of the fleet file shares: its model, its paths, and problems with the line of their key."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ MAX_SUBSCRIPTIONS = 1000
 
 
 class Permissions(NamedTuple):
-    """Of one user: subjects that it may publish to and subscribe, and whether it may answer."""
+    """Permissions of one user: subjects that it may publish to and subscribe, and whether it may answer."""
 
     publish: list[str]
     subscribe: list[str]

@@ -144,8 +144,8 @@ def _answers(host: str, port: int) -> bool:
 
 
 def own_tls(inventory: HubInventory) -> ssl.SSLContext | None:
-    """For a client on the hub's own computer, which trusts the hub's certificate and no other; None without TLS. Raises
-    ConfigError."""
+    """TLS context for a client on the hub's own computer, which trusts the hub's certificate and no other; None without
+    TLS. Raises ConfigError."""
     tls = inventory.tls
     if tls is None:
         return None

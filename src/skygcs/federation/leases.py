@@ -143,7 +143,7 @@ class Leases:
         return f"{vehicle} is not commanded by {self._station.name} now{by}"
 
     def status(self) -> dict[str, Any]:
-        """For federation.status: JSON-able."""
+        """Status for federation.status, JSON-able."""
         now = self._clock()
         return {
             "problem": self.problem,
@@ -253,7 +253,7 @@ class Leases:
         return not changed and store is self._store
 
     async def _inspect_once(self) -> None:
-        """For readings: any number of vehicles share one question."""
+        """Ask once for all readings: any number of vehicles share one question."""
         self._inspecting = True
         try:
             await self._inspected()

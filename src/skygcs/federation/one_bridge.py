@@ -19,7 +19,7 @@ WHAT_TO_DO = (
 
 
 class ClaimBus(Protocol):
-    """What is needed of `federation.bus.Bus`."""
+    """Interface needed of `federation.bus.Bus`."""
 
     connected: bool
 
@@ -98,7 +98,7 @@ class OneBridge:
         return {"state": self.state, "other": described, **self.counters}
 
     async def _wait(self, seconds: float) -> None:
-        """For the next claim; a change of the connection, or another bridge's question, ends it."""
+        """Wait for the next claim; a change of the connection, or another bridge's question, ends it."""
         self._wake.clear()
         if self._answer:
             return

@@ -27,7 +27,7 @@ NotHeld = Callable[[str], str | None]
 
 
 def held(_: str) -> str | None:
-    """Of a site whose vehicles are all its own."""
+    """Return no refusal: the vehicles of the site are all its own."""
     return None
 
 

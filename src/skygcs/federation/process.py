@@ -103,7 +103,7 @@ class FederationProcess:
         return self.status()
 
     def status(self) -> dict[str, Any]:
-        """For federation.status: JSON-able."""
+        """Status for federation.status, JSON-able."""
         return {
             "version": __version__,
             "pid": os.getpid(),

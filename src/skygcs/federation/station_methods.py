@@ -89,7 +89,7 @@ class OutcomeParams(MethodParams):
 
 
 class OrderOutcome(Result):
-    """What became of an order to a vehicle of another site."""
+    """Outcome of an order to a vehicle of another site."""
 
     id: str
     vehicle: str | None = Field(description="null: another station, or an earlier run of this one, gave the order.")

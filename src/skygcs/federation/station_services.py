@@ -64,9 +64,9 @@ class StationServices(Protocol):
         ...
 
     def info(self) -> dict[str, Any]:
-        """For daemon.info of a station without a daemon."""
+        """Answer daemon.info of a station without a daemon."""
         ...
 
     def recent_events(self) -> list[dict[str, Any]]:
-        """Of other sites."""
+        """Recent events of other sites."""
         ...

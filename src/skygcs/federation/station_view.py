@@ -1,4 +1,4 @@
-"""What this station shows of all sites: the part of the bridge behind the station socket."""
+"""View: what this station shows of all sites: the part of the bridge behind the station socket."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class StationView:
 
     @property
     def origin(self) -> Origin | None:
-        """Of the own world frame."""
+        """Origin of the own world frame."""
         return None if self._own is None else self._own.origin
 
     async def run(self) -> None:
@@ -145,7 +145,7 @@ class StationView:
         self.feed.on_event(site, event)
 
     def info(self) -> dict[str, Any]:
-        """For daemon.info of a station that reaches no daemon. ``now_s``: the clock of a request's deadline_s."""
+        """Answer daemon.info of a station that reaches no daemon. ``now_s``: the clock of a request's deadline_s."""
         station = self._station
         return {
             "version": __version__,
@@ -157,7 +157,7 @@ class StationView:
         }
 
     def recent_events(self) -> list[dict[str, Any]]:
-        """Of other sites, oldest first."""
+        """Recent events of other sites, oldest first."""
         return list(self._readers.recent)
 
     async def _answer_sites(self, _: dict[str, Any]) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class StationView:
 
 
 def _no_site() -> None:
-    """Of a station that is no site."""
+    """Refusal of a station that is no site."""
 
 
 def _older(value: Any, seconds: float | None) -> Any:

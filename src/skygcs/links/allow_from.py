@@ -85,7 +85,7 @@ class Admission:
         return False
 
     def place_for(self, address: Address, *, autopilot: bool, now: float) -> tuple[bool, Hashable]:
-        """Whether this newcomer gets a place although all are taken, and which peer has to go for it first."""
+        """Return whether this newcomer gets a place although all are taken, and which peer has to go for it first."""
         judgement = self.places.judge(format_host(address), autopilot=autopilot, now=now)
         if not judgement.admitted:
             self.refused += 1

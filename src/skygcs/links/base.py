@@ -40,7 +40,7 @@ class StateUpdate(NamedTuple):
 
 
 class ForwardingPath(NamedTuple):
-    """What happens to all further frames of one source and message: no rule has to be applied."""
+    """Path of all further frames of one source and message: no rule has to be applied."""
 
     outs: tuple[Out, ...]
     stats: SourceStats

@@ -1,4 +1,4 @@
-"""What a channel sends: received bytes, or a message of our own."""
+"""Frames that a channel sends: received bytes, or a message of our own."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ class AirBudget:
         return self._put(frame, Priority.FORWARDED, now, decision.key, size, decision.flow, decision.answer_bytes)
 
     def _drop_orders_before(self, stop: Frame) -> None:
-        """What others ordered of a vehicle before it was stopped must not reach it afterwards."""
+        """Drop what others ordered of a vehicle before it was stopped: it must not reach the vehicle afterwards."""
         stopped = stop.target()[0]
 
         def is_outdated(entry: Outgoing) -> bool:

@@ -27,7 +27,7 @@ LEAST_BYTES = 256
 
 
 class Share(NamedTuple):
-    """What one wake-up may take. At least one datagram, or one read of ``bytes``."""
+    """Share that one wake-up may take. At least one datagram, or one read of ``bytes``."""
 
     bytes: int
     seconds: float

@@ -66,13 +66,13 @@ class DescriptorWatcher:
             raise
 
     def want_write(self, wanted: bool) -> None:
-        """Whether writability counts as ready too."""
+        """Choose whether writability counts as ready too."""
         if wanted != self._writing and not self._epoll.closed:
             self._writing = wanted
             self._modify()
 
     def want_read(self, wanted: bool) -> None:
-        """Whether readability counts as ready; an end or an error does in any case."""
+        """Choose whether readability counts as ready; an end or an error does in any case."""
         if wanted != self._reading and not self._epoll.closed:
             self._reading = wanted
             self._modify()

@@ -42,7 +42,8 @@ _OUT_OF_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.
 
 
 def _set_options(sock: socket.socket) -> None:
-    """What every connection has. Some of it fails if the peer has closed already; reading reports that."""
+    """Set the options that every connection has. Some of it fails if the peer has closed already; reading reports
+    that."""
     with contextlib.suppress(OSError):
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -41,7 +41,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Renders(Protocol):
-    """What collects the numbers."""
+    """Collector of the numbers."""
 
     async def render(self) -> bytes:
         """All of them as text, in short turns of the loop."""

@@ -50,7 +50,7 @@ OnProgress = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True, slots=True)
 class ProcessLimits:
-    """What one request may take."""
+    """Limits of one request."""
 
     time_s: float = 120.0
     """By the clock, and of CPU time. 255 vehicles of 400 pieces each take some seconds."""
@@ -80,7 +80,7 @@ async def call(function: Callable[..., T], *arguments: Any, limits: ProcessLimit
 
 
 class PlanningProcesses:
-    """As many as there are requests at the same time; ``keep``: one of them waits for the next request.
+    """Processes, as many as there are requests at the same time; ``keep``: one of them waits for the next request.
 
     `close` ends the one that waits; those with a request end with the tasks that wait for them.
     """
@@ -100,8 +100,8 @@ class PlanningProcesses:
         return answer
 
     async def call(self, function: Callable[..., T], *arguments: Any, limits: ProcessLimits = ProcessLimits()) -> T:
-        """As `asyncio.to_thread`, in a planning process: a function of a module, arguments and result that can be
-        pickled.
+        """Call a function like `asyncio.to_thread`, in a planning process: a function of a module, arguments and result
+        that can be pickled.
 
         Raises RefusedError with the text of a SkygcsError of the function, else as `compute`.
         """

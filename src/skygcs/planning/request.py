@@ -1,4 +1,4 @@
-"""What a planning process is asked, as JSON: a search, or a certificate for a plan. No numpy.
+"""Requests to a planning process, as JSON: a search, or a certificate for a plan. No numpy.
 
     {"do": "make", "starts": …, "goals": …, "exchangeable": …, "kind": …}     search
     {"do": "paths", "paths": {vehicle: {"points", "times_s", "yaws_rad"}}, "within_limits": …}   written paths
@@ -134,7 +134,7 @@ def _common(rule: MarginRule, limits: MotionLimits, space: FlightSpace) -> JsonO
 
 
 def rule_of(content: Mapping[str, Any]) -> MarginRule:
-    """As `_common` wrote it."""
+    """Read the rule that `_common` wrote."""
     return MarginRule(
         Uncertainty(**content["uncertainty"]),
         {name: Uncertainty(**given) for name, given in content["by_vehicle"].items()},

@@ -124,7 +124,7 @@ def answered(request: JsonObject, report: Report) -> JsonObject:
 
 
 class _Limits:
-    """Of a request: each vehicle's own, or those of all."""
+    """Limits of a request: each vehicle's own, or those of all."""
 
     def __init__(self, request: JsonObject) -> None:
         self._of_all = MotionLimits(**request["limits"])

@@ -39,7 +39,7 @@ class RevokeParams(_LeaseParams):
 
 
 class AuthorityState(Result):
-    """Of one vehicle of [federation.vehicles]."""
+    """Authority over one vehicle of [federation.vehicles]."""
 
     held: bool = Field(description="This site may command it now.")
     commander: str | None = Field(description="The site that commands it, as far as known.")

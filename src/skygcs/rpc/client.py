@@ -356,8 +356,8 @@ class Client:
     def encoded_telemetry(
         self, targets: Targets = "all", *, rate_hz: float = 2.0, groups: Sequence[str] | None = None
     ) -> Subscription:
-        """As `telemetry`, for a program that passes states on: what came together, as the daemon encoded it. Each item
-        has ``states`` (JSON by name) and ``complete``: True if no more of this round is on its way."""
+        """Iterate like `telemetry`, for a program that passes states on: what came together, as the daemon encoded it.
+        Each item has ``states`` (JSON by name) and ``complete``: True if no more of this round is on its way."""
         params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
         return Subscription(self._connected(), {"topic": "telemetry", **params}, Encoded())
 

@@ -325,7 +325,8 @@ def _report_to(future: asyncio.Future[Any], on_report: OnReport, method: str, pa
 
 
 class Subscription:
-    """What `Client.telemetry`, `events`, `messages` and `plan` give: to be iterated over with ``async for``.
+    """Subscription that `Client.telemetry`, `events`, `messages` and `plan` return: to be iterated over with ``async
+    for``.
 
     Subscribed from the moment it is made until `close`, or until nobody holds it any more. The iteration raises
     RpcError if the daemon refused it, DaemonUnreachable if the daemon goes away.

@@ -1,6 +1,5 @@
-"""What a subscription keeps for a reader that is slower than the daemon: the newest of each vehicle, the newest only,
-or a bounded queue.
-"""
+"""Inbox that a subscription keeps for a reader that is slower than the daemon: the newest of each vehicle, the newest
+only, or a bounded queue."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ _STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
 
 
 class Inbox:
-    """What came and was not iterated over yet. Never holds up replies on the same connection."""
+    """Items that came and was not iterated over yet. Never holds up replies on the same connection."""
 
     def __init__(self) -> None:
         self._arrived = asyncio.Event()

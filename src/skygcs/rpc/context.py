@@ -1,4 +1,4 @@
-"""What a method of the socket acts on, and what several groups of methods do alike."""
+"""Context: what a method of the socket acts on, and what several groups of methods do alike."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NewSession = Callable[[Callable[[asyncio.Transport], bool]], asyncio.BaseProtoco
 
 
 class ExtensionParts(Protocol):
-    """What the extensions of a daemon add to the socket; `skygcs.extension.Extensions`."""
+    """Parts that the extensions of a daemon add to the socket; `skygcs.extension.Extensions`."""
 
     def __getitem__(self, table: str) -> Any: ...
     @property

@@ -86,7 +86,7 @@ class CorrectionsParams(MethodParams):
 
 
 class CorrectionsTaken(Result):
-    """What became of the messages that this piece completed."""
+    """Fate of the messages that this piece completed."""
 
     messages: int = Field(description="Handed to links; corrections.status shows what a narrow radio carried of them.")
     bytes: int = Field(description="Of RTCM in them.")
@@ -99,7 +99,7 @@ class CorrectionsTaken(Result):
 
 
 class CorrectionsStatus(Result):
-    """What went since the daemon began, without what ground stations send by themselves."""
+    """Corrections that went since the daemon began, without what ground stations send by themselves."""
 
     source: str | None = Field(description="Name of the stream that is being received.")
     age_s: float | None = Field(description="Since the last message; null: none yet.")

@@ -61,7 +61,7 @@ def daemon_info(context: Context, _: NoParams) -> JsonObject:
 
 
 def clock_read(context: Context, _: NoParams) -> JsonObject:
-    """What the clocks of this computer show now; the caller compares them with its own."""
+    """Read the clocks of this computer; the caller compares them with its own."""
     return {"monotonic_s": exact_clock(asyncio.get_running_loop())(), "unix_s": time.time()}
 
 
@@ -72,7 +72,7 @@ def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
 
 
 def recorder_status(context: Context, _: NoParams) -> JsonObject:
-    """What is recorded, where, and what could not be recorded."""
+    """Return what is recorded, where, and what could not be recorded."""
     recorder = context.services.recorder
     return {"recording": False} if recorder is None else recorder.status()
 

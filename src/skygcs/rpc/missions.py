@@ -80,7 +80,7 @@ class PlanDownload(Result):
 
 
 class MissionStatus(Result):
-    """What a vehicle reports of its mission."""
+    """Report of a vehicle about its mission."""
 
     vehicle: str
     item: int | None = Field(description="The current item, from 1; 0 is an ArduPilot's home.")

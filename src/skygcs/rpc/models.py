@@ -140,7 +140,7 @@ class Result(BaseModel):
 
 
 class OutcomeResult(Result):
-    """What became of one order on one vehicle."""
+    """Outcome of one order on one vehicle."""
 
     ok: bool
     result: Literal[

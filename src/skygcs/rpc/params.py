@@ -169,7 +169,7 @@ class ParamListResults(Result):
 
 
 class ParamStatus(Result):
-    """What is known of a vehicle's parameters, and what is in progress."""
+    """State of a vehicle's parameters: what is known, and what is in progress."""
 
     known: int
     complete: bool
@@ -231,7 +231,7 @@ async def params_metadata(context: Context, params: ParamMetadataParams) -> Json
 
 
 def _description(known: ParamMetadata) -> JsonObject:
-    """As `ParamDescription`."""
+    """Convert to `ParamDescription`."""
     return {
         "unit": known.unit,
         "least": known.least,
@@ -370,7 +370,7 @@ class PreflightAnswer(Result):
 
 
 class PreflightStatus(Result):
-    """What is known of a vehicle without asking it again."""
+    """Findings about a vehicle without asking it again."""
 
     state: str = Field(description="never (since it started), failed, passed, expired.")
     required: bool = Field(description="Whether it is armed only with a pass (require_preflight).")

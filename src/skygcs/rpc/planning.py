@@ -47,7 +47,7 @@ class SpaceParams(MethodParams):
 
 
 class LimitsParams(MethodParams):
-    """What a vehicle can follow; null: its own of the fleet file, else the default."""
+    """Limits that a vehicle can follow; null: its own of the fleet file, else the default."""
 
     speed_mps: float | None = None
     acceleration_mps2: float | None = None
@@ -105,7 +105,7 @@ class PathParams(MethodParams):
 
 
 class CertifyParams(MethodParams):
-    """What all requests to plan have."""
+    """Parameters that all requests to plan have."""
 
     margin_m: float | None = Field(None, description="For each pair, in place of its terms.")
     downwash_ratio: float | None = Field(None, description="null: the fleet file's.")
@@ -162,7 +162,7 @@ M = TypeVar("M")
 
 
 def one_plan(model: M, plan: object, upload: object) -> M:
-    """For models that have both. Raises ValueError."""
+    """Require one plan of a model that has both keys. Raises ValueError."""
     if (plan is None) == (upload is None):
         raise ValueError("give either plan or upload")
     return model
@@ -298,7 +298,7 @@ async def _run(
 
 
 class _Facts:
-    """Of one request: the fleet's vehicles, where they are, and their margins."""
+    """Facts of one request: the fleet's vehicles, where they are, and their margins."""
 
     def __init__(self, services: Services, params: CertifyParams) -> None:
         self._services = services

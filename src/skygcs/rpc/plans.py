@@ -92,7 +92,7 @@ class LoadedPlan(Result):
 
 
 class PlanReport(Result):
-    """What was found before a flight."""
+    """Findings before a flight."""
 
     ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
     by: Literal["goto", "setpoints", "onboard"] = Field(description="The way in which it is flown.")

@@ -588,7 +588,7 @@ class Turns:
 
 
 class Sessions:
-    """What all sessions share."""
+    """State that all sessions share."""
 
     def __init__(self, services: Services, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
         self.services = services
@@ -666,7 +666,7 @@ class Sessions:
             transport.abort()
 
     def why_restricted(self) -> str:
-        """For a client that came when all places were taken."""
+        """Reason for a client that came when all places were taken."""
         return f"all {MAX_SESSIONS} places are taken"
 
     def _close_idle(self) -> bool:

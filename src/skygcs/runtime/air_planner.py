@@ -249,7 +249,7 @@ class AirPlanner:
             members[key].streams.plan(reached[key], rates, self._bytes)
 
     def _controller(self, radio: _Radio, actor: VehicleActor) -> RateController | None:
-        """Of this vehicle on this radio; None: it is not in its plan."""
+        """Controller of this vehicle on this radio; None: it is not in its plan."""
         channel_id = radio.reached.get(actor.vehicle.key)
         return None if channel_id is None else actor.streams.on_radio(channel_id)
 

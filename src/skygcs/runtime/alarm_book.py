@@ -64,7 +64,7 @@ class AlarmBook:
             self._report(f"{self._path} cannot be read: {error}; alarms of before the restart are not known")
 
     def all(self) -> list[dict[str, Any]]:
-        """For alarms.list."""
+        """List all alarms for alarms.list."""
         return [alarm.as_dict() for alarm in self._alarms.all()]
 
     def acknowledge(self, numbers: Collection[int] | None, by: str) -> list[dict[str, Any]]:

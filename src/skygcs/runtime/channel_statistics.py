@@ -1,4 +1,5 @@
-"""What is counted for each channel and each source on it: kept while a channel is closed, bounded, and shown.
+"""Statistics: what is counted for each channel and each source on it: kept while a channel is closed, bounded, and
+shown.
 
 The counters are the channel's own (`Channel.counters`, `SourceStats`), because every frame increases them.
 """
@@ -56,7 +57,7 @@ def channel_totals(channel: Channel) -> dict[str, int]:
 
 
 class ChannelStatistics:
-    """Of the open ``channels`` and of those that have closed."""
+    """Statistics of the open ``channels`` and of those that have closed."""
 
     def __init__(
         self, channels: Mapping[int, Channel], router: Router, flows: Flows, loop: asyncio.AbstractEventLoop

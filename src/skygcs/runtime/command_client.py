@@ -137,7 +137,7 @@ class _Running:
 
 @dataclass(frozen=True, slots=True)
 class StateEvidence:
-    """What the state of a vehicle says about its commands, and where these go."""
+    """Evidence: what the state of a vehicle says about its commands, and where these go."""
 
     why_silent: Callable[[], str] = lambda: ""
     """Another reason than the link for missing answers: the end of a sentence, or nothing."""

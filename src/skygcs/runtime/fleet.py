@@ -107,7 +107,7 @@ OWN_IDS_AGAIN_S = 60.0
 
 
 class Reports(Protocol):
-    """What gets the outcomes of an order as they come. Must not raise."""
+    """Receiver that gets the outcomes of an order as they come. Must not raise."""
 
     def begun(self, vehicles: Iterable[str], /) -> None:
         """The order goes to these vehicles, by name."""
@@ -708,7 +708,7 @@ class Fleet:
     ) -> tuple[
         dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str], dict[VehicleActor, tuple[float, float, float]]
     ]:
-        """Of a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
+        """Split a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
 
         One that would come too close to a vehicle that is not sent with it stays, unless ``force``. ``together``:
         vehicles that the caller keeps apart from these itself.

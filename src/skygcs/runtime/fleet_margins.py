@@ -1,5 +1,5 @@
-"""What the daemon knows of its fleet for plans: where each vehicle is, and the terms of its margin, from the fleet file
-and from measurements."""
+"""Margins: what the daemon knows of its fleet for plans: where each vehicle is, and the terms of its margin, from the
+fleet file and from measurements."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LARGEST_M = 100.0
 def margin_rule(
     actors: Iterable[VehicleActor], *, margin_m: float | None = None, downwash_ratio: float | None = None
 ) -> MarginRule:
-    """For plans of these vehicles, by their names. Raises RefusedError for impossible values."""
+    """Rule for plans of these vehicles, by their names. Raises RefusedError for impossible values."""
     actors = list(actors)
     by_vehicle = {actor.name: uncertainty(actor) for actor in actors}
     if downwash_ratio is None:

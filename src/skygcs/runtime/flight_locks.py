@@ -18,7 +18,7 @@ _END_FIRST = tuple(Holder)
 
 
 class FlightLocks:
-    """Of one fleet. Held locks are at most one per engagement and group, and one of a plan."""
+    """Locks of one fleet. Held locks are at most one per engagement and group, and one of a plan."""
 
     def __init__(self, links_to: Callable[[Vehicle], frozenset[str]] = lambda vehicle: frozenset()) -> None:
         """``links_to``: names of the links that carry a vehicle now."""

@@ -1,4 +1,4 @@
-"""Who wants to see frames of some messages and sources, such as a client that watches a message."""
+"""Observers that want to see frames of some messages and sources, such as a client that watches a message."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class LinkTable:
         return {name: entry.config for name, entry in self._entries.items()}
 
     def supervisors(self) -> dict[str, LinkSupervisor]:
-        """Of each link that is not switched off, by name."""
+        """Supervisors of each link that is not switched off, by name."""
         return {n: e.supervisor for n, e in self._entries.items() if e.supervisor is not None}
 
     def open_names(self) -> list[str]:

@@ -11,8 +11,8 @@ SAME_WITHIN_S = 10.0
 
 
 def exact_clock(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """What `loop.time` counts, without the rounding of uvloop: CLOCK_MONOTONIC, as both loops use it. A loop in
-    virtual time keeps its own."""
+    """Return the clock that `loop.time` counts, without the rounding of uvloop: CLOCK_MONOTONIC, as both loops use it.
+    A loop in virtual time keeps its own."""
     return time.monotonic if abs(loop.time() - time.monotonic()) < SAME_WITHIN_S else loop.time
 
 

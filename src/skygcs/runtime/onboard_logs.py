@@ -78,7 +78,7 @@ class LogsOutcome:
         return cls(outcome.ok, outcome.result, outcome.message)
 
     def as_dict(self) -> dict[str, Any]:
-        """As an `Outcome`, with the logs."""
+        """Fields of an `Outcome`, with the logs."""
         return {
             "ok": self.ok,
             "result": self.result,
@@ -386,7 +386,7 @@ class _File:
                 data = data[written:]
 
     def close(self) -> None:
-        """For good: also against an `open` that is still in progress."""
+        """Close for good: also against an `open` that is still in progress."""
         with self._lock:
             self._closed = True
             fd, self._fd = self._fd, -1

@@ -1,4 +1,4 @@
-"""What is looked at before a plan is flown: nothing moves, parameters are read."""
+"""Checks before a plan is flown: nothing moves, parameters are read."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def margin_rule(
 
 
 def state_finding(actor: VehicleActor, names: list[str], now: float) -> Finding:
-    """Whether it is heard and may be ordered. ``names``: the vehicles that take part."""
+    """Check whether it is heard and may be ordered. ``names``: the vehicles that take part."""
     vehicle = actor.vehicle
     why = None
     if vehicle.replayed:
@@ -204,8 +204,8 @@ def link_findings(
     *,
     timed: bool,
 ) -> list[Finding]:
-    """Whether the links carry the way that was chosen, and what happens when nothing is sent any more. ``narrow``: as
-    `not_streamed` has it."""
+    """Check whether the links carry the way that was chosen, and what happens when nothing is sent any more.
+    ``narrow``: as `not_streamed` has it."""
     found = []
     instead = remedies.make_phased() if timed else remedies.by_goto()
     for actor in actors:
@@ -230,7 +230,7 @@ def link_findings(
 
 
 def _too_slow(actor: VehicleActor, control_mode: str, flown: Sequence[Vehicle], links: VehicleLinks) -> str | None:
-    """Whether its share of the radio carries the rate of the control mode."""
+    """Check whether its share of the radio carries the rate of the control mode."""
     bytes_per_s = links.setpoint_bytes_per_s(actor.vehicle, lambda: flown)
     config = actor.offboard.controller.config
     rate_hz, message = {
@@ -251,7 +251,7 @@ async def preflight_findings(
     grounded: frozenset[str],
     preflight: Callable[[list[str]], Awaitable[Mapping[str, Any]]],
 ) -> list[Finding]:
-    """Of the vehicles that are to be armed. Those in the air have passed it already, or were forced."""
+    """Findings of the vehicles that are to be armed. Those in the air have passed it already, or were forced."""
     standing = [actor.name for actor in actors if actor.name in grounded]
     if not standing:
         return []
@@ -290,7 +290,7 @@ def battery_findings(
 async def fence_findings(
     actors: Sequence[VehicleActor], prepared: Prepared, frame: EnuFrame, measured: Measured
 ) -> list[Finding]:
-    """Whether the autopilots' own fences leave room for the plan; their parameters are read."""
+    """Check whether the autopilots' own fences leave room for the plan; their parameters are read."""
     slots = asyncio.Semaphore(PREFLIGHT_READERS)
 
     async def one(actor: VehicleActor) -> Finding:

@@ -56,7 +56,7 @@ LandingRounds = Callable[["PlanFlight"], Awaitable[None]]
 
 
 class FlightSettings(NamedTuple):
-    """As it was ordered."""
+    """Settings as they were ordered."""
 
     plan: str
     """The plan's name."""
@@ -185,7 +185,7 @@ class PlanFlight:
         )
 
     def unexpected_mode(self, name: str) -> str | None:
-        """As `Sight` has it."""
+        """Mode as `Sight` has it."""
         actor = self.actors[name]
         ours = name in self.engaged or name in self.being_taken or actor.offboard.flying
         if ours or not actor.vehicle.armed or actor.vehicle.mode in PLAN_MODES:

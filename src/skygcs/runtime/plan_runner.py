@@ -132,7 +132,7 @@ class KeptPlan:
     space: FlightSpace
 
     def describe(self) -> dict[str, Any]:
-        """For people and programs."""
+        """Description for people and programs."""
         plan = self.plan
         timed = isinstance(plan, TimedPlan)
         return {
@@ -163,7 +163,7 @@ class FlightRequest:
 
 @dataclass(slots=True)
 class _Checked:
-    """What a check has found, and what a flight of it takes."""
+    """Result of a check: what it has found, and what a flight of it takes."""
 
     kept: KeptPlan
     actors: list[VehicleActor]
@@ -224,7 +224,7 @@ MAX_STEPS_SHOWN = 50
 
 
 class PlanRunner:
-    """Of one fleet; made by `runtime.plans.Plans`, which is notified of each change of `status`."""
+    """Runner of the plans of one fleet; made by `runtime.plans.Plans`, which is notified of each change of `status`."""
 
     def __init__(
         self,
@@ -299,7 +299,7 @@ class PlanRunner:
         return (await self._check(request)).report(force=request.force)
 
     async def run(self, request: FlightRequest, *, set_return_heights: bool = False) -> tuple[bool, dict[str, Any]]:
-        """Whether the flight has begun, and the report. Raises RefusedError, TargetError."""
+        """Return whether the flight has begun, and the report. Raises RefusedError, TargetError."""
         self._require_idle("it cannot be flown")
         if self._ending:
             raise RefusedError("skygcs is shutting down")
@@ -760,7 +760,7 @@ def _prepared_and_loaded(situation: Situation, rest: list[FlightStep] | None, st
 
 
 class _Rehearsed(NamedTuple):
-    """What a flight is made of."""
+    """Parts that a flight is made of."""
 
     prepared: Prepared
     loaded: tuple[dict[str, LoadedTrajectory], ...]

@@ -26,7 +26,7 @@ class _Upload:
 
 
 class PlanUploads:
-    """Of one daemon. Times are the loop's."""
+    """Uploads to one daemon. Times are the loop's."""
 
     def __init__(self) -> None:
         self._uploads: dict[int, _Upload] = {}

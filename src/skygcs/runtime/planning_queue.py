@@ -52,7 +52,7 @@ class PlanningCounters:
 
 
 class PlanningQueue:
-    """Of one daemon."""
+    """Queue of one daemon."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, compute: Compute = compute) -> None:
         self.counters = PlanningCounters()

@@ -25,7 +25,7 @@ CHARGE_S = 5.0
 
 
 class Plans:
-    """Of one fleet. ``observers`` are called after each change of `status` that is worth a notification."""
+    """Plans of one fleet. ``observers`` are called after each change of `status` that is worth a notification."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class Plans:
         return self._records[key]
 
     def status(self) -> dict[str, Any]:
-        """As plan.status answers."""
+        """Status as plan.status answers it."""
         nothing: dict[str, Any] = {
             "now_s": round(self._loop.time(), 3),
             "plan": None,
@@ -104,8 +104,8 @@ class Plans:
             self._runner.tick()
 
     async def wind_down(self) -> None:
-        """For the end of the daemon: no vehicle takes off any more, those that stand armed are disarmed. Those in the
-        air hold after this."""
+        """Wind down for the end of the daemon: no vehicle takes off any more, those that stand armed are disarmed.
+        Those in the air hold after this."""
         self._ending = True
         if self._runner is not None:
             await self._runner.wind_down()

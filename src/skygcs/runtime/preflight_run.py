@@ -313,8 +313,8 @@ async def examine_all(
 
 
 def _return_together(vehicles: Mapping[str, Preflight | Unheard]) -> dict[str, Finding]:
-    """Of vehicles whose return heights are nearer to each other than their margin: that they would return one after
-    another, and what brings them home at once. It keeps none of them on the ground."""
+    """Findings about vehicles whose return heights are nearer to each other than their margin: that they would return
+    one after another, and what brings them home at once. It keeps none of them on the ground."""
     seen = {name: v for name, v in vehicles.items() if isinstance(v, Preflight) and v.last is not None}
     heights = {name: None if v.last is None else v.last.return_height for name, v in seen.items()}
     known = {name: height for name, height in heights.items() if height is not None}

@@ -338,7 +338,7 @@ class SeparationMonitor:
         return self.monitor.of(key)
 
     def status(self) -> dict[str, Any]:
-        """As monitor.status answers."""
+        """Status as monitor.status answers it."""
         monitor = self.monitor
         tracks = monitor.tracks
         return {
@@ -390,7 +390,7 @@ def _left_s(clock: TrajectoryClock, now: float) -> float:
 
 
 def _places(loaded: LoadedTrajectory, clock: TrajectoryClock, now: float) -> Callable[[float], Vector]:
-    """Of a vehicle on a trajectory, so many seconds from now, in the world's frame."""
+    """Places of a vehicle on a trajectory, so many seconds from now, in the world's frame."""
     return lambda after_s: loaded.trajectory.at(clock.foreseen_s(now + after_s)).pos_enu_m
 
 

@@ -124,7 +124,7 @@ class SupervisedChild:
             process.stdin.close()
 
     def status(self) -> dict[str, Any]:
-        """For daemon.info."""
+        """Status for daemon.info."""
         process = self._process
         return {
             **self.more,

@@ -84,7 +84,7 @@ class TrajectoryGroup:
 
 
 class Trajectories:
-    """Of one fleet. ``vehicles``: those there are now."""
+    """Trajectories of one fleet. ``vehicles``: those there are now."""
 
     def __init__(
         self,
@@ -199,8 +199,8 @@ class Trajectories:
         return self._none_starts(actors, refused)
 
     async def start_apart(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
-        """As `start`, if none of them would come too close to another vehicle. A start that comes due during the check
-        begins at its end. One check at a time: the next one knows what the one before let start."""
+        """Start like `start`, if none of them would come too close to another vehicle. A start that comes due during
+        the check begins at its end. One check at a time: the next one knows what the one before let start."""
         began = self._loop.time()
         async with self._checking:
             at_s = max(at_s, self._loop.time()) if at_s >= began else at_s

@@ -107,7 +107,7 @@ class UnattendedHolds:
     # -- internal
 
     def _flown_by(self, now: float, site: str | None) -> str | None:
-        """Who flies it now, of those whose flight is known here."""
+        """Return which program flies it now, of those whose flight is known here."""
         if site is not None:
             return "the site that may command it"
         if isinstance(self._offboard, OffboardEngagement):

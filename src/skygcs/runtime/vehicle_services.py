@@ -139,8 +139,8 @@ class WideLinks:
 
 
 class OrderChecks(Protocol):
-    """Whether an order would bring a vehicle too close to another (`separation_monitor.SeparationMonitor`): a reason to
-    refuse it, or None."""
+    """Check whether an order would bring a vehicle too close to another (`separation_monitor.SeparationMonitor`): a
+    reason to refuse it, or None."""
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None: ...
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None: ...

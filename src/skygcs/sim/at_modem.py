@@ -64,7 +64,7 @@ _RANGES = {"AIR_SPEED": 750, "TXPOWER": 30, "ECC": 1, "MAVLINK": 2, "RXFRAME": 2
 
 @dataclass(slots=True)
 class Faults:
-    """What is wrong with a radio."""
+    """Faults of a radio."""
 
     silent: bool = False
     """It answers nothing, as without power."""

@@ -1,4 +1,4 @@
-"""What PX4 and ArduCopter do, as data: each value with the place in the firmware's source it was read from.
+"""Behaviours of PX4 and ArduCopter, as data: each value with the place in the firmware's source it was read from.
 
 The models of `skygcs.sim` take their values from here; docs/reference/simulated-firmware.md is this table in words,
 and tests/unit/sim and tests/firmware fly the same scenarios on the simulator and on real firmware against it.
@@ -45,7 +45,7 @@ class Fact(Generic[T]):
 
 
 class Reaction(Enum):
-    """What a failsafe does, in the word of its text."""
+    """Reaction of a failsafe, in the word of its text."""
 
     NONE = "nothing"
     WARN = "warning only"
@@ -62,7 +62,7 @@ class Reaction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reactions:
-    """What the values of a parameter do."""
+    """Reactions to the values of a parameter."""
 
     param: str
     by_value: Mapping[int, Reaction]

@@ -132,7 +132,7 @@ class Body:
 
     @property
     def lean_deg(self) -> float:
-        """Of the thrust axis from the vertical."""
+        """Angle of the thrust axis from the vertical."""
         return degrees(acos(max(-1.0, min(1.0, cos(self.roll_rad) * cos(self.pitch_rad)))))
 
     @property

@@ -31,7 +31,7 @@ SHORTEST_TIMEOUT_S = 0.1
 
 
 class GuidedTargets:
-    """What an ArduCopter in GUIDED was ordered to follow last."""
+    """Targets that an ArduCopter in GUIDED was ordered to follow last."""
 
     def __init__(self) -> None:
         self.velocity: PositionTarget | None = None

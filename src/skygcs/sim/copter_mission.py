@@ -12,7 +12,7 @@ from skygcs.sim.mission_run import MissionRun, MissionVehicle
 
 
 class CopterOrders(Protocol):
-    """What a mission has an ArduCopter do."""
+    """Orders that a mission has an ArduCopter do."""
 
     speed_mps: float
 

@@ -1,4 +1,4 @@
-"""What can be broken in a simulated vehicle, by a test or by somebody who looks at it."""
+"""Faults that can be made in a simulated vehicle, by a test or by somebody who looks at it."""
 
 from __future__ import annotations
 

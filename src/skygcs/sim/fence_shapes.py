@@ -1,4 +1,4 @@
-"""Whether a place is within a fence of polygons and circles, as a simulated vehicle keeps one."""
+"""Check whether a place is within a fence of polygons and circles, as a simulated vehicle keeps one."""
 
 from __future__ import annotations
 

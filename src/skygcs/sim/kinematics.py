@@ -67,7 +67,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the vehicle's parameters allow, as far as the airframe does (`bounded`)."""
+    """Limits that the vehicle's parameters set, as far as the airframe does (`bounded`)."""
 
     speed_mps: float
     accel_mps2: float

@@ -39,7 +39,7 @@ INT_FRAMES = {0: 5, 3: 6, 10: 11}
 
 
 class ListOwner(Protocol):
-    """What of a vehicle its lists need."""
+    """Parts of a vehicle that its lists need."""
 
     tx: Transmitter
     where: LocalFrame
@@ -100,7 +100,8 @@ class MissionLists(ABC):
     def send_item(
         self, v: ListOwner, kind: MissionType, to: Sender, seq: int, item: MissionItem, *, as_float: bool, current: int
     ) -> None:
-        """As MISSION_ITEM (``as_float``: degrees as float32) or MISSION_ITEM_INT; see `wire_frame` for its frame."""
+        """Send as MISSION_ITEM (``as_float``: degrees as float32) or MISSION_ITEM_INT; see `wire_frame` for its
+        frame."""
         fields = {**address(to), **item.values(), "seq": seq, "mission_type": kind, "current": current}
         fields["frame"] = self.wire_frame(item.frame, as_float=as_float)
         if as_float:
@@ -119,7 +120,7 @@ def capacity_of(rules: MissionRules) -> dict[MissionType, int]:
 
 
 def scale_of(item: MissionItem) -> float:
-    """Of x and y in MISSION_ITEM_INT: 1e7 for degrees, 1 for what is no place."""
+    """Scale of x and y in MISSION_ITEM_INT: 1e7 for degrees, 1 for what is no place."""
     return 1e7 if item.frame in GLOBAL_FRAMES else 1.0
 
 

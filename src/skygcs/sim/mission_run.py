@@ -26,7 +26,7 @@ MAX_PASSED = 1000
 
 
 class MissionVehicle(Located, Protocol):
-    """What of a vehicle its mission flies."""
+    """Parts of a vehicle that its mission flies."""
 
     mode: int
     params: Params
@@ -42,7 +42,7 @@ class MissionVehicle(Located, Protocol):
 
 
 class MissionRun(ABC):
-    """Of one vehicle; ``seq`` counts its items as `MissionLists.mission` does, from 0.
+    """Mission of one vehicle; ``seq`` counts its items as `MissionLists.mission` does, from 0.
 
     ``first_seq`` is the number of item 0 on the wire: 1 behind an ArduPilot's home.
     """

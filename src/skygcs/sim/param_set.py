@@ -18,14 +18,14 @@ Family = Literal["px4", "ardupilot"]
 
 @dataclass(frozen=True, slots=True)
 class ParamSet:
-    """What the vehicles of one firmware take in; identities (system ids) are not among it."""
+    """Parameters that the vehicles of one firmware take in; identities (system ids) are not among it."""
 
     family: Family
     params: Mapping[str, Param]
 
 
 def param_set(file: ParamFile, source: str) -> ParamSet:
-    """For the firmware with which the file shares more names. Raises ConfigError if it shares none."""
+    """Set for the firmware with which the file shares more names. Raises ConfigError if it shares none."""
     names = {entry.name for entry in file.entries}
     shared: dict[Family, int] = {
         "px4": len(names & {p.name for p in px4_params(1)}),
@@ -38,7 +38,8 @@ def param_set(file: ParamFile, source: str) -> ParamSet:
 
 
 def _param(entry: Entry) -> Param:
-    """Of its own type where the file names one that simulated vehicles have; else a float, which holds them all."""
+    """Parameter of its own type where the file names one that simulated vehicles have; else a float, which holds them
+    all."""
     type_ = m.MAV_PARAM_TYPE_REAL32 if entry.type is None else int(entry.type)
     value = float(entry.value)
     low, high = INTEGER_RANGE.get(type_, (0, -1))

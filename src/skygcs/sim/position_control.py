@@ -1,4 +1,4 @@
-"""What a firmware's own position controller takes and gives: a target in, an acceleration out.
+"""Position controller of a firmware: a target in, an acceleration out.
 
 PX4's is in `px4_position_control`, ArduCopter's in `copter_position_control`; `steering` makes attitude and thrust of
 the acceleration.
@@ -72,7 +72,8 @@ class PositionControl(ABC):
 
 
 def filter_share(dt_s: float, cutoff_hz: float) -> float:
-    """Of the way to its input that a first-order low-pass goes in ``dt_s`` (AlphaFilter, calc_lowpass_alpha_dt)."""
+    """Share of the way to its input that a first-order low-pass goes in ``dt_s`` (AlphaFilter,
+    calc_lowpass_alpha_dt)."""
     return dt_s / (dt_s + 1.0 / (2.0 * pi * cutoff_hz))
 
 

@@ -38,7 +38,7 @@ LOCAL_FRAMES = BODY_FRAMES | {m.MAV_FRAME_LOCAL_NED, m.MAV_FRAME_LOCAL_OFFSET_NE
 
 
 class Located(Protocol):
-    """What of a vehicle says where a position of a message is."""
+    """Parts of a vehicle that say where a position of a message is."""
 
     where: LocalFrame
     home: Home | None

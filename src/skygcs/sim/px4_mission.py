@@ -17,7 +17,7 @@ NO_MISSION_TOTAL = 65535
 
 
 class Px4Orders(Protocol):
-    """What a mission has a PX4 do."""
+    """Orders that a mission has a PX4 do."""
 
     cruise_mps: float
 

@@ -42,7 +42,7 @@ YAW_RATE_MAX_RADPS = radians(200)
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """What a quadrotor is made of. The defaults are the UTIAS lab's F450; lags of 0 and no drag make it ideal."""
+    """Airframe of a quadrotor. The defaults are the UTIAS lab's F450; lags of 0 and no drag make it ideal."""
 
     mass_kg: float = 1.2
     """Take-off weight in section 2.1 of the UTIAS report."""
@@ -254,7 +254,7 @@ def level(yaw_rad: float) -> Quaternion:
 
 
 def _share(h: float, lag_s: float) -> float:
-    """Of the way to the setpoint that a first-order lag goes in ``h``."""
+    """Share of the way to the setpoint that a first-order lag goes in ``h``."""
     return 1.0 if lag_s <= 0.0 else 1.0 - exp(-h / lag_s)
 
 

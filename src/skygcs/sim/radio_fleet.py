@@ -81,7 +81,7 @@ class RadioFleet:
 
 
 def slow_down(vehicle: SimVehicle, txbuf_percent: int) -> None:
-    """What each firmware makes of its own radio's RADIO_STATUS (GCS_MAVLINK::handle_radio_status;
+    """Do what each firmware makes of its own radio's RADIO_STATUS (GCS_MAVLINK::handle_radio_status;
     Mavlink::update_radio_status)."""
     streams = vehicle.streams
     if vehicle.autopilot == m.MAV_AUTOPILOT_PX4:

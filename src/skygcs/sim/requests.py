@@ -1,4 +1,4 @@
-"""What a ground station can ask of either firmware: commands common to both, parameters, missions, clocks."""
+"""Requests that a ground station can make of either firmware: commands common to both, parameters, missions, clocks."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def handle(v: VehicleState, name: str, fields: Fields, sender: Sender, now: floa
 
 
 def step(v: VehicleState, now: float) -> None:
-    """What goes on over many ticks: a parameter list, a calibration, a mission transfer."""
+    """Advance what goes on over many ticks: a parameter list, a calibration, a mission transfer."""
     v.lists.step(v, now)
     v.logs.step(armed=v.armed)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):

@@ -1,4 +1,4 @@
-"""What a simulated vehicle's GPS makes of corrections: its fix shows whether they come as they should.
+"""Effect of corrections on a simulated vehicle's GPS: its fix shows whether they come as they should.
 
 No satellite is simulated: with the base's position and observations it has a float solution, and after a while a fixed
 one, wherever it is.

@@ -96,7 +96,7 @@ class Ports(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """What is executed: files to write below the working folder, arguments, and additions to the environment."""
+    """Launch of an executable: files to write below the working folder, arguments, and additions to the environment."""
 
     argv: tuple[str, ...]
     environment: Mapping[str, str]
@@ -240,7 +240,7 @@ def _second_link(port: int) -> list[str]:
 
 
 class Readiness:
-    """What one vehicle has said of itself so far: it is ready when nothing is `missing` any more.
+    """Statements of one vehicle about itself so far: it is ready when nothing is `missing` any more.
 
     Ready is: its autopilot's heartbeat, a position, an estimator that measures its position, and its own arming checks
     passed. Once ready it stays ready; arming checks come and go with modes.

@@ -66,7 +66,7 @@ LEAST_UPRIGHT = 0.5
 
 
 class Steering:
-    """What the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
+    """State that the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
 
     __slots__ = ("_asked", "_attitude_lag_s", "_hover_thrust", "_integral", "_trajectory", "_turned")
 

@@ -92,7 +92,7 @@ class TdmConfig:
 
 @dataclass(slots=True)
 class NodeStats:
-    """What became of the frames of one node."""
+    """Counts of what became of the frames of one node."""
 
     sent_frames: int = 0
     sent_bytes: int = 0
@@ -201,7 +201,7 @@ class TdmNetwork:
     # -- the inside
 
     def _take_in(self, now: float) -> None:
-        """What has passed the serial lines is in the buffers, or lost for want of room."""
+        """Take in what has passed the serial lines: it is in the buffers, or lost for want of room."""
         for node in self._nodes:
             while node.arriving and node.arriving[0][0] <= now:
                 at, raw = node.arriving.popleft()
@@ -302,5 +302,5 @@ class TdmNetwork:
 
 
 def _is_heartbeat(raw: bytes) -> bool:
-    """Of MAVLink 1 or 2."""
+    """True for a heartbeat of MAVLink 1 or 2."""
     return (raw[:1] == b"\xfe" and raw[5:6] == b"\0") or (raw[:1] == b"\xfd" and raw[7:10] == b"\0\0\0")

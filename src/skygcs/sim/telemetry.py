@@ -1,4 +1,4 @@
-"""What a simulated vehicle says of itself, message by message: state in, wire fields out.
+"""Telemetry of a simulated vehicle, message by message: state in, wire fields out.
 
 A builder returns None while there is nothing to report (no home yet, no position estimate yet).
 """
@@ -335,7 +335,8 @@ def highres_imu(v: VehicleState, now: float) -> Fields:
 
 
 def odometry(v: VehicleState, now: float) -> Fields | None:
-    """As PX4's streams/ODOMETRY.hpp: position in the local NED frame, velocity along the body's axes (FRD)."""
+    """Fields as in PX4's streams/ODOMETRY.hpp: position in the local NED frame, velocity along the body's axes
+    (FRD)."""
     local = local_position_ned(v, now)
     if local is None:
         return None

@@ -1,4 +1,4 @@
-"""What a simulated vehicle knows and is: its state, and what PX4 and ArduCopter fill in. `vehicle` lets it live.
+"""State of a simulated vehicle: its state, and what PX4 and ArduCopter fill in. `vehicle` lets it live.
 
 The parts that work on a vehicle (`failsafe`, `flight`, `requests`, `telemetry`) see this class and not `vehicle`, which
 calls them.
@@ -154,7 +154,7 @@ class VehicleState(ABC):
 
     @abstractmethod
     def battery_levels(self) -> tuple[bool, bool, bool]:
-        """Whether the charge is low, critical, an emergency."""
+        """Return whether the charge is low, critical, an emergency."""
 
     @property
     @abstractmethod
@@ -164,7 +164,7 @@ class VehicleState(ABC):
     @property
     @abstractmethod
     def needs_position(self) -> bool:
-        """What it does now needs a position estimate."""
+        """True if what it does now needs a position estimate."""
 
     @abstractmethod
     def breach(self, east_m: float, north_m: float, up_m: float) -> str:
@@ -329,7 +329,7 @@ class VehicleState(ABC):
 
     @property
     def current_item(self) -> int:
-        """Of the mission, counted from 0."""
+        """Item of the mission, counted from 0."""
         return self.run.seq
 
     @property
@@ -365,7 +365,7 @@ class VehicleState(ABC):
         return sysid if 1 <= sysid <= 255 else 1
 
     def control_gains(self) -> ControlGains:
-        """As the parameters say, within what can be flown."""
+        """Gains as the parameters say, within what can be flown."""
         p, names = self.params, self.firmware.control_gains.simulated
         jerk_xy, jerk_z = names.jerk_xy, names.jerk_z
         return ControlGains(

@@ -99,7 +99,7 @@ class _Packet:
 
 @dataclass(slots=True)
 class MeshStats:
-    """What became of packets."""
+    """Counts of what became of packets."""
 
     up: int = 0
     down: int = 0
@@ -221,7 +221,7 @@ class XBeeMesh:
     # -- the air
 
     def _next_sender(self, now: float) -> tuple[_Node | None, _Packet] | None:
-        """Who has the air next, of all in turn; None is the ground's module."""
+        """Return which module has the air next, of all in turn; None is the ground's module."""
         senders: list[_Node | None] = [None, *self._nodes]
         for offset in range(len(senders)):
             number = (self._turn + offset) % len(senders)
@@ -256,7 +256,8 @@ class XBeeMesh:
         self.stats.busy_s += self._air_free_at - began
 
     def _transmitted(self, hops: int, size: int) -> tuple[bool, int]:
-        """Whether a packet arrived over so many hops, and how often it was repeated; the air is taken for as long."""
+        """Return whether a packet arrived over so many hops, and how often it was repeated; the air is taken for as
+        long."""
         repeated = 0
         for _ in range(hops):
             for attempt in range(MAC_RETRIES + 1):

@@ -40,7 +40,7 @@ _MAGIC = re.compile(rb"[\xfd\xfe]")
 
 
 class ByteSource(Protocol):
-    """What is read: bytes, or a file in pieces."""
+    """Source that is read: bytes, or a file in pieces."""
 
     def __len__(self) -> int: ...
 

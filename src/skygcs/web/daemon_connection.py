@@ -122,7 +122,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Pages(Protocol):
-    """Who is fed; `skygcs.web.page_clients.PageClients`."""
+    """Pages that are fed; `skygcs.web.page_clients.PageClients`."""
 
     def on_states(self) -> None: ...
     def on_event(self, event: dict[str, Any]) -> None: ...

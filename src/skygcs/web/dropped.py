@@ -1,4 +1,5 @@
-"""What a page sends with a dropped file: models of requests, and conversion between file, page and world frame.
+"""Requests that a page sends with a dropped file: models of requests, and conversion between file, page and world
+frame.
 
 The page draws in metres of the fleet's world frame. It sends the origin that it shows, so that its picture and the
 positions of a check are of one frame.

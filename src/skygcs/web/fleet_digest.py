@@ -1,4 +1,5 @@
-"""What a page needs of vehicles that it does not show in full: a digest of each, and counts of each site. Pure.
+"""Digests: what a page needs of vehicles that it does not show in full: a digest of each, and counts of each site.
+Pure.
 
 Up to `LARGE_FLEET` vehicles a page gets every state as the daemon encoded it, and nothing here is used. Beyond, each
 state is read as it comes (13 us, measured), and a page gets three levels of detail:
@@ -46,7 +47,7 @@ IN_AIR = frozenset({"in_air", "takeoff", "landing"})
 
 @dataclass(frozen=True, slots=True)
 class Digest:
-    """Of one state. Ages are those at ``at``."""
+    """Digest of one state. Ages are those at ``at``."""
 
     name: str
     site: str
@@ -89,8 +90,8 @@ def site_of(name: str) -> str:
 
 
 def digest_of(name: str, body: bytes, at: float) -> Digest:
-    """Of a state as the daemon, or a station's bridge, encoded it. Never raises for what is in it: what cannot be read
-    is not known."""
+    """Digest of a state as the daemon, or a station's bridge, encoded it. Never raises for what is in it: what cannot
+    be read is not known."""
     try:
         state = from_json(body)
     except ValueError:
@@ -177,7 +178,7 @@ def _rounded(value: object) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What a page shows in full: the vehicles of these sites, or those that a search finds, and some by name."""
+    """View: what a page shows in full: the vehicles of these sites, or those that a search finds, and some by name."""
 
     sites: frozenset[str] | None = None
     """None: all of them."""
@@ -224,8 +225,8 @@ def _names(value: object, key: str, most: int) -> frozenset[str]:
 
 
 def count_sites(digests: Iterable[Digest], now: float) -> list[dict[str, Any]]:
-    """Of each site its counts, in the order of the digests. ``oldest_age_s``: since when the vehicle that is silent for
-    the longest time was not heard; null if one was never heard."""
+    """Count each site's vehicles, in the order of the digests. ``oldest_age_s``: since when the vehicle that is silent
+    for the longest time was not heard; null if one was never heard."""
     counts: dict[str, dict[str, Any]] = {}
     for digest in digests:
         of = counts.get(digest.site)

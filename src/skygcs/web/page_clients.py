@@ -159,7 +159,7 @@ class PageClients:
             client.offer_notice(method, body)
 
     def offer_kept(self, client: PageClient) -> None:
-        """What a page that has come now has missed."""
+        """Offer what a page that has come now has missed."""
         for method, body in self._kept.items():
             client.offer_notice(method, body)
 
@@ -255,7 +255,7 @@ class PageClient:
         return self.page_states.seq
 
     def show(self, view: View) -> None:
-        """What it shows in full, of a large fleet."""
+        """Set what it shows in full, of a large fleet."""
         if self.page_states is None:
             raise RpcError(REFUSED, "web.view: subscribe first")
         self.page_states.show(view)

@@ -35,7 +35,7 @@ def is_own_user(transport: Any) -> bool:
 
 
 def _hexadecimal(host: str, port: int) -> str:
-    """As the tables have it: each four bytes of the address as a number of this machine's byte order."""
+    """Format as the tables have it: each four bytes of the address as a number of this machine's byte order."""
     packed = ipaddress.ip_address(host.partition("%")[0]).packed
     words = struct.unpack(f"={len(packed) // 4}I", packed)
     return f"{''.join(f'{word:08X}' for word in words)}:{port:04X}"

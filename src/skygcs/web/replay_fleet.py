@@ -46,7 +46,7 @@ class _Kept:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """What `ReplayFleet.restore` needs, and where the log goes on after it."""
+    """State that `ReplayFleet.restore` needs, and where the log goes on after it."""
 
     at_s: float
     offset: int

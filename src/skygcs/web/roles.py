@@ -1,4 +1,4 @@
-"""What each role may call: explicit lists of the daemon's methods. Pure.
+"""Methods that each role may call: explicit lists of the daemon's methods. Pure.
 
 A method that stands in none of the lists is refused. A test compares them with the table of the daemon, so that each
 new method is sorted in here.

@@ -1,4 +1,4 @@
-"""Who may use the web page: one-time tokens of printed addresses, exchanged for cookies that have a role. Pure.
+"""Sign-in to the web page: one-time tokens of printed addresses, exchanged for cookies that have a role. Pure.
 
     issue(role)        -> token, for an address that `skygcs web` prints; good once, for TOKEN_LIFE_S; or for an address
                           that it opens in a browser: good for OPENED_LIFE_S and for the same user's programs

@@ -42,7 +42,7 @@ class _Entry:
 
 
 class Batch(NamedTuple):
-    """What one page is sent at one time."""
+    """Batch that one page is sent at one time."""
 
     full: bool
     """It is the whole fleet; forget what was sent before."""
@@ -141,7 +141,7 @@ class LatestStates:
         self._round_over = self._marked = True
 
     def end_round(self) -> None:
-        """What came so far is a round."""
+        """End a round with what came so far."""
         self._round_began = None
         self._round_over = False
         self.settle()
@@ -164,7 +164,7 @@ class LatestStates:
         return self._entries[name].body
 
     def digests(self) -> Iterator[Digest]:
-        """Of a large fleet, in the order of their lists."""
+        """Digests of a large fleet, in the order of their lists."""
         if self._ordered is None:
             self._ordered = [digest.name for digest in sorted(self._digests(), key=lambda one: one.order)]
         for name in self._ordered:
@@ -181,7 +181,7 @@ class LatestStates:
 
 
 class PageStates:
-    """What one page has been sent. At most ``rate_hz`` batches a second."""
+    """States that one page has been sent. At most ``rate_hz`` batches a second."""
 
     def __init__(self, states: LatestStates, rate_hz: float) -> None:
         self.seq = 0
@@ -205,7 +205,7 @@ class PageStates:
         self._generation = None
 
     def show(self, view: View) -> None:
-        """What the page shows in full, of a large fleet."""
+        """Set what the page shows in full, of a large fleet."""
         self._view_changed = self._view_changed or view != self._view
         self._view = view
 
@@ -238,7 +238,8 @@ class PageStates:
         return self._levels(anew, changed, gone, now)
 
     def _levels(self, anew: bool, changed: list[tuple[str, bytes]], gone: list[str], now: float) -> Batch:
-        """Of a large fleet. What a page asks for is looked at anew with each brief, and when its view changes."""
+        """Levels of a large fleet. What a page asks for is looked at anew with each brief, and when its view
+        changes."""
         states, before = self._states, self._full
         brief_due = now - self._briefed_at >= BRIEF_EVERY_S
         if brief_due or self._view_changed:

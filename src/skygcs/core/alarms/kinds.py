@@ -57,7 +57,7 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
 
 
 class VehicleFacts(NamedTuple):
-    """What is known of a vehicle when something happens to it; None: it is not known."""
+    """Facts known of a vehicle when something happens to it; None: it is not known."""
 
     armed: bool | None = None
 

@@ -107,7 +107,7 @@ class Routh:
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """What a stable loop bears, each alone. Gain margins are factors >= 1, infinity if there is no limit.
+    """Margins that a stable loop bears, each alone. Gain margins are factors >= 1, infinity if there is no limit.
 
     ``gain_up``: by this the plant gain may grow. ``gain_down``: by this it may be divided (an integrator sets such a
     limit).

@@ -70,8 +70,8 @@ class Estimate(_Judged):
 
 @dataclass(frozen=True, slots=True)
 class Reference(_Judged):
-    """What the vehicle is to follow. An axis marked as velocity only follows ``vel_enu_mps``; its position, which the
-    law does not use, is where that velocity has led since it began."""
+    """Reference that the vehicle is to follow. An axis marked as velocity only follows ``vel_enu_mps``; its position,
+    which the law does not use, is where that velocity has led since it began."""
 
     pos_enu_m: Vector = ZERO
     yaw_rad: float = 0.0

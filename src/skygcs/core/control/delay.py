@@ -219,7 +219,7 @@ class DelayMeter:
         return now - sent
 
     def _keep(self, number: int) -> None:
-        """Of the round trips; the oldest go."""
+        """Keep a bounded number of round trips; the oldest go."""
         while len(self._trips) > number:
             self._trips.popleft()
         self.rtt_p95_s = p95(self._trips)

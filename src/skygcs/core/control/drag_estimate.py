@@ -1,4 +1,4 @@
-"""What a vehicle's drag takes on a moving reference, learned from how far it stays behind. Pure.
+"""Drag of a vehicle on a moving reference, learned from how far it stays behind. Pure.
 
 PX4 in OFFBOARD (mc_pos_control, PositionControl.cpp, 1.16) makes of a position, a velocity and an acceleration
 

@@ -43,7 +43,8 @@ UTIAS_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
 
 
 class _Derived:
-    """What follows from a config and is wanted in every step; no fields, so that configs compare and print as given."""
+    """Values that follow from a config and are wanted in every step; no fields, so that configs compare and print as
+    given."""
 
     __slots__ = ("dt_max_s", "dt_min_s", "integral_xy_max", "near_xy_squared", "near_z_mps", "tilt_max_tan")
 

@@ -1,4 +1,5 @@
-"""What velocity control with prediction needs to be run again from a trace: the model, and what a step began with."""
+"""State that velocity control with prediction needs to be run again from a trace: the model, and what a step began
+with."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ class PredictionStep:
 
 
 def encode_loop(loop: VelocityLoop) -> dict[str, float]:
-    """For JSON."""
+    """Encode the loop for JSON."""
     return asdict(loop)
 
 
@@ -36,7 +37,7 @@ def decode_loop(value: Any) -> VelocityLoop:
 
 
 def encode_memory(memory: PredictorMemory) -> dict[str, Any]:
-    """For JSON: what was sent as [at, velocity, acceleration], one after the other."""
+    """Encode the memory for JSON: what was sent as [at, velocity, acceleration], one after the other."""
     estimate = memory.estimate
     return {
         "sent": [[sent.at, *sent.vel_enu_mps, *sent.acc_enu_mps2] for sent in memory.sent],

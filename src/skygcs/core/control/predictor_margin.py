@@ -88,7 +88,7 @@ def delay_range(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float
 
 @lru_cache(maxsize=512)
 def velocity_delay_range(law: ControlConfig, loop: VelocityLoop, assumed_s: float) -> DelayRange | None:
-    """Of both axes together; None if one of them is unstable."""
+    """Range for both axes together; None if one of them is unstable."""
     found = [
         delay_range(gains.pos_p_per_s, lag_s, loop.attitude_lag_s, assumed_s)
         for gains, lag_s in ((law.xy, loop.lag_xy_s), (law.z, loop.lag_z_s))

@@ -103,7 +103,8 @@ class SentVelocity:
 
 @record
 class PredictorMemory:
-    """What one step leaves to the next. A new one forgets everything: no setpoint is under way, no disturbance."""
+    """Memory that one step leaves to the next. A new one forgets everything: no setpoint is under way, no
+    disturbance."""
 
     sent: tuple[SentVelocity, ...] = ()
     """The oldest first; before it the vehicle is taken to go on as it was measured."""
@@ -131,7 +132,7 @@ class Timing:
 
 @record
 class PredictedSetpoint:
-    """What is to be sent now, and what it was made from."""
+    """Setpoint to be sent now, and what it was made from."""
 
     vel_enu_mps: Vector
     acc_enu_mps2: Vector

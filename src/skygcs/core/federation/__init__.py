@@ -1,1 +1,1 @@
-"""What several sites share: names, batches of states, leases, orders and conflicts across sites. Pure."""
+"""Data that several sites share: names, batches of states, leases, orders and conflicts across sites. Pure."""

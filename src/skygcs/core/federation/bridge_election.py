@@ -52,7 +52,8 @@ class BridgeState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BridgeClaim:
-    """What a bridge says of itself. ``active_since_unix_s``: inf unless it is active. ``host``, ``pid``: for people."""
+    """Claim of a bridge about itself. ``active_since_unix_s``: inf unless it is active. ``host``, ``pid``: for
+    people."""
 
     run: str
     state: BridgeState

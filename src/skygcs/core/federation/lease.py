@@ -414,7 +414,7 @@ class Lease:
         return self._entry.holder if self._known and self._entry is not None else None
 
     def status(self, now: float) -> dict[str, Any]:
-        """For `federation.leases`: JSON-able."""
+        """Status for `federation.leases`, JSON-able."""
         valid = self.state in VALID and now < self.valid_until
         return {
             "vehicle": self.config.vehicle,

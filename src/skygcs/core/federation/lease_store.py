@@ -27,7 +27,7 @@ NAME_DIGITS = 32
 
 @dataclass(frozen=True, slots=True)
 class StoreQuestion:
-    """What was known before a question or a write was sent."""
+    """State that was known before a question or a write was sent."""
 
     name: str
     highest: int

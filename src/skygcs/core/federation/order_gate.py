@@ -184,8 +184,8 @@ class OrderGate:
             self._remembers_since_s = min(self._remembers_since_s, oldest_s)
 
     def forget_before(self, now_s: float) -> None:
-        """What came before is not known in full: another bridge took orders of this site. No question for an order of
-        that time is answered with "never came"."""
+        """Note that what came before is not known in full: another bridge took orders of this site. No question for an
+        order of that time is answered with "never came"."""
         self._remembers_since_s = max(self._remembers_since_s, now_s)
 
     def admit(self, request: OrderRequest, now_s: float, *, not_held: str | None = None) -> Decision:

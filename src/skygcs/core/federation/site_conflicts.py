@@ -123,7 +123,7 @@ class Prediction:
     """Ages of the two positions: ours, the other's."""
 
     def as_dict(self) -> dict[str, Any]:
-        """For `federation.sites` and events: JSON-able."""
+        """Description for `federation.sites` and events, JSON-able."""
         enters_s = self.approach.enters_s
         return {
             "distance_m": round(self.distance_m, 2),
@@ -175,7 +175,7 @@ class SiteConflict:
         return self.prediction is None and self.level is Level.NONE
 
     def describe(self) -> dict[str, Any]:
-        """For `federation.sites` and events: JSON-able."""
+        """Description for `federation.sites` and events, JSON-able."""
         predicted = {} if self.prediction is None else self.prediction.as_dict()
         return {"vehicles": [self.ours, self.other], "site": self.site, "level": self.level.name.lower(), **predicted}
 

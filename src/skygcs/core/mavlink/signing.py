@@ -48,7 +48,7 @@ MAX_STREAMS = 512
 
 
 class SignatureVerdict(StrEnum):
-    """What becomes of a received frame on a link that checks signatures. All but the first two are dropped."""
+    """Fate of a received frame on a link that checks signatures. All but the first two are dropped."""
 
     SIGNED = "signed"
     ALLOWED = "unsigned_allowed"
@@ -158,7 +158,8 @@ class SignatureStreams:
         return len(self._last)
 
     def check(self, link_id: int, sysid: int, compid: int, timestamp: int) -> SignatureVerdict:
-        """Whether a frame that is rightly signed may count; if so (SIGNED), it is remembered and our clock follows."""
+        """Judge whether a frame that is rightly signed may count; if so (SIGNED), it is remembered and our clock
+        follows."""
         stream = (link_id, sysid, compid)
         last = self._last.get(stream)
         if last is not None:

@@ -17,7 +17,7 @@ REST: Vector = (0.0, 0.0, 0.0)
 
 
 class Approach(NamedTuple):
-    """Of two vehicles within a time."""
+    """Closest approach of two vehicles within a time."""
 
     separation_m: float
     """The smallest."""
@@ -28,7 +28,7 @@ class Approach(NamedTuple):
 
 
 def closest_approach(offset_m: Vector, velocity_mps: Vector, radius_m: float, horizon_s: float) -> Approach:
-    """Of two vehicles that fly straight on for ``horizon_s``."""
+    """Closest approach of two vehicles that fly straight on for ``horizon_s``."""
     x, y, z = offset_m
     u, v, w = velocity_mps
     speed2 = u * u + v * v + w * w

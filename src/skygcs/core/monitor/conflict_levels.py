@@ -57,7 +57,7 @@ LEAST_ACTION_S = 3.0
 
 
 class Level(IntEnum):
-    """Of a pair, in the order of urgency."""
+    """Level of a pair, in the order of urgency."""
 
     NONE = 0
     NOTICE = 1
@@ -67,7 +67,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """What is predicted of a pair now."""
+    """Prediction for a pair now."""
 
     level: Level
     distance_m: float
@@ -82,7 +82,7 @@ class Conflict:
     closing: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """For people and programs."""
+        """Description for people and programs."""
         return {
             "distance_m": round(self.distance_m, 2),
             "closest_m": round(self.closest_m, 2),
@@ -271,6 +271,6 @@ class Pair:
         return self.conflict is None and self.level is Level.NONE
 
     def describe(self) -> dict[str, Any]:
-        """For people and programs."""
+        """Description for people and programs."""
         predicted: Mapping[str, Any] = {} if self.conflict is None else self.conflict.as_dict()
         return {"vehicles": [self.a.name, self.b.name], "level": self.level.name.lower(), **predicted}

@@ -150,8 +150,8 @@ def departures(waiting: Sequence[Returning], under_way: Sequence[Returning], fix
 def _climbs(
     ordered: Sequence[Returning], blocked: Mapping[int, tuple[list[Way], list[Returning]]], taken: Sequence[Way]
 ) -> dict[int, float]:
-    """Who climbs, and to where, so that one of those leaves that only wait for others that wait: the one with the
-    fewest in its way."""
+    """Return which vehicles climb, and to where, so that one of those leaves that only wait for others that wait: the
+    one with the fewest in its way."""
     for one in sorted(ordered, key=lambda one: len(blocked[one.key][1]) if one.key in blocked else 0):
         if one.key not in blocked or blocked[one.key][0] or math.isinf(one.highest_m):
             continue

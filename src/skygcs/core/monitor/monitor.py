@@ -62,7 +62,7 @@ class HoldRequest(NamedTuple):
 
 @dataclass(slots=True)
 class Counters:
-    """What has happened since the daemon began."""
+    """Counts since the daemon began."""
 
     evaluations: int = 0
     pairs_checked: int = 0
@@ -79,7 +79,7 @@ class Counters:
 
 @dataclass(slots=True)
 class _Held:
-    """Of a pair: which vehicles were held for it, when that was, and when it last was in conflict."""
+    """Holds of a pair: which vehicles were held for it, when that was, and when it last was in conflict."""
 
     keys: set[int] = field(default_factory=set)
     at: float = 0.0
@@ -416,7 +416,7 @@ def _points(track: Track) -> Iterator[tuple[float, float, float]]:
 
 
 def _overlap(a: _Box, b: _Box) -> bool:
-    """Of boxes that overlap in x; two parked vehicles are no pair."""
+    """Pairs of boxes that overlap in x; two parked vehicles are no pair."""
     return (
         a.low_y <= b.high_y
         and b.low_y <= a.high_y

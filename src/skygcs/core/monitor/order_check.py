@@ -1,4 +1,4 @@
-"""Whether an order would bring a vehicle too close to another, before it is sent.
+"""Check whether an order would bring a vehicle too close to another, before it is sent.
 
 The path of the order is a straight line, flown at once with `GOTO_MPS`, after which the vehicle stays. What is parked
 or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere

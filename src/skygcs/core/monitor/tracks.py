@@ -1,4 +1,4 @@
-"""What is known of each vehicle's motion, as the monitor uses it, and which vehicles it cannot watch.
+"""Tracks: what is known of each vehicle's motion, as the monitor uses it, and which vehicles it cannot watch.
 
     a vehicle that                                      counts as
     -------------------------------------------------   -----------------------------------------------------------

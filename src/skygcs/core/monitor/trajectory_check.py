@@ -1,4 +1,5 @@
-"""Whether vehicles that are about to follow trajectories come too close to others, or to each other, on all their way.
+"""Check whether vehicles that are about to follow trajectories come too close to others, or to each other, on all their
+way.
 
 Each vehicle has a course: its place at every time from now on. The others' courses are where they stand, the
 trajectories that they follow, the straight line to where skygcs has sent them, or straight on for the horizon.
@@ -190,6 +191,6 @@ def _nearest(
 
 
 def _offset(a: Course, b: Course, at_s: float, ratio: float) -> Vector:
-    """Of the second from the first, in the metric of the margin."""
+    """Offset of the second from the first, in the metric of the margin."""
     p, q = a.at(at_s), b.at(at_s)
     return q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio

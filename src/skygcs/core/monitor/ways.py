@@ -113,7 +113,7 @@ def _legs_distance_m(p: Leg, q: Leg, ratio: float) -> float:
 
 
 def _ground_distance_m(p: Leg, q: Leg) -> float:
-    """Of two straight lines over the ground: 0 where they cross, else from an end of one of them."""
+    """Distance of two straight lines over the ground: 0 where they cross, else from an end of one of them."""
     if _cross(p, q):
         return 0.0
     return min(

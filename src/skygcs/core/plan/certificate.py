@@ -1,4 +1,4 @@
-"""What a certificate says: certified or refused, the pair that comes closest, and every term of its margin."""
+"""Contents of a certificate: certified or refused, the pair that comes closest, and every term of its margin."""
 
 from __future__ import annotations
 

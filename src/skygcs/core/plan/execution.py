@@ -124,7 +124,7 @@ STATE_OF = {
 
 
 class OrderKind(StrEnum):
-    """What the runtime is to do; ``vehicles`` of the order say with which."""
+    """Orders that the runtime is to carry out; ``vehicles`` of the order say with which."""
 
     ARM = "arm"
     DISARM = "disarm"
@@ -532,7 +532,7 @@ class Execution:
         return [Order(OrderKind.DISARM, armed)] if armed else []
 
     def _drop_takeoff(self, before: PlanState) -> list[Order]:
-        """Of an abort: who still stands is disarmed, who climbs holds."""
+        """On an abort, disarm the vehicles that still stand and hold those that climb."""
         standing = self._disarm()
         climbing = tuple(n for n in self.names if n not in self._armed) if before is PlanState.TAKEOFF else ()
         self._asked = True

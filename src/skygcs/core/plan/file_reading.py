@@ -1,4 +1,5 @@
-"""What all readers of plan files share: bounds, text, numbers, JSON. Nothing but PlanFileError leaves a reader."""
+"""Parts that all readers of plan files share: bounds, text, numbers, JSON. Nothing but PlanFileError leaves a
+reader."""
 
 from __future__ import annotations
 

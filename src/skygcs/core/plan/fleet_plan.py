@@ -1,4 +1,4 @@
-"""What is flown: trajectories on one clock, or phases of straight legs with a barrier between them.
+"""Plans of a fleet: trajectories on one clock, or phases of straight legs with a barrier between them.
 
 timed    every vehicle follows its trajectory by the fleet's clock
 phased   every vehicle flies its leg of the phase at any speed; the next phase begins when all have arrived

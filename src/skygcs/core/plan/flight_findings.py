@@ -1,4 +1,4 @@
-"""What is found out about a flight before anything arms: which vehicle, what, and what to do about it. Pure."""
+"""Findings about a flight before anything arms: which vehicle, what, and what to do about it. Pure."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Finding:
 
     @property
     def todo(self) -> str:
-        """For people."""
+        """Remedy, as text for people."""
         return self.note if self.remedy is None else self.remedy.text(insist=self.insist)
 
     def as_dict(self) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class FlightTime(NamedTuple):
 def battery_finding(
     vehicle: str, percent: float | None, flight_time: FlightTime, plan_s: float, reserve_percent: float
 ) -> Finding:
-    """Whether the charge lasts for the plan and a landing, with the reserve left."""
+    """Judge whether the charge lasts for the plan and a landing, with the reserve left."""
     check = "battery"
     if percent is None:
         remedy = remedies.insist("set up its battery monitor")

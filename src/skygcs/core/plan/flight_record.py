@@ -1,4 +1,4 @@
-"""What is measured of a vehicle's battery in flight, for the next plan. Pure."""
+"""Measurements of a vehicle's battery in flight, for the next plan. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ LEAST_FLIGHT_S = 120.0
 
 
 class FlightRecord:
-    """Of one vehicle; a restart takes it from the journal."""
+    """Record of one vehicle; a restart takes it from the journal."""
 
     def __init__(self, flown_s: float = 0.0, dropped_percent: float = 0.0) -> None:
         self._flown_s = flown_s

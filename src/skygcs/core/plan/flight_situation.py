@@ -1,5 +1,5 @@
-"""What is to be flown, where the vehicles are, and what was made of that: the question and the answer of
-`core.plan.preparation`, without numpy."""
+"""Situation of a flight: what is to be flown, where the vehicles are, and what was made of that: the question and the
+answer of `core.plan.preparation`, without numpy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Places = Mapping[str, Vector]
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What is to be flown, and by which vehicles, in the frame of the plan."""
+    """The flight that is asked for, and by which vehicles, in the frame of the plan."""
 
     plan: Plan
     space: FlightSpace

@@ -59,7 +59,7 @@ class _Leg:
 
 
 class GotoLegs:
-    """Of one step, from its first order to its end."""
+    """Legs of one step, from its first order to its end."""
 
     def __init__(self, goals: Places, within_m: Mapping[str, float], downwash_ratio: float) -> None:
         """``goals``: the vehicles that move in this step, and their places; ``within_m``: how near each has to come."""
@@ -73,7 +73,7 @@ class GotoLegs:
 
     @property
     def state(self) -> ClockState:
-        """As if it were a clock: of these, waiting is none."""
+        """State, as if it were a clock: of these, waiting is none."""
         return self._state
 
     @property

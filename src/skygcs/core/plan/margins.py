@@ -39,7 +39,7 @@ of its position."""
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """What is known of one vehicle; the defaults are for a multirotor of the 450 class with GPS, without a daemon."""
+    """Uncertainty of one vehicle; the defaults are for a multirotor of the 450 class with GPS, without a daemon."""
 
     wingspan_m: float = WINGSPAN_M
     position_error_m: float = POSITION_ERROR_M
@@ -95,7 +95,7 @@ class MarginRule:
         return found
 
     def sources(self, name: str) -> dict[str, str]:
-        """Of each of its `terms`: measured over what, given, of the fleet file, or a default."""
+        """Source of each of its `terms`: measured over what, given, of the fleet file, or a default."""
         if self.fixed_m is not None:
             return {"given": GIVEN}
         found = self.by_vehicle.get(name, self.uncertainty).sources

@@ -24,7 +24,7 @@ from skygcs.errors import PlanFileError
 
 
 class ReadPlan(NamedTuple):
-    """What a file holds; ``format`` and ``notes`` (what was assumed or left out) for people."""
+    """Contents of a file; ``format`` and ``notes`` (what was assumed or left out) for people."""
 
     plan: Plan
     space: FlightSpace

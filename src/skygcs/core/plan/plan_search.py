@@ -38,7 +38,7 @@ DIRECT = "straight"
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """What was tried, and the plan that came of it, certified or not; None: it made none."""
+    """One attempt: what was tried, and the plan that came of it, certified or not; None: it made none."""
 
     what: str
     plan: Plan | None
@@ -110,7 +110,7 @@ def make_plan(
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """What every attempt is made from."""
+    """Inputs of every attempt."""
 
     starts: Mapping[str, Vector]
     goals: Mapping[str, Vector]

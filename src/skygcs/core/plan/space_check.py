@@ -1,4 +1,4 @@
-"""Whether curves stay within fence, floor and ceiling and out of boxes, at all times and not at samples. numpy.
+"""Check whether curves stay within fence, floor and ceiling and out of boxes, at all times and not at samples. numpy.
 
 A piece lies within the box around its Bernstein coefficients (convex hull). With middle c and half diagonal r of that
 box, every point of the piece is at least d(c) - r from a wall that is d(c) from c. Pieces for which that does not
@@ -140,7 +140,7 @@ def _first_of_each(wall: _Wall, found: list[Breach]) -> list[Breach]:
 
 
 def _distance(wall: _Wall, space: FlightSpace, points: Array) -> Array:
-    """Of points (n, 3) from the wall, negative beyond it."""
+    """Distance of points (n, 3) from the wall, negative beyond it."""
     if wall.what == "the ceiling":
         return np.asarray((space.ceiling_m or 0.0) - points[:, 2])
     if wall.what == "the floor":

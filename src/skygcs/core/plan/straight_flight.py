@@ -41,7 +41,7 @@ class StraightPair(NamedTuple):
 
 
 def assigned(starts: Sequence[Vector], goals: Sequence[Vector], downwash_ratio: float) -> list[int]:
-    """For each start the index of its goal, such that no pair has a negative product (beyond rounding)."""
+    """Return for each start the index of its goal, such that no pair has a negative product (beyond rounding)."""
     s, g = scaled(starts, downwash_ratio), scaled(goals, downwash_ratio)
     count = len(s)
     order = _nearest_first(s, g)

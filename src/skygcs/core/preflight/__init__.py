@@ -1,4 +1,5 @@
-"""Whether a vehicle is ready to fly: a table of checks, each a verdict with the figure, the limit and what to do. Pure.
+"""Judge whether a vehicle is ready to fly: a table of checks, each a verdict with the figure, the limit and what to do.
+Pure.
 
 `rules`         what a parameter is expected to be, and what would make it so
 `expectations`  everything that is expected of one vehicle; defaults are sensible without a word in the fleet file

@@ -79,7 +79,7 @@ def poses(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def estimator_origin(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether its own origin is that of the fleet: the poses count from there."""
+    """Check whether its own origin is that of the fleet: the poses count from there."""
     if not wanted.mocap:
         return skipped(NO_MOCAP)
     if facts.origin_off_m is None:
@@ -94,7 +94,7 @@ def estimator_origin(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def external_vision(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether its estimator uses the poses: the first parameter that is wrong, with a fix for each."""
+    """Check whether its estimator uses the poses: the first parameter that is wrong, with a fix for each."""
     if not wanted.mocap:
         return skipped(NO_MOCAP)
     if facts.family not in ("px4", "ardupilot"):

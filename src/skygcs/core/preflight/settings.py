@@ -89,7 +89,7 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def one_commander(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether the vehicle itself obeys this site's station alone, besides the lease."""
+    """Check whether the vehicle itself obeys this site's station alone, besides the lease."""
     if not wanted.delegated:
         return skipped("no other site may command it")
     if facts.family != "ardupilot":
@@ -129,7 +129,7 @@ def one_commander(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether the GCS failsafe acts in every mode that our orders leave the vehicle in."""
+    """Check whether the GCS failsafe acts in every mode that our orders leave the vehicle in."""
     if facts.family != "ardupilot" or not facts.copter:
         return skipped("an ArduCopter's alone")
     enabled, options = facts.value("FS_GCS_ENABLE"), facts.value("FS_OPTIONS")
@@ -258,7 +258,7 @@ def _px4_transmitter(facts: Facts, there: bool) -> Finding:
 
 
 def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether the time-out is long enough for the setpoint rate and short enough for attitude setpoints."""
+    """Check whether the time-out is long enough for the setpoint rate and short enough for attitude setpoints."""
     if wanted.control is None:
         return skipped("it will not be flown by setpoints")
     name = "COM_OF_LOSS_T" if facts.family == "px4" else "GUID_TIMEOUT"
@@ -303,7 +303,7 @@ def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def thrust(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether the autopilot interprets the thrust of attitude setpoints as thrust."""
+    """Check whether the autopilot interprets the thrust of attitude setpoints as thrust."""
     if not wanted.by_attitude:
         return skipped("it will not be flown by attitude setpoints")
     name = "MAV_TYPE" if facts.family == "px4" else "GUID_OPTIONS"

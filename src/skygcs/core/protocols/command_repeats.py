@@ -17,7 +17,7 @@ from skygcs.core.protocols.command import CommandSpec
 
 
 class Repeat(Enum):
-    """What may be done when no answer came."""
+    """Choices when no answer came."""
 
     ANY_LINK = auto()
     """Harmless: repeated over every link that leads to the vehicle."""

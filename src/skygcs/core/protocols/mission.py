@@ -162,7 +162,7 @@ ANSWERS = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_
 
 
 class MissionProtocol(ProtocolMachine):
-    """What upload, download and clearing have in common."""
+    """Common part of upload, download and clearing."""
 
     def __init__(self, kind: MissionType) -> None:
         self.kind = kind

@@ -88,7 +88,7 @@ class LogState(Enum):
 
 
 class _LogMachine(ProtocolMachine):
-    """What both have in common: one end, one number of tries without progress."""
+    """Common part of both: one end, one number of tries without progress."""
 
     def __init__(self) -> None:
         self.state = LogState.IDLE
@@ -207,7 +207,7 @@ class OnboardLogDownload(_LogMachine):
 
     @property
     def size(self) -> int:
-        """As listed, or where it ended earlier."""
+        """Size as listed, or where it ended earlier."""
         return self._size
 
     def start(self, now: float) -> tuple[Effect, ...]:

@@ -63,7 +63,7 @@ MAX_NOTES = 64
 
 @dataclass(frozen=True, slots=True)
 class ThirdPartyRules:
-    """What a fleet file says of third-party traffic. None: the shares above."""
+    """Rules of a fleet file for third-party traffic. None: the shares above."""
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     files: Literal["one", "deny", "allow"] = "one"
@@ -76,7 +76,7 @@ class ThirdPartyRules:
 
 
 class AdmissionDecision(NamedTuple):
-    """What becomes of a frame. "send": offer it to the queue so; "wait": `poll` gives it later."""
+    """Decision about a frame. "send": offer it to the queue so; "wait": `poll` gives it later."""
 
     outcome: Literal["send", "wait", "refuse", "correction"]
     priority: Priority = Priority.FORWARDED
@@ -178,7 +178,7 @@ class ThirdPartyTraffic:
         self.set_rate(bytes_per_s, now)
 
     def set_rate(self, bytes_per_s: float, now: float) -> None:
-        """What goes up into the radio altogether has changed."""
+        """Take a new total rate of what goes up into the radio."""
         third_party = THIRD_PARTY_SHARE * bytes_per_s if self.rules.bytes_per_s is None else self.rules.bytes_per_s
         self.budget.set_rate(third_party, now)
         self.budget.set_burst(max(LEAST_BURST_BYTES, BURST_S * third_party), now)

@@ -122,7 +122,7 @@ _PARAM12 = struct.Struct("<ff")
 
 
 class Kind(Enum):
-    """What a third-party frame is to a radio."""
+    """Kind of a third-party frame to a radio."""
 
     EMERGENCY = auto()
     """It stops motors in the air."""

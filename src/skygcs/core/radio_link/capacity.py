@@ -1,4 +1,4 @@
-"""What one shared radio can carry: arithmetic on wire sizes, serial rate and timeslots, before anything flies.
+"""Capacity of one shared radio: arithmetic on wire sizes, serial rate and timeslots, before anything flies.
 
 Downlink: every vehicle sends its profile, all of it comes out of the ground radio's serial port. Uplink: everything for
 all vehicles goes through the ground radio's one slot a round. The timeslot model is that of open SiK multipoint (one
@@ -112,7 +112,7 @@ def profile_bytes_per_s(rates_hz: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class LinkDemand:
-    """What is to be planned."""
+    """Demand that is to be planned."""
 
     vehicles: int
     baud: int = 57600

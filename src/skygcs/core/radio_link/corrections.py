@@ -64,7 +64,7 @@ class _Kind:
 
 @dataclass(slots=True)
 class CorrectionCounters:
-    """What became of the messages."""
+    """Counts of what became of the messages."""
 
     messages: int = 0
     """Sent to their end."""
@@ -119,7 +119,7 @@ class Corrections:
         return len(self._begun) + sum(len(list(fragments_of(message, 0))) for message in messages)
 
     def set_rate(self, bytes_per_s: float, now: float) -> None:
-        """What corrections may take from now on; 0: nothing, and what waits is kept until it is too old."""
+        """Set what corrections may take from now on; 0: nothing, and what waits is kept until it is too old."""
         self._budget.set_rate(bytes_per_s, now)
 
     def offer(self, source: int, payload: bytes, now: float) -> bool:

@@ -96,7 +96,7 @@ def report_of(fields: dict[str, Any], now: float) -> RadioReport:
 
 @dataclass(frozen=True, slots=True)
 class RadioRates:
-    """What is known of a radio beforehand. ``air_kbps`` None: nothing of its air, so no timeslots are counted."""
+    """Rates of a radio known beforehand. ``air_kbps`` None: nothing of its air, so no timeslots are counted."""
 
     baud: int = 57600
     air_kbps: float | None = None

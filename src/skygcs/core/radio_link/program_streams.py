@@ -1,4 +1,4 @@
-"""What other programs asked a vehicle to stream, and what to put back when the last of them is gone.
+"""Streams that other programs asked a vehicle to stream, and what to put back when the last of them is gone.
 
 A stream belongs to the vehicle's port, not to the program that asked for it: MAVProxy asks an ArduPilot for all of its
 streams at 4 Hz, and 3.8 kB/s go on after it has left. So what the vehicle streamed before the first request is
@@ -32,7 +32,7 @@ ABOUT_HZ = 0.2
 
 
 class Stream(NamedTuple):
-    """What a program asked for: a group of ArduPilot (``msgid`` None), or one message."""
+    """Stream that a program asked for: a group of ArduPilot (``msgid`` None), or one message."""
 
     group: int | None
     message: str | None
@@ -100,7 +100,7 @@ def _groups(stream: Stream) -> list[Stream]:
 
 
 class Request(NamedTuple):
-    """What is sent to put a stream back: a group (REQUEST_DATA_STREAM; 0 Hz stops it) or a message
+    """Request sent to put a stream back: a group (REQUEST_DATA_STREAM; 0 Hz stops it) or a message
     (SET_MESSAGE_INTERVAL; None is the vehicle's own default)."""
 
     stream: Stream

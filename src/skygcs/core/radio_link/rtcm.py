@@ -40,7 +40,7 @@ epoch."""
 
 
 class RtcmContent(NamedTuple):
-    """What one RTCM message is."""
+    """Contents of one RTCM message."""
 
     type: int
     """0 where it is too short to have one."""

@@ -106,7 +106,7 @@ def profile_rates(name: str) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class RateDemand:
-    """What one vehicle would send if there were room."""
+    """Rates that one vehicle would send if there were room."""
 
     rates_hz: Mapping[str, float]
     weight: float = NORMAL
@@ -186,7 +186,7 @@ TXBUF_LOW = 0.15
 
 
 class Downlink:
-    """What share of the planned downlink the streams get; `look` once a second."""
+    """Share of the planned downlink the streams get; `look` once a second."""
 
     def __init__(self) -> None:
         self.factor = 1.0

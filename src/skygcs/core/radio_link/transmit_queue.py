@@ -1,5 +1,5 @@
-"""What waits to be sent on one link, in which order and how fast: strict classes, vehicles share a class equally,
-every class with a bound and a policy, all of it within a budget of bytes.
+"""Queue of what waits to be sent on one link, in which order and how fast: strict classes, vehicles share a class
+equally, every class with a bound and a policy, all of it within a budget of bytes.
 
 Pure: the sender (shell) offers, asks when the next may go and what it is, and writes. How large the budget is decides
 `core.radio_link.pacing`.
@@ -83,7 +83,7 @@ class Waits:
 
 @dataclass(slots=True)
 class ClassCounters:
-    """What became of the entries of one class."""
+    """Counts of what became of the entries of one class."""
 
     sent: int = 0
     sent_bytes: int = 0

@@ -100,7 +100,7 @@ def battery_status(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemor
 
 
 def _battery(arrival_ns: int, volts: float, amps: float, fraction: float) -> dict[str, Any]:
-    """Of unknown values MAVROS passes the -1 of the message on: 0.01 A, -0.01 of the capacity."""
+    """Convert a battery. For unknown values MAVROS passes the -1 of the message on: 0.01 A, -0.01 of the capacity."""
     return {
         "header": header(arrival_ns),
         "voltage": volts,

@@ -1,4 +1,4 @@
-"""What the converters remember of one vehicle between its messages."""
+"""Memory of the converters: what they keep of one vehicle between its messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FrameNames:
 
 @dataclass(slots=True)
 class VehicleMemory:
-    """Of one vehicle, from its first message on; a new one after its connection was lost, but for ``clock``."""
+    """Memory of one vehicle, from its first message on; a new one after its connection was lost, but for ``clock``."""
 
     frames: FrameNames = field(default_factory=FrameNames)
     geoid_m: float | None = None

@@ -47,7 +47,7 @@ class SetpointError(ValueError):
 
 
 class Demand(NamedTuple):
-    """What a vehicle is to do: the control mode that it needs, and the parameters of control.setpoint."""
+    """Demand on a vehicle: the control mode that it needs, and the parameters of control.setpoint."""
 
     mode: ControlMode
     params: dict[str, Any]

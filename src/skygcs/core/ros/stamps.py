@@ -46,10 +46,10 @@ class VehicleClock:
 
 
 def time_fields(unix_ns: int) -> dict[str, Any]:
-    """As builtin_interfaces' Time."""
+    """Fields of builtin_interfaces' Time."""
     return {"sec": unix_ns // 1_000_000_000, "nanosec": unix_ns % 1_000_000_000}
 
 
 def header(unix_ns: int, frame_id: str = "") -> dict[str, Any]:
-    """As std_msgs' Header."""
+    """Fields of std_msgs' Header."""
     return {"stamp": time_fields(unix_ns), "frame_id": frame_id}

@@ -1,4 +1,4 @@
-"""What may pass a channel: mavlink-router's twelve allow/block keys, and rate limits, which no router has."""
+"""Filters of a channel: mavlink-router's twelve allow/block keys, and rate limits, which no router has."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class PeerPlaces:
         self._view = None
 
     def judge(self, host: str, *, autopilot: bool, now: float) -> Judgement:
-        """Whether a newcomer is admitted while all places are taken."""
+        """Judge whether a newcomer is admitted while all places are taken."""
         view = self._view
         fresh = view is None or now - view.at >= VIEW_S
         if view is None or fresh:

@@ -152,7 +152,8 @@ class Router:
         self._topology_changed()
 
     def _topology_changed(self, source: int | None = None) -> None:
-        """What a channel may send has changed: because of this source, or (None) because a channel came or went."""
+        """Note that what a channel may send has changed: because of this source, or (None) because a channel came or
+        went."""
         self.on_change()
         for port in self._ports.values():
             port.broadcast.clear()

@@ -44,7 +44,7 @@ _RAMP = bytes(range(256)) * 3
 
 
 class SourceStats:
-    """What one source sent over one link.
+    """Statistics of what one source sent over one link.
 
     Loss is counted with a window of sequence numbers, as RTP receivers keep one (RFC 3550 A.1):
 

@@ -146,7 +146,7 @@ class SourceReport:
 
 
 class _Heard:
-    """What one channel shows of the vehicle."""
+    """View of what one channel shows of the vehicle."""
 
     __slots__ = (
         "_earliest",
@@ -342,7 +342,7 @@ class StateSource:
             self._heard.pop(channel_id, None)
 
     def tick(self, now: float) -> None:
-        """What time alone brings: a duplicate that is over, ignored frames to report."""
+        """Report what time alone brings: a duplicate that is over, ignored frames to report."""
         others = [(c, h) for c, h in self._heard.items() if h is not self._present]
         for channel_id, heard in others:
             for kind, (since, last, count) in list(heard.contradicted.items()):

@@ -33,7 +33,7 @@ SLACK = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What a type of vehicle can follow. Raises TrajectoryError for an invalid limit."""
+    """Limits that a type of vehicle can follow. Raises TrajectoryError for an invalid limit."""
 
     speed_mps: float = 5.0
     """PX4's MPC_XY_CRUISE and ArduCopter's WPNAV_SPEED in their defaults, rounded down."""

@@ -239,7 +239,7 @@ MAX_YAW_JUMP_RAD = math.radians(1.0)
 
 
 class Joint(NamedTuple):
-    """What jumps where two pieces meet; at the start and the end, from or to standing."""
+    """Jump where two pieces meet; at the start and the end, from or to standing."""
 
     piece: int
     """The piece (from 1) that begins here; one more than the last at the end."""

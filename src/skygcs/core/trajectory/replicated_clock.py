@@ -120,8 +120,8 @@ class ReplicatedClock(TrajectoryClock):
         self._order(ClockOrder("speed", now + self.lead_s, speed_factor))
 
     def at(self, now: float) -> ClockTime:
-        """As `TrajectoryClock.at`, after the orders whose time has come. A paused clock that is to go on is running:
-        what looks at it must not take the wait for another pause."""
+        """Same as `TrajectoryClock.at`, after the orders whose time has come. A paused clock that is to go on is
+        running: what looks at it must not take the wait for another pause."""
         while self._noted and self._noted[0].at_s <= now:
             self._carry_out(self._noted.pop(0))
         time = super().at(now)

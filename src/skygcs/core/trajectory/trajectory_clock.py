@@ -222,7 +222,7 @@ class TrajectoryClock:
 
     @property
     def latest_rate(self) -> float:
-        """As of the latest `at`."""
+        """Rate as of the latest `at`."""
         return self._latest[0].rate
 
     def foreseen_s(self, at: float) -> float:

@@ -412,7 +412,7 @@ def _target_proof(guided: int, to: Destination, location: Location | None = None
 
 
 def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step, ...]:
-    """For firmware without DO_REPOSITION. The message has no acknowledgement."""
+    """Target for firmware without DO_REPOSITION. The message has no acknowledgement."""
     yaw = to.yaw_deg
     values = {
         "coordinate_frame": FRAME_GLOBAL_RELATIVE_ALT_INT,

@@ -100,7 +100,7 @@ TEXTS_VERSION = "2"
 
 
 class Sensor(StrEnum):
-    """What is calibrated."""
+    """Sensor that is calibrated."""
 
     GYRO = "gyro"
     LEVEL = "level"

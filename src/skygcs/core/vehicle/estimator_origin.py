@@ -49,7 +49,8 @@ TOGETHER_S = 0.3
 
 
 class EstimatorOrigin:
-    """Of one vehicle, during one flight by setpoints: `begin`, then `local_enu_m` for each setpoint."""
+    """Estimator origin of one vehicle, during one flight by setpoints: `begin`, then `local_enu_m` for each
+    setpoint."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -77,7 +78,7 @@ class EstimatorOrigin:
         return _offset_m(place.lat_deg, place.lon_deg, place.alt_amsl_m, origin)
 
     def _look(self) -> None:
-        """What came since the last look."""
+        """Look at what came since the last look."""
         vehicle = self._vehicle
         if self._distrusted is not None:
             return

@@ -194,7 +194,7 @@ Change = (
 
 @dataclass(frozen=True, slots=True)
 class FlightLock:
-    """What one flight holds. ``title``: the plan's or trajectory's name, empty for an engagement."""
+    """Everything that one flight holds. ``title``: the plan's or trajectory's name, empty for an engagement."""
 
     holder: Holder
     title: str

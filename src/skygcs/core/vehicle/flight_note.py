@@ -1,4 +1,4 @@
-"""What is kept of a vehicle for a daemon that begins anew while it flies. Pure.
+"""Note that is kept of a vehicle for a daemon that begins anew while it flies. Pure.
 
 Its last frames (heartbeat, position, landed state) bring back where it was and in which mode, who flew it decides
 whether it is ordered to hold when it is heard, and what its battery gave is measured on.

@@ -36,7 +36,7 @@ from skygcs.errors import RefusedError
 
 
 class Level(StrEnum):
-    """Who may get it; see the table."""
+    """Level of a message: which vehicles may get it; see the table."""
 
     HARMLESS = "harmless"
     DISARMED = "only disarmed"
@@ -236,7 +236,7 @@ def param_rule(family: str, name: str, what: str = "param set") -> Rule:
 
 @dataclass(frozen=True, slots=True)
 class OrderRule:
-    """What an order may send: names of messages, and numbers of commands."""
+    """Rule about what an order may send: names of messages, and numbers of commands."""
 
     messages: frozenset[str] = frozenset()
     commands: frozenset[int] = frozenset()

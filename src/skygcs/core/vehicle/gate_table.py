@@ -105,7 +105,7 @@ class Cell:
     refused: str
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Row for JSON."""
         return {
             "firmware": self.firmware,
             "class": self.kind,
@@ -138,19 +138,19 @@ class Passing:
     harmless: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Row for JSON."""
         counts = {level.value: count for level, count in self.levels.items()}
         return {"all": self.all, "levels": counts, "harmless": list(self.harmless)}
 
 
 def messages_passing(dialect: Dialect) -> Passing:
-    """Of the messages, as raw messages; COMMAND_LONG and COMMAND_INT are judged by their command."""
+    """Counts of the messages, as raw messages; COMMAND_LONG and COMMAND_INT are judged by their command."""
     names = sorted(set(dialect.by_name) - COMMAND_MESSAGES)
     return _count({name: message_rule(name, {}).level for name in names})
 
 
 def commands_passing(dialect: Dialect) -> Passing:
-    """Of the commands, as raw commands with a first parameter of 1."""
+    """Counts of the commands, as raw commands with a first parameter of 1."""
     names = {n: name.removeprefix("MAV_CMD_") for n, name in dialect.enums.get("MAV_CMD", {}).items()}
     return _count({name: command_rule(n, 1.0, name).level for n, name in names.items() if name != "ENUM_END"})
 

@@ -193,12 +193,12 @@ class OffboardController:
 
     @property
     def delay(self) -> DelayMeter:
-        """Of the present control; another after each `engage`."""
+        """Delay of the present control; another after each `engage`."""
         return self._estimate_view.delay
 
     @property
     def delay_p95_s(self) -> float | None:
-        """As of the last tick."""
+        """95th percentile of the delay as of the last tick."""
         return self._estimate_view.delay_p95_s
 
     @property

@@ -1,4 +1,4 @@
-"""What goes into one tick of flight control, and what comes out of it."""
+"""Input and output of one tick of flight control."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Message = tuple[str, dict[str, Any]]
 
 @record
 class TickInput:
-    """What the setpoint of one tick is made from. Times are the loop's."""
+    """Input that the setpoint of one tick is made from. Times are the loop's."""
 
     at: float
     dt_s: float
@@ -38,7 +38,7 @@ class TickInput:
 
 @record
 class Tick:
-    """What one tick asks for. ``hold``: have the autopilot hold position, once.
+    """Output that one tick asks for. ``hold``: have the autopilot hold position, once.
 
     ``left``: it ended because the autopilot shows another mode; see whether that stays so.
     ``row`` is for the trace, with the law's memory before and after the step.

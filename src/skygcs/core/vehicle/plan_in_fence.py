@@ -58,7 +58,7 @@ def sampled(ways: Sequence[Trajectory]) -> list[Vector]:
 
 
 def fence_finding(vehicle: str, fence: FenceSettings, shapes: FencePlan | None, reach: Reach) -> Finding:
-    """Whether the plan stays inside; ``shapes``: the polygons and circles that it has, None: not known."""
+    """Judge whether the plan stays inside; ``shapes``: the polygons and circles that it has, None: not known."""
     if not fence.enabled:
         return Finding(vehicle, CHECK, Level.OK, "its own fence is off")
     found = [*_beyond_cylinder(fence, reach), *_beyond_shapes(fence, shapes, reach)]

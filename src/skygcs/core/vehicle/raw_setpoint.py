@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class RawLimits:
-    """What an own controller may ask for. Raises ConfigError with every problem."""
+    """Limits of what an own controller may ask for. Raises ConfigError with every problem."""
 
     tilt_max_deg: float = 35.0
     """Of an attitude setpoint; and of the vehicle as it reports it, TILT_SLACK_DEG more. As the law's own limit."""

@@ -21,7 +21,7 @@ TILT_FRESH_S = 0.5
 
 
 class RawSource:
-    """Of one vehicle; times are the loop's."""
+    """Raw setpoints of one vehicle; times are the loop's."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.setpoint: RawSetpoint | None = None
@@ -45,7 +45,7 @@ class RawSource:
         return True
 
     def tilt_cosine(self, now: float) -> float | None:
-        """Of the tilt the vehicle reports; None if that is too old or not known."""
+        """Cosine of the tilt the vehicle reports; None if that is too old or not known."""
         attitude, at = self._vehicle.message_cache.telemetry("attitude")
         if attitude is None or now - at > TILT_FRESH_S:
             return None

@@ -131,8 +131,8 @@ class ReferenceSource:
         return self._estimate_view.yaw_rad() if self.reference.yaw_rate_only else self.reference.yaw_rad
 
     def _position(self, setpoint: Setpoint, before: Reference, now: float) -> Vector:
-        """Of a new setpoint: its place, and for an axis without one where velocities have led so far. They begin where
-        the vehicle is."""
+        """Position of a new setpoint: its place, and for an axis without one where velocities have led so far. They
+        begin where the vehicle is."""
         given = before.pos_enu_m if setpoint.place is None else self._estimate_view.in_local_frame(setpoint.place)
         if not (setpoint.free_xy or setpoint.free_z):
             return given

@@ -49,7 +49,7 @@ THROTTLES = (0.05, 1.0)
 
 
 class SteadyThrust:
-    """Of one vehicle. `observe` in every tick that does not fly by attitude."""
+    """Steady thrust of one vehicle. `observe` in every tick that does not fly by attitude."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle

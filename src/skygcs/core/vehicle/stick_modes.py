@@ -32,7 +32,7 @@ from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
 
 
 class Without(StrEnum):
-    """What a flying vehicle does in a mode without sticks."""
+    """Behaviour: what a flying vehicle does in a mode without sticks."""
 
     FALLS = "its motors would idle or stop, and it would fall"
     GLIDES = "it would glide down with neutral controls"

@@ -1,4 +1,4 @@
-"""What a flying vehicle is fed with is not cut by a judgement about another one: the one rule. Pure.
+"""Supply: what a flying vehicle is fed with is not cut by a judgement about another one: the one rule. Pure.
 
     what feeds it                    what would end it                                       while it may be flying
     ------------------------------   -----------------------------------------------------   ---------------------------

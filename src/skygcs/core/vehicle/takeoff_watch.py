@@ -1,4 +1,4 @@
-"""Whether a take-off that was ordered here goes as it was ordered. Pure.
+"""Watch whether a take-off that was ordered here goes as it was ordered. Pure.
 
     climbs      the mode is the one the take-off set (PX4 AUTO.TAKEOFF, ArduCopter GUIDED)
     reached     at its height and level; a PX4 has then gone to AUTO.LOITER by itself

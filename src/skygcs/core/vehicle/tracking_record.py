@@ -61,7 +61,7 @@ class _Note(NamedTuple):
 
 
 class TrackingRecord:
-    """Of one vehicle."""
+    """Tracking record of one vehicle."""
 
     def __init__(self) -> None:
         self._moving_m = QuantileSketch(0.001, 100.0, WINDOW)

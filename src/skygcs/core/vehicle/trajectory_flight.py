@@ -36,7 +36,7 @@ OVER = frozenset({ClockState.ABORTED, ClockState.FINISHED})
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryLimits:
-    """What a vehicle may be sent along. Raises ConfigError with every problem."""
+    """Limits of what a vehicle may be sent along. Raises ConfigError with every problem."""
 
     start_within_m: float = 1.0
     """Distance from the first point at which it may begin."""
@@ -140,7 +140,7 @@ class TrajectoryFlight:
 
     @property
     def duration_s(self) -> float:
-        """Of the vehicle's own trajectory."""
+        """Duration of the vehicle's own trajectory."""
         return self.loaded.trajectory.duration_s
 
     def reference(self, now: float, yaw_rad: float) -> Reference:
@@ -171,7 +171,7 @@ class TrajectoryFlight:
         return self.clock.at(now).state in OVER
 
     def status(self, now: float) -> dict[str, Any]:
-        """For people and programs."""
+        """Status for people and programs."""
         time = self.clock.at(now)
         finishes_at_s = self.clock.finishes_at_s(now)
         return {

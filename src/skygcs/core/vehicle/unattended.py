@@ -102,7 +102,7 @@ Effect = HoldIt | HoldsAfterAll
 
 
 class UnattendedWatch:
-    """Who flies one vehicle, by what was noted. `tick` some times a second."""
+    """Watch which program flies one vehicle, by what was noted. `tick` some times a second."""
 
     def __init__(self, flown_before: str | None = None) -> None:
         """``flown_before``: who flew it until this daemon began, by its journal; None: not known."""
@@ -127,8 +127,8 @@ class UnattendedWatch:
 
     @property
     def owed_to(self) -> str | None:
-        """Who flew it last, if it does nothing by itself since: what a daemon that begins anew has to know. None: it
-        may be left alone."""
+        """Return which program flew it last, if it does nothing by itself since: what a daemon that begins anew has to
+        know. None: it may be left alone."""
         return self._before if self._carries_out is None else None
 
     def on_order(self, order: str) -> None:

@@ -41,7 +41,7 @@ there, also from a joystick (rcAndDataLinkCheck.cpp)."""
 
 
 class Sticks(StrEnum):
-    """Whether a pilot's sticks reach the autopilot."""
+    """State of a pilot's sticks: whether they reach the autopilot."""
 
     READY = "seen, throttle up"
     SEEN = "seen, throttle not known"
@@ -109,8 +109,8 @@ def why_not_disarmed(vehicle: Vehicle, now: float) -> str | None:
 
 
 def sticks_of(vehicle: Vehicle, now: float) -> Sticks:
-    """Whether its pilot's sticks are seen in the telemetry. A fleet file without a transmitter rules them out; one with
-    a transmitter does not make them seen."""
+    """Judge whether its pilot's sticks are seen in the telemetry. A fleet file without a transmitter rules them out;
+    one with a transmitter does not make them seen."""
     if vehicle.transmitter is False:
         return Sticks.ABSENT
     sensors, rc = _fresh(vehicle, "sensors", now), _fresh(vehicle, "rc", now)

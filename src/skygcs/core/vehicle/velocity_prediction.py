@@ -1,4 +1,5 @@
-"""Whether velocity control may predict the vehicle's state over the link's delay now, and over which round trip. Pure.
+"""Judge whether velocity control may predict the vehicle's state over the link's delay now, and over which round trip.
+Pure.
 
 not judged     the fleet file has no ``velocity_predictor``        velocity control without prediction
 refused        round trip not measured; position too seldom;       velocity control without prediction, if the guard
@@ -22,7 +23,7 @@ model runs on alone; what gusts of 1 m/s do in that time is 0.1 m."""
 
 
 class VelocityPrediction:
-    """Of one vehicle. `judge` it once a tick, after the delay was measured."""
+    """Prediction of one vehicle. `judge` it once a tick, after the delay was measured."""
 
     def __init__(self, vehicle: Vehicle, estimate_view: EstimateView) -> None:
         self.refused: str | None = None

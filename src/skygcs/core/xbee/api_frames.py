@@ -67,7 +67,7 @@ class ModemStatus:
 
 @dataclass(frozen=True, slots=True)
 class TransmitStatus:
-    """What became of a transmit request. ``delivery`` 0: the receiver's module acknowledged it."""
+    """Status of a transmit request. ``delivery`` 0: the receiver's module acknowledged it."""
 
     frame_id: int
     retries: int

@@ -71,7 +71,7 @@ State = Literal["closed", "asking", "open"]
 
 @dataclass(slots=True)
 class NodeStats:
-    """What became of what was sent to one node, and what came from it."""
+    """Counts of what was sent to one node, and what came from it."""
 
     sent: int = 0
     delivered: int = 0
@@ -103,7 +103,7 @@ class _Outstanding:
 
 @dataclass(slots=True)
 class ModemCounters:
-    """Of the module as a whole."""
+    """Counters of the module as a whole."""
 
     unasked: int = 0
     """Transmit statuses of no request that is outstanding: late ones, or of an earlier daemon."""
@@ -115,7 +115,7 @@ class ModemCounters:
 
 @dataclass(slots=True)
 class Heard:
-    """What bytes from the module brought."""
+    """Contents that bytes from the module brought."""
 
     packets: list[ReceivePacket] = field(default_factory=list)
     writes: list[bytes] = field(default_factory=list)

@@ -278,7 +278,7 @@ class JoystickFlight:
         self._wake.set()
 
     async def _flown(self) -> tuple[bool, str]:
-        """Whether setpoints of velocity are flown now, and why not."""
+        """Return whether setpoints of velocity are flown now, and why not."""
         status = (await self._answer(self._gcs.call("control.status", targets=self._name)))[0]
         reasons = "; ".join(status["reasons"]) or f"control is {status['state']}"
         return status["state"] == "flying" and status["mode"] != "raw", reasons

@@ -23,7 +23,7 @@ MOST_SPANS = 1000
 
 
 class _CurveBucket:
-    """What a curve did within a time: where it began, its ends, and how low and high it went."""
+    """Summary of what a curve did within a time: where it began, its ends, and how low and high it went."""
 
     __slots__ = ("begin", "broken", "end", "high", "low")
 

@@ -131,7 +131,7 @@ class _Parts:
 
 
 def _part_name(part: VehicleKey | None) -> str:
-    """As in names of tables: with the component if it is not 1."""
+    """Name as in names of tables: with the component if it is not 1."""
     if part is None:
         return REST
     sysid, compid = part

@@ -1,4 +1,4 @@
-"""What other tools show of a recorded flight: poses, batteries and texts of each vehicle, in the field's usual axes.
+"""Motion of a recorded flight for other tools: poses, batteries and texts of each vehicle, in the field's usual axes.
 
 Places are metres east, north and up of one origin; attitudes are quaternions of a body with x forward, y left, z up
 against these axes (ROS REP 103). MAVLink's own axes are north, east, down and forward, right, down.
@@ -159,7 +159,7 @@ class Motion:
 
 
 class _Newest:
-    """What is kept of one vehicle."""
+    """Newest values kept of one vehicle."""
 
     __slots__ = ("battery", "fix", "orientation", "orientation_s", "texts")
 

@@ -85,7 +85,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a plot says in numbers. NaN where the trace has nothing of it."""
+    """Figures of a plot. NaN where the trace has nothing of it."""
 
     rows: int
     duration_s: float
@@ -96,7 +96,7 @@ class Figures:
 
 
 def figures(measured: Figures) -> str:
-    """For one line of text."""
+    """Compute the figures for one line of text."""
     text = f"{measured.rows:,} rows, {measured.duration_s:.1f} s"
     if not math.isnan(measured.rms_error_m):
         text += f"; error {measured.rms_error_m:.2f} m rms, {measured.largest_error_m:.2f} m at most"

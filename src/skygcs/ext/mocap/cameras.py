@@ -25,7 +25,7 @@ JUMP_M = (1.0, 3.0)
 
 @dataclass(slots=True)
 class CameraErrors:
-    """What the cameras do wrong; may be changed at any time. Shares of frames, 0..1."""
+    """Errors of the cameras; may be changed at any time. Shares of frames, 0..1."""
 
     noise_m: float = 0.0005
     noise_rad: float = 0.002

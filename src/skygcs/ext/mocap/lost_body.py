@@ -46,7 +46,7 @@ OwnEstimate = tuple[Vector, float]
 
 
 class LostBody:
-    """Of one body: `seen` for each good pose, `may_be` for one that is seen after a loss."""
+    """Loss of one body: `seen` for each good pose, `may_be` for one that is seen after a loss."""
 
     def __init__(self) -> None:
         self._poses: deque[Pose] = deque(maxlen=MAX_KEPT)

@@ -91,8 +91,8 @@ class PoseFilter:
         own: OwnEstimate | None = None,
         others: Callable[[], Iterable[Vector]] = no_others,
     ) -> Verdict:
-        """Whether this pose may be sent: "accepted". ``armed``: whether its vehicle is; ``own``: its own estimate of
-        its position; ``others``: the places of the other bodies, asked for only when one is found again."""
+        """Judge whether this pose may be sent: "accepted". ``armed``: whether its vehicle is; ``own``: its own estimate
+        of its position; ``others``: the places of the other bodies, asked for only when one is found again."""
         verdict = self._judge(pose, now, armed, own, others)
         self.counts[verdict] += 1
         return verdict

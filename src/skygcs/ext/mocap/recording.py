@@ -43,7 +43,7 @@ class CaptureFrameData:
 
 @dataclass(frozen=True, slots=True)
 class CaptureState:
-    """What the capture process does: one of `STATES`, and why."""
+    """State of the capture process: one of `STATES`, and why."""
 
     state: str
     text: str

@@ -38,7 +38,7 @@ NODE_COUNT_KEY = "NODECOUNT"
 
 
 class Fact(StrEnum):
-    """Whether something happened, as far as it can be known."""
+    """Truth of an event, as far as it can be known."""
 
     NO = "no"
     YES = "yes"
@@ -47,7 +47,7 @@ class Fact(StrEnum):
 
 @dataclass(slots=True)
 class Ledger:
-    """What was done to one radio so far; complete at every moment, also when the conversation breaks off."""
+    """Record of what was done to one radio so far; complete at every moment, also when the conversation breaks off."""
 
     wanted: dict[str, int] = field(default_factory=dict)
     """What had to change, by the radio's names; without what was so already."""

@@ -49,7 +49,7 @@ class Until(StrEnum):
 
 
 class Status(StrEnum):
-    """What an answer amounts to."""
+    """Meaning of an answer."""
 
     OK = auto()
     ERROR = auto()

@@ -22,7 +22,7 @@ GROUND = "ground"
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """What all radios of a network have alike."""
+    """Settings that all radios of a network have alike."""
 
     net_id: int = 0
     air_speed_kbps: int = 64

@@ -68,7 +68,7 @@ class Register:
 
 @dataclass(frozen=True, slots=True)
 class RadioState:
-    """What one radio reported about itself."""
+    """State that one radio reported about itself."""
 
     banner: str
     firmware: Firmware

@@ -1,4 +1,4 @@
-"""What a node of ROS offers the bridge, whichever ROS it is; and the topics that all vehicles share."""
+"""Interface: what a node of ROS offers the bridge, whichever ROS it is; and the topics that all vehicles share."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class RosVehicle(MethodParams):
 
 
 class RosReport(MethodParams):
-    """What the process sends once in some seconds."""
+    """Report that the process sends once in some seconds."""
 
     domain: int
     network: Text

@@ -28,7 +28,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the process was started with. ``supervised``: it ends with the daemon that started it."""
+    """Options that the process was started with. ``supervised``: it ends with the daemon that started it."""
 
     socket: str | None
     config: RosConfig

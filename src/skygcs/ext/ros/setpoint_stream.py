@@ -33,7 +33,7 @@ WARNING = 4
 
 
 class SetpointStream:
-    """Of one vehicle, from its discovery on. ``gcs()``: the connection to the daemon; None: there is none."""
+    """Setpoints of one vehicle, from its discovery on. ``gcs()``: the connection to the daemon; None: there is none."""
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class SetpointStream:
             self._refused_kind = ""
 
     def status(self) -> str:
-        """For a person."""
+        """Status as text for a person."""
         control = self._vehicle.state.get("control") or {}
         parts = [f"{control.get('state', 'off')} {control.get('control_mode') or ''}".strip()]
         if self.offboard.state != "idle":

@@ -1,4 +1,4 @@
-"""What nodes may do with one vehicle: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
+"""Control: what nodes may do with one vehicle: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ERROR, INFO = 3, 6
 
 
 class VehicleControl:
-    """Of one vehicle, from its discovery on. Call `step` with each of its states, and some times a second."""
+    """Control of one vehicle, from its discovery on. Call `step` with each of its states, and some times a second."""
 
     def __init__(
         self,

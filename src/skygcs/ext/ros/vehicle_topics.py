@@ -14,7 +14,7 @@ from skygcs.ext.ros.graph import SharedTopics
 
 
 class VehicleTopics:
-    """Of one vehicle, from its discovery to the end of the process. ``state``: as the daemon sent it last."""
+    """Topics of one vehicle, from its discovery to the end of the process. ``state``: as the daemon sent it last."""
 
     def __init__(self, shared: SharedTopics, config: RosConfig, state: Mapping[str, Any]) -> None:
         """Raises ValueError for a name that ROS does not take."""
