@@ -84,19 +84,32 @@ def crossing(fleet: MixedField) -> TimedPlan:
 
 def swap(fleet: MixedField) -> Plan:
     """Every vehicle to the place of the one opposite, in layers: each PX4 with an ArduCopter."""
-    starts, rule = stands(fleet), rule_of(fleet)
-    half = [rule.half_m(name) for name in starts]
-    found = layered(
-        list(starts),
-        list(starts.values()),
-        list(reversed(starts.values())),
-        half,
-        rule.downwash_ratio,
-        FlightSpace(ceiling_m=55.0),
-        0.0,
-    )
+    places = list(stands(fleet).values())
+    return _in_layers(fleet, places, places[::-1])
+
+
+def swap_back(fleet: MixedField) -> Plan:
+    """After `swap`, all to their own places again."""
+    places = list(stands(fleet).values())
+    return _in_layers(fleet, places[::-1], places)
+
+
+def _in_layers(fleet: MixedField, starts: list[Vector], goals: list[Vector]) -> Plan:
+    rule = rule_of(fleet)
+    half = [rule.half_m(name) for name in fleet.names]
+    space = FlightSpace(ceiling_m=55.0)
+    found = layered(list(fleet.names), starts, goals, half, rule.downwash_ratio, space, 0.0)
     assert not isinstance(found, str), found
     return found[0]
+
+
+def test_a_mixed_fleet_swaps_by_goto_and_back(fleet: MixedField, row: dict[str, Any]) -> None:
+    """Each leg is one order; the autopilots fly their own paths between the places."""
+    for make in (swap, swap_back):
+        row[make.__name__] = {}
+        _fly(fleet, row[make.__name__], make, 1.0, by="goto")
+    _land(fleet)
+    row["finished"] = True
 
 
 def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
@@ -104,20 +117,24 @@ def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
 ) -> None:
     for make, speed in ((crossing, 1.0), (swap, 0.5)):
         row[make.__name__] = {}
-        _fly(fleet, row[make.__name__], make, speed)
-    fleet.daemon.call("plan.land")
-    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")
-    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] == "landed", 20, "the plan has landed")
+        _fly(fleet, row[make.__name__], make, speed, by="setpoints")
+    _land(fleet)
     row["finished"] = True
 
 
-def _fly(fleet: MixedField, row: dict[str, Any], make: Any, speed: float) -> None:
+def _land(fleet: MixedField) -> None:
+    fleet.daemon.call("plan.land")
+    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")
+    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] == "landed", 20, "the plan has landed")
+
+
+def _fly(fleet: MixedField, row: dict[str, Any], make: Any, speed: float, by: str) -> None:
     plan = make(fleet)
     certificate = certify(plan, rule_of(fleet), FlightSpace())
     assert certificate.certified and certificate.closest is not None, certificate.reasons()
     fleet.daemon.call("plan.load", plan=content(plan), name=make.__name__)
     began = time.monotonic()
-    answer = fleet.daemon.call("plan.run", mode="position", speed=speed, set_return_heights=True, force=True)
+    answer = fleet.daemon.call("plan.run", mode="position", by=by, speed=speed, set_return_heights=True, force=True)
     report = answer["report"]
     assert answer["started"], [f for f in report["findings"] if f["severity"] == "refused"]
     row["return_heights_m"] = {name: now[0] for name, now in report["return_heights"].items()}
