@@ -24,13 +24,17 @@ from skygcs.core.plan.flight_findings import (
 )
 from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.plan.flight_situation import Prepared
+from skygcs.core.plan.flight_steps import FlightStep
 from skygcs.core.plan.guidance import Choice, Guidance, by_goto
 from skygcs.core.plan.margins import DEFAULT, MarginRule
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
+from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.flight_note import lost_place
 from skygcs.core.vehicle.plan_in_fence import CHECK, Reach, fence_finding, sampled
+from skygcs.core.vehicle.plan_rehearsal import SLOWER, Stopped
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime import fleet_margins
@@ -56,7 +60,13 @@ or a mission, which fly their own way while the others take off."""
 
 STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
 
+SLOWEST_CLIMB_MPS = 1.0
+"""Of a take-off, for the charge that it takes: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
+
 Places = dict[str, Vector]
+
+Loaded = Mapping[str, LoadedTrajectory]
+"""The trajectories of one step, by vehicle."""
 
 
 class Measured(NamedTuple):
@@ -340,3 +350,97 @@ async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeig
     async with asyncio.TaskGroup() as group:
         tasks = {actor.name: group.create_task(one(actor), name=f"return height of {actor.name}") for actor in actors}
     return {name: task.result() for name, task in tasks.items()}
+
+
+def stopped_text(stopped: Stopped) -> str:
+    """Say where and why the guard would stop a plan."""
+    who = "" if stopped.vehicle is None else f"{stopped.vehicle}: "
+    return f"the guard would stop it in {stopped.step}: {who}{stopped.text}"
+
+
+def rehearsal_findings(stopped: tuple[Stopped, float | None] | None, *, timed: bool) -> list[Finding]:
+    """Return what stopped the rehearsal (None: nothing), with the speed factor at which nothing does (None: at none), as
+    a refusal."""
+    if stopped is None:
+        return []
+    why, factor = stopped
+    otherwise = remedies.make_phased() if timed else remedies.by_goto()
+    remedy = otherwise if factor is None else remedies.slower(factor)
+    return [refused(why.vehicle, "rehearsal", stopped_text(why), remedy)]
+
+
+def certificate_findings(prepared: Prepared) -> list[Finding]:
+    """Return why the plan is not certified, or the pair that comes closest."""
+    if prepared.problems:
+        remedy = remedies.make_again("change its places where they are named, or the vehicles'")
+        return [
+            refused(vehicle, "certificate", line, remedy)
+            for line, vehicle in zip(prepared.problems, prepared.vehicles, strict=True)
+        ]
+    closest = None if prepared.certificate is None else prepared.certificate.closest
+    text = "certified" if closest is None else f"certified; closest: {closest.text()}"
+    return [Finding(None, "certificate", Level.OK, text)]
+
+
+def bounds_findings(
+    steps: Sequence[FlightStep], loaded: Sequence[Loaded], lock: FlightLock, speed_factor: float
+) -> list[Finding]:
+    """Return what exceeds the limits of motion or the control fence of each vehicle, at this multiple of the planned
+    speed: the first step in which it does."""
+    found: dict[str, Finding] = {}
+    for step, trajectories in zip(steps, loaded, strict=False):
+        for name, one in trajectories.items():
+            why = None if name in found else lock.path_refusal(name, one, speed_factor)
+            if why is not None:
+                found[name] = refused(
+                    name, "bounds", f"{step.name}: {why}", _within_bounds(lock, name, one, speed_factor)
+                )
+    return list(found.values())
+
+
+def _within_bounds(lock: FlightLock, name: str, one: LoadedTrajectory, speed_factor: float) -> remedies.Remedy:
+    """A speed at which a trajectory keeps its limits; where it is the fence, another plan within it."""
+    for factor in (speed_factor * slower for slower in SLOWER):
+        if lock.path_refusal(name, one, factor) is None:
+            return remedies.slower(factor)
+    return remedies.make_again("move its places into the control fence, or set control.fence in the fleet file")
+
+
+def reach_findings(steps: Sequence[FlightStep], actors: Sequence[VehicleActor]) -> list[Finding]:
+    """Return the legs, flown by goto, that are longer than a goto may be: one of each vehicle."""
+    found: dict[str, Finding] = {}
+    for step in steps:
+        for actor in actors:
+            way = step.trajectories[actor.name]
+            leg_m = math.dist(way.start_enu_m, way.end_enu_m)
+            if leg_m > actor.config.goto_limit_m and actor.name not in found:
+                text = f"{step.name}: a leg of {leg_m:.0f} m; a goto may be {actor.config.goto_limit_m:g} m long"
+                remedy = remedies.again(f"set vehicles.{actor.name}.goto_limit_m in the fleet file")
+                found[actor.name] = refused(actor.name, "bounds", text, remedy)
+    return list(found.values())
+
+
+def climb_s(prepared: Prepared, measured: Measured) -> float:
+    """Time that the lowest vehicle takes to the height of the highest start."""
+    if not prepared.steps:
+        return 0.0
+    highest_m = max((start_m[2] for start_m in prepared.steps[0].starts().values()), default=0.0)
+    lowest_m = min(place_m[2] for place_m in measured.places.values())
+    return max(0.0, highest_m - lowest_m) / SLOWEST_CLIMB_MPS
+
+
+def grounds(actors: Sequence[VehicleActor], measured: Measured, frame: EnuFrame) -> dict[str, float]:
+    """How high the ground is under each: where it stands, else at its home."""
+    found = {name: measured.places[name][2] for name in measured.grounded}
+    for actor in actors:
+        if actor.name not in found and (home := home_of(actor)) is not None:
+            found[actor.name] = frame.from_geodetic(*home)[2]
+    return found
+
+
+def home_of(actor: VehicleActor) -> tuple[float, float, float] | None:
+    """Return latitude and longitude in degrees and altitude (AMSL) in metres of its home; None: not known."""
+    home = actor.vehicle.telemetry("home")
+    if home is None or home["lat_deg"] is None:
+        return None
+    return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]

@@ -47,7 +47,6 @@ from skygcs.core.trajectory import ClockState, MotionLimits, least_limits
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.plan_rehearsal import (
-    SLOWER,
     Flown,
     Stage,
     Stopped,
@@ -67,15 +66,23 @@ from skygcs.runtime.plan_by_setpoints import SetpointGuidance
 from skygcs.runtime.plan_checks import (
     Measured,
     battery_findings,
+    bounds_findings,
+    certificate_findings,
+    climb_s,
     fence_findings,
+    grounds,
+    home_of,
     link_findings,
     made_elsewhere,
     margin_rule,
     measure,
     not_streamed,
     preflight_findings,
+    reach_findings,
+    rehearsal_findings,
     return_heights,
     state_finding,
+    stopped_text,
 )
 from skygcs.runtime.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, PlanFlight
 from skygcs.runtime.plan_uploads import PlanUploads
@@ -84,9 +91,6 @@ from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
-
-SLOWEST_CLIMB_MPS = 1.0
-"""Of a take-off, for the charge that it takes: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
 
 BELOW_GROUND_M = 2.0
 """A landing is certified down to so far below the lowest known ground: the field may slope."""
@@ -401,18 +405,18 @@ class PlanRunner:
             _limits(actors),
             request.speed_factor,
             by is Guidance.GOTO,
-            _grounds(actors, measured, frame),
+            grounds(actors, measured, frame),
         )
         stage = None if by is Guidance.GOTO else _stage(checked, request.speed_factor)
         prepared, checked.loaded, stopped = await self._prepared(situation, None, stage)
         checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
-        findings += _certificate_findings(prepared)
-        findings += _bounds_findings(checked, request.speed_factor)
-        findings += _rehearsal_findings(stopped, timed=timed)
+        findings += certificate_findings(prepared)
+        findings += bounds_findings(checked.steps, checked.loaded, checked.lock, request.speed_factor)
+        findings += rehearsal_findings(stopped, timed=timed)
         if by is Guidance.GOTO:
-            findings += _reach_findings(checked)
+            findings += reach_findings(checked.steps, actors)
         findings += await fence_findings(actors, prepared, frame, measured)
-        flight_s = _climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
+        flight_s = climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
         findings += battery_findings(actors, flight_s, self._record)
         if prepared.tubes is not None and prepared.steps:
             checked.execution = Execution(
@@ -573,7 +577,7 @@ class PlanRunner:
             stage = _stage_of(flight.lock, actors, self._request.speed_factor)
         prepared, loaded, stopped = await self._prepared(situation, rest, stage)
         if stopped is not None:
-            return False, f"refused: {_stopped_text(stopped[0])}", [_stopped_text(stopped[0])]
+            return False, f"refused: {stopped_text(stopped[0])}", [stopped_text(stopped[0])]
         if prepared.problems or prepared.tubes is None:
             return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
         if not in_place and (why := await self._relayed(actors, loaded)) is not None:
@@ -633,7 +637,7 @@ class PlanRunner:
             self._orders.carry_out(flight, execution.landing_refused([text]))
             return
         grounds = [place[2] for place in measured.others.values()] + [
-            flight.frame.from_geodetic(*home)[2] for a in actors if (home := _home(a)) is not None
+            flight.frame.from_geodetic(*home)[2] for a in actors if (home := home_of(a)) is not None
         ]
         ground_m = min([*grounds, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
@@ -783,37 +787,11 @@ def _stage_of(lock: FlightLock, actors: Sequence[VehicleActor], speed_factor: fl
     return Stage(lock.origin, flown, brake_mps2, speed_factor)
 
 
-def _stopped_text(stopped: Stopped) -> str:
-    who = "" if stopped.vehicle is None else f"{stopped.vehicle}: "
-    return f"the guard would stop it in {stopped.step}: {who}{stopped.text}"
-
-
-def _rehearsal_findings(stopped: tuple[Stopped, float | None] | None, *, timed: bool) -> list[Finding]:
-    if stopped is None:
-        return []
-    why, factor = stopped
-    otherwise = remedies.make_phased() if timed else remedies.by_goto()
-    remedy = otherwise if factor is None else remedies.slower(factor)
-    return [refused(why.vehicle, "rehearsal", _stopped_text(why), remedy)]
-
-
 def _way_down(*arguments: Any) -> Any:
     """`preparation.way_down`, which loads numpy."""
     from skygcs.core.plan.preparation import way_down
 
     return way_down(*arguments)
-
-
-def _certificate_findings(prepared: Prepared) -> list[Finding]:
-    if prepared.problems:
-        remedy = remedies.make_again("change its places where they are named, or the vehicles'")
-        return [
-            refused(vehicle, "certificate", line, remedy)
-            for line, vehicle in zip(prepared.problems, prepared.vehicles, strict=True)
-        ]
-    closest = None if prepared.certificate is None else prepared.certificate.closest
-    text = "certified" if closest is None else f"certified; closest: {closest.text()}"
-    return [Finding(None, "certificate", Level.OK, text)]
 
 
 def _check_heights(checked: _Checked, rule: MarginRule, *, set_return_heights: bool) -> None:
@@ -833,49 +811,6 @@ def _check_heights(checked: _Checked, rule: MarginRule, *, set_return_heights: b
         }
         found = return_height_findings(wanted, checked.apart_m)
     checked.findings += found
-
-
-def _bounds_findings(checked: _Checked, speed_factor: float) -> list[Finding]:
-    """Limits of motion and the control fence of each vehicle."""
-    found: dict[str, Finding] = {}
-    for step, loaded in zip(checked.steps, checked.loaded, strict=False):
-        for name, one in loaded.items():
-            why = None if name in found else checked.lock.path_refusal(name, one, speed_factor)
-            if why is not None:
-                text = f"{step.name}: {why}"
-                found[name] = refused(name, "bounds", text, _within_bounds(checked, name, one, speed_factor))
-    return list(found.values())
-
-
-def _within_bounds(checked: _Checked, name: str, one: LoadedTrajectory, speed_factor: float) -> remedies.Remedy:
-    """A speed at which a trajectory keeps its limits; where it is the fence, another plan within it."""
-    for factor in (speed_factor * slower for slower in SLOWER):
-        if checked.lock.path_refusal(name, one, factor) is None:
-            return remedies.slower(factor)
-    return remedies.make_again("move its places into the control fence, or set control.fence in the fleet file")
-
-
-def _reach_findings(checked: _Checked) -> list[Finding]:
-    """By goto: legs that are longer than a goto may be."""
-    found: dict[str, Finding] = {}
-    for step in checked.steps:
-        for actor in checked.actors:
-            way = step.trajectories[actor.name]
-            leg_m = math.dist(way.start_enu_m, way.end_enu_m)
-            if leg_m > actor.config.goto_limit_m and actor.name not in found:
-                text = f"{step.name}: a leg of {leg_m:.0f} m; a goto may be {actor.config.goto_limit_m:g} m long"
-                remedy = remedies.again(f"set vehicles.{actor.name}.goto_limit_m in the fleet file")
-                found[actor.name] = refused(actor.name, "bounds", text, remedy)
-    return list(found.values())
-
-
-def _climb_s(prepared: Prepared, measured: Measured) -> float:
-    """Time that the lowest vehicle takes to the height of the highest start."""
-    if not prepared.steps:
-        return 0.0
-    highest_m = max((start_m[2] for start_m in prepared.steps[0].starts().values()), default=0.0)
-    lowest_m = min(place_m[2] for place_m in measured.places.values())
-    return max(0.0, highest_m - lowest_m) / SLOWEST_CLIMB_MPS
 
 
 def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -> FlightSpace:
@@ -916,19 +851,3 @@ def _returning(
         else:
             staying.append(name)
     return staying, out, [] if force else reasons
-
-
-def _grounds(actors: Sequence[VehicleActor], measured: Measured, frame: EnuFrame) -> dict[str, float]:
-    """How high the ground is under each: where it stands, else at its home."""
-    found = {name: measured.places[name][2] for name in measured.grounded}
-    for actor in actors:
-        if actor.name not in found and (home := _home(actor)) is not None:
-            found[actor.name] = frame.from_geodetic(*home)[2]
-    return found
-
-
-def _home(actor: VehicleActor) -> tuple[float, float, float] | None:
-    home = actor.vehicle.telemetry("home")
-    if home is None or home["lat_deg"] is None:
-        return None
-    return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]
