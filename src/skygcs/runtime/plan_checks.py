@@ -359,8 +359,7 @@ def stopped_text(stopped: Stopped) -> str:
 
 
 def rehearsal_findings(stopped: tuple[Stopped, float | None] | None, *, timed: bool) -> list[Finding]:
-    """Return what stopped the rehearsal (None: nothing), with the speed factor at which nothing does (None: at none), as
-    a refusal."""
+    """Return what stopped the rehearsal, as a refusal, with the speed factor at which nothing does (None: at none)."""
     if stopped is None:
         return []
     why, factor = stopped
@@ -392,9 +391,8 @@ def bounds_findings(
         for name, one in trajectories.items():
             why = None if name in found else lock.path_refusal(name, one, speed_factor)
             if why is not None:
-                found[name] = refused(
-                    name, "bounds", f"{step.name}: {why}", _within_bounds(lock, name, one, speed_factor)
-                )
+                remedy = _within_bounds(lock, name, one, speed_factor)
+                found[name] = refused(name, "bounds", f"{step.name}: {why}", remedy)
     return list(found.values())
 
 

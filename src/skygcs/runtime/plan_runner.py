@@ -636,10 +636,10 @@ class PlanRunner:
             text = f"the position of {', '.join(unplaced)} is not known; `plan land --force` lands all at once"
             self._orders.carry_out(flight, execution.landing_refused([text]))
             return
-        grounds = [place[2] for place in measured.others.values()] + [
+        known = [place[2] for place in measured.others.values()] + [
             flight.frame.from_geodetic(*home)[2] for a in actors if (home := home_of(a)) is not None
         ]
-        ground_m = min([*grounds, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
+        ground_m = min([*known, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
         try:
             rounds, certificate = await self.work(_way_down, measured.places, ground_m, self._rule, space)
