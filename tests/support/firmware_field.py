@@ -317,9 +317,11 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         return state
 
     def has_position(self, name: str) -> bool:
-        """Whether the daemon knows where it is now; not at once after the daemon's start."""
-        position = self.state(name)["position"]
-        return position is not None and position["age_s"] < 2
+        """Whether the daemon knows where it is now: not at once after the daemon's start, and after a silence only from
+        its next heartbeat on; until then it is an obstacle that was lost in the air."""
+        state = self.state(name)
+        position = state["position"]
+        return bool(state["connected"]) and position is not None and position["age_s"] < 2
 
     def connected(self) -> bool:
         return all(v["connected"] for v in self.daemon.vehicles().values())
