@@ -406,6 +406,8 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         names = self.names if targets == "all" else [targets]
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in names), 20, "no duplicate is reported")
         self.wait(lambda: all(self.has_position(n) for n in names), 30, "the daemon knows where they are")
+        # a vehicle that was silent is an obstacle that was lost in the air until the monitor has looked again
+        self.wait(lambda: self.daemon.call("monitor.status")["watched"] >= len(self.names), 10, "all are watched")
         for name in names:
             if self.truth(name).armed and self.truth(name).alt_rel_m > 2:
                 self.order("vehicles.hold", name)  # also takes it over from a failsafe of its own
