@@ -199,7 +199,7 @@ class Daemon:
                 self.hub.observers.add(msgids, None, extension.on_frame)
 
     def _on_woke(self, slept_s: float) -> None:
-        """Drop what clients asked for before the sleep: it may be hours old."""
+        """Close all sessions: what their clients asked for before the sleep may be hours old."""
         self.rpc.close_sessions(f"this computer slept for {slept_s:.0f} s: connect anew")
 
     # -- life

@@ -1,4 +1,4 @@
-"""Suggestions: what somebody may have meant by a name that does not exist."""
+"""Suggestions for a name that does not exist."""
 
 from __future__ import annotations
 

@@ -317,8 +317,8 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         return state
 
     def has_position(self, name: str) -> bool:
-        """Whether the daemon knows where it is now: not at once after the daemon's start, and after a silence only from
-        its next heartbeat on; until then it is an obstacle that was lost in the air."""
+        """True if the daemon knows where it is now. After the daemon's start that takes a moment; after a silence it is
+        from the next heartbeat on, and until then the vehicle is an obstacle that was lost in the air."""
         state = self.state(name)
         position = state["position"]
         return bool(state["connected"]) and position is not None and position["age_s"] < 2

@@ -205,7 +205,7 @@ PERIODS_PER_DELAY_MARGIN = 200
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Question of what to compute. Raises ValueError for gains that no loop can have.
+    """Input of the computation. Raises ValueError for gains that no loop can have.
 
     ``plant_gains`` (xy, z) replace those of tilt and of normalised thrust.
     """

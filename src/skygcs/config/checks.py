@@ -84,7 +84,7 @@ def control_place_problems(config: FleetConfig, places: Mapping[str, str]) -> li
 
 def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[str]:
     """Return what conflicts if this link is added, or takes the place of the one of its name, as text for a person.
-    What was in conflict before, among others, is none of its concern."""
+    Conflicts of before are left out."""
     others = {n: other for n, other in config.links.items() if n != name}
     before = conflicts(config.model_copy(update={"links": others}))
     after = conflicts(config.model_copy(update={"links": {**others, name: link}}))

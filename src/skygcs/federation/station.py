@@ -1,4 +1,5 @@
-"""Parts of the bridge receive this: the connection to the hub, the daemon, the station's names, the reports."""
+"""The services that each part of the bridge receives: the connection to the hub, the daemon, the station's names, the
+reports."""
 
 from __future__ import annotations
 

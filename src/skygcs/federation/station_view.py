@@ -1,4 +1,4 @@
-"""View: what this station shows of all sites: the part of the bridge behind the station socket."""
+"""This station's view of all sites: the part of the bridge behind the station socket."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class StationView:
 
 
 def _no_site() -> None:
-    """Refusal of a station that is no site."""
+    """Return None: a station that is no site is no site's bridge."""
 
 
 def _older(value: Any, seconds: float | None) -> Any:

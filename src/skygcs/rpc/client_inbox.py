@@ -1,4 +1,4 @@
-"""Inbox that a subscription keeps for a reader that is slower than the daemon: the newest of each vehicle, the newest
+"""The inbox of a subscription for a reader that is slower than the daemon: the newest of each vehicle, the newest
 only, or a bounded queue."""
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _STATE_NAME = re.compile(rb'\{"name":("(?:[^"\\]|\\.)*")')
 
 
 class Inbox:
-    """Items that came and was not iterated over yet. Never holds up replies on the same connection."""
+    """Items that came and were not iterated over yet. Never holds up replies on the same connection."""
 
     def __init__(self) -> None:
         self._arrived = asyncio.Event()

@@ -1,4 +1,4 @@
-"""Context: what a method of the socket acts on, and what several groups of methods do alike."""
+"""The context of a call of a method, and the parts that several groups of methods share."""
 
 from __future__ import annotations
 

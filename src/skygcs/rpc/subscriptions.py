@@ -1,4 +1,4 @@
-"""Subscriptions: what clients are sent without asking: telemetry, events, messages.
+"""Notifications to clients that subscribed: telemetry, events, messages.
 
 A client that reads slowly never makes the daemon keep more: telemetry is coalesced per vehicle (fewer, fresher
 updates), events and messages wait in bounded queues; what they lost is counted and sent with the next one.

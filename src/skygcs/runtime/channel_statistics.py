@@ -1,4 +1,4 @@
-"""Statistics: what is counted for each channel and each source on it: kept while a channel is closed, bounded, and
+"""Counters of each channel and each source on it: kept while a channel is closed, bounded, and
 shown.
 
 The counters are the channel's own (`Channel.counters`, `SourceStats`), because every frame increases them.

@@ -137,7 +137,7 @@ class _Running:
 
 @dataclass(frozen=True, slots=True)
 class StateEvidence:
-    """Evidence: what the state of a vehicle says about its commands, and where these go."""
+    """Evidence of the vehicle's state about its commands, and the channels that they take."""
 
     why_silent: Callable[[], str] = lambda: ""
     """Another reason than the link for missing answers: the end of a sentence, or nothing."""

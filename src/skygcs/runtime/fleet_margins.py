@@ -1,4 +1,4 @@
-"""Margins: what the daemon knows of its fleet for plans: where each vehicle is, and the terms of its margin, from the
+"""The daemon's knowledge of its fleet for plans: where each vehicle is, and the terms of its margin, from the
 fleet file and from measurements."""
 
 from __future__ import annotations

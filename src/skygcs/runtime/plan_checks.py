@@ -61,7 +61,7 @@ or a mission, which fly their own way while the others take off."""
 STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
 
 SLOWEST_CLIMB_MPS = 1.0
-"""Of a take-off, for the charge that it takes: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
+"""The slowest take-off, for the charge that it needs: PX4 climbs with 1.5 m/s (MPC_TKO_SPEED), ArduCopter with 2.5."""
 
 Places = dict[str, Vector]
 

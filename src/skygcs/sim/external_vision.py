@@ -84,7 +84,7 @@ class ExternalVision:
         self.last_at = now
 
     def stamp(self, usec: int, reset_counter: int) -> None:
-        """Stamp that came beside the pose."""
+        """Note the time and the reset counter that came with a pose."""
         if reset_counter != self.reset_counter:
             self.resets += 1
             self.reset_counter = reset_counter

@@ -1,4 +1,4 @@
-"""Legs: what a flying vehicle is about to do: a row of legs, each flown until it is finished; the last one is kept.
+"""The legs that a flying vehicle is about to fly: a row, each flown until it is finished; the last one is kept.
 
 A take-off is [GoTo], a return is [GoTo (climb), GoTo (home), Wait, Land], a goto is [GoTo] and then stays there.
 """

@@ -18,7 +18,7 @@ Family = Literal["px4", "ardupilot"]
 
 @dataclass(frozen=True, slots=True)
 class ParamSet:
-    """Parameters that the vehicles of one firmware take in; identities (system ids) are not among it."""
+    """Parameters that the vehicles of one firmware take in, without their identities (system ids)."""
 
     family: Family
     params: Mapping[str, Param]

@@ -1,4 +1,4 @@
-"""Sensors: what a simulated vehicle estimates of itself, and what it reports: the truth, a slow error, some delay.
+"""Sensors of a simulated vehicle, and the estimate that it reports: the truth, a slow error, some delay.
 
 An estimator's error is smooth: each is an Ornstein-Uhlenbeck process. Without noise and latency all three are the
 same object and cost nothing.

@@ -169,7 +169,7 @@ class TdmNetwork:
         return max(0, 100 - round(100 * self._nodes[node].buffered / TX_BUFFER_BYTES))
 
     def has_room(self, node: int, size: int) -> bool:
-        """True if CTS lets a frame into this radio (where there is none it always seems so)."""
+        """True if CTS lets a frame into this radio; without CTS always."""
         at = self._nodes[node]
         waiting = sum(len(raw) for _, raw in at.arriving)
         return not self.config.rtscts or at.buffered + waiting + size <= TX_BUFFER_BYTES

@@ -1,4 +1,4 @@
-"""Digests: what a page needs of vehicles that it does not show in full: a digest of each, and counts of each site.
+"""Digests of vehicles that a page does not show in full: a digest of each, and counts of each site.
 Pure.
 
 Up to `LARGE_FLEET` vehicles a page gets every state as the daemon encoded it, and nothing here is used. Beyond, each
@@ -178,7 +178,7 @@ def _rounded(value: object) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """View: what a page shows in full: the vehicles of these sites, or those that a search finds, and some by name."""
+    """The vehicles that a page shows in full: those of these sites, or those that a search finds, and some by name."""
 
     sites: frozenset[str] | None = None
     """None: all of them."""

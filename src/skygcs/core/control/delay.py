@@ -219,7 +219,7 @@ class DelayMeter:
         return now - sent
 
     def _keep(self, number: int) -> None:
-        """Keep a bounded number of round trips; the oldest go."""
+        """Keep the newest ``number`` round trips, and take their figures."""
         while len(self._trips) > number:
             self._trips.popleft()
         self.rtt_p95_s = p95(self._trips)

@@ -42,7 +42,7 @@ Packer = Callable[[Mapping[str, Any]], bytes | None]
 
 
 def _pack_nothing(values: Mapping[str, Any]) -> bytes | None:
-    """Packer of fields that have to be packed one by one."""
+    """Return None: the fields have to be packed one by one."""
     return None
 
 

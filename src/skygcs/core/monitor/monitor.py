@@ -416,7 +416,7 @@ def _points(track: Track) -> Iterator[tuple[float, float, float]]:
 
 
 def _overlap(a: _Box, b: _Box) -> bool:
-    """Pairs of boxes that overlap in x; two parked vehicles are no pair."""
+    """True if two boxes that overlap in x overlap in y and z too; two parked vehicles are no pair."""
     return (
         a.low_y <= b.high_y
         and b.low_y <= a.high_y

@@ -1,4 +1,4 @@
-"""Tracks: what is known of each vehicle's motion, as the monitor uses it, and which vehicles it cannot watch.
+"""The motion of each vehicle as far as it is known, for the monitor, and which vehicles it cannot watch.
 
     a vehicle that                                      counts as
     -------------------------------------------------   -----------------------------------------------------------

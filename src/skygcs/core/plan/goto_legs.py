@@ -73,7 +73,7 @@ class GotoLegs:
 
     @property
     def state(self) -> ClockState:
-        """State, as if it were a clock: of these, waiting is none."""
+        """The state in the words of a clock, for which legs never wait."""
         return self._state
 
     @property

@@ -178,7 +178,7 @@ class ThirdPartyTraffic:
         self.set_rate(bytes_per_s, now)
 
     def set_rate(self, bytes_per_s: float, now: float) -> None:
-        """Take a new total rate of what goes up into the radio."""
+        """Share ``bytes_per_s``, which goes up into the radio altogether from now on."""
         third_party = THIRD_PARTY_SHARE * bytes_per_s if self.rules.bytes_per_s is None else self.rules.bytes_per_s
         self.budget.set_rate(third_party, now)
         self.budget.set_burst(max(LEAST_BURST_BYTES, BURST_S * third_party), now)

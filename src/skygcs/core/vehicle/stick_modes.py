@@ -32,7 +32,7 @@ from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
 
 
 class Without(StrEnum):
-    """Behaviour: what a flying vehicle does in a mode without sticks."""
+    """Behaviour of a flying vehicle in a mode that needs sticks, when there are none."""
 
     FALLS = "its motors would idle or stop, and it would fall"
     GLIDES = "it would glide down with neutral controls"

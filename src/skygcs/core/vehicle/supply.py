@@ -1,4 +1,4 @@
-"""Supply: what a flying vehicle is fed with is not cut by a judgement about another one: the one rule. Pure.
+"""The one rule about the supply of a flying vehicle: no judgement about another vehicle cuts it. Pure.
 
     what feeds it                    what would end it                                       while it may be flying
     ------------------------------   -----------------------------------------------------   ---------------------------

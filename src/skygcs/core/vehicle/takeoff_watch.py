@@ -128,6 +128,6 @@ class TakeoffWatch:
 
 
 def reports_takeoff(vehicle: Vehicle, now: float) -> bool:
-    """True if the vehicle itself reports a take-off under way, whoever ordered it. The landed state may be two seconds
-    old: a take-off that was ordered here is judged by its watch."""
+    """True if the vehicle itself reports a take-off under way, ordered by any program. The landed state may be two
+    seconds old: a take-off that was ordered here is judged by its watch."""
     return vehicle.armed and (vehicle.mode == "AUTO.TAKEOFF" or vehicle.landed(now) == "takeoff")

@@ -37,7 +37,7 @@ class StickAxes:
 
 @dataclass(frozen=True)
 class StickLimits:
-    """Limits: what a fully deflected stick asks for; ``speed_mps`` across, in any direction."""
+    """Limits of a fully deflected stick; ``speed_mps`` across, in any direction."""
 
     speed_mps: float = 2.0
     climb_mps: float = 1.0

@@ -96,7 +96,7 @@ class Figures:
 
 
 def figures(measured: Figures) -> str:
-    """Compute the figures for one line of text."""
+    """The figures as one line of text."""
     text = f"{measured.rows:,} rows, {measured.duration_s:.1f} s"
     if not math.isnan(measured.rms_error_m):
         text += f"; error {measured.rms_error_m:.2f} m rms, {measured.largest_error_m:.2f} m at most"

@@ -1,4 +1,4 @@
-"""Interface: what a node of ROS offers the bridge, whichever ROS it is; and the topics that all vehicles share."""
+"""The interface of a ROS node to the bridge, for any ROS; and the topics that all vehicles share."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ WARNING = 4
 
 
 class SetpointStream:
-    """Setpoints of one vehicle, from its discovery on. ``gcs()``: the connection to the daemon; None: there is none."""
+    """Setpoints of one vehicle, from its discovery on. ``gcs()`` returns the connection to the daemon, or None."""
 
     def __init__(
         self,

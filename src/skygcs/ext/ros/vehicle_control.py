@@ -1,4 +1,4 @@
-"""Control: what nodes may do with one vehicle: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
+"""Control of one vehicle by nodes: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ Fields = Mapping[str, Any]
 
 
 class VehicleServices:
-    """Services of one vehicle, from its discovery on. ``gcs()``: the connection to the daemon; None: there is none."""
+    """Services of one vehicle, from its discovery on. ``gcs()`` returns the connection to the daemon, or None."""
 
     def __init__(
         self,
