@@ -135,7 +135,10 @@ class SeparationMonitor:
             del self._footprints[key]
 
     def _trajectory(self, actor: VehicleActor) -> list[Place]:
-        """Where it will be if it follows its trajectory; empty: it follows none, or that stands."""
+        """Where it will be if it follows its trajectory, or the program that flies it; empty: it follows none, or that
+        stands."""
+        if actor.program is not None and actor.offboard.flying:
+            return actor.program.foreseen(actor.vehicle.key)
         controller = actor.offboard.controller
         flight, frame = controller.flight, controller.frame
         now = self._loop.time()
@@ -205,13 +208,13 @@ class SeparationMonitor:
             return None
         return self._refusal(takeoff_conflict(mover, height_m, self._others(frozenset()), self._loop.time()))
 
-    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None:
-        """Why this setpoint of a stream should not be followed."""
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
+        """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
         mover = self._mover(vehicle)
         if mover is None:
             return None
         place, velocity = _meant(mover, setpoint)
-        others = self._others(frozenset(), sent=False)
+        others = self._others(together, sent=False)
         return self._refusal(setpoint_conflict(mover, place, velocity, others, self._loop.time()))
 
     async def trajectory_refusals(

@@ -69,7 +69,7 @@ from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.unattended_holds import UnattendedHolds
-from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.runtime.vehicle_services import SetpointProgram, VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
     from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
@@ -102,6 +102,8 @@ class VehicleActor:
         self.channel = ""
         """Label of the channel that carried its last heartbeat."""
         self._closed = False
+        self.program: SetpointProgram | None = None
+        """Whose setpoint it followed last; None: a client's, or it was ordered somewhere since."""
         self._services = services
         self._loop = services.loop
         self._dialect = services.dialect
@@ -465,6 +467,7 @@ class VehicleActor:
         except RefusedError as error:
             return self._orders.finish("goto", Outcome.refused(str(error)))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
+        self.program = None
         return self._orders.finish(
             "goto", await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         )
@@ -690,11 +693,12 @@ class VehicleActor:
         yaw_rate_dps: float | None = None,
         valid_s: float = 0.5,
         force: bool = False,
+        program: SetpointProgram | None = None,
         **raw: Any,
     ) -> Outcome:
         """One setpoint of a stream in the fleet's world frame; fast enough for 50 calls a second. ``raw``: see
         `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too close to another
-        vehicle."""
+        vehicle. ``program``: which flies it, with others; None: a client does."""
         origin = self.vehicle.origin
         if origin is None:
             return Outcome.refused("the fleet has no origin yet, so ENU means nothing")
@@ -706,9 +710,14 @@ class VehicleActor:
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg, yaw_rate_dps)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if not force and (why := self._services.order_checks.setpoint_refusal(self.vehicle, wanted)) is not None:
+        together = frozenset[int]() if program is None else program.keys
+        checks = self._services.order_checks
+        if not force and (why := checks.setpoint_refusal(self.vehicle, wanted, together)) is not None:
             return Outcome.refused(why)
-        return self.offboard.follow(wanted, valid_s)
+        outcome = self.offboard.follow(wanted, valid_s)
+        if outcome.ok:
+            self.program = program
+        return outcome
 
     async def record_control(self, on: bool) -> str | None:
         """See `OffboardEngagement.record`."""

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.monitor.tracks import Place
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.order_plan import Plan
@@ -138,12 +139,25 @@ class WideLinks:
         return None
 
 
+class SetpointProgram(Protocol):
+    """A program inside the daemon that flies several vehicles by setpoints and keeps them apart."""
+
+    @property
+    def keys(self) -> frozenset[int]:
+        """The vehicles that it flies now, by sysid << 8 | compid."""
+        ...
+
+    def foreseen(self, key: int) -> list[Place]:
+        """Where one of them will be now and every `PLAN_STEP_S` of the monitor; empty: it is not one of them."""
+        ...
+
+
 class OrderChecks(Protocol):
     """Check whether an order would bring a vehicle too close to another (`separation_monitor.SeparationMonitor`): a
     reason to refuse it, or None."""
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None: ...
-    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None: ...
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None: ...
 
 
 class NoOrderChecks:
@@ -152,7 +166,7 @@ class NoOrderChecks:
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         return None
 
-    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None:
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         return None
 
 

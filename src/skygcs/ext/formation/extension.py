@@ -1,0 +1,456 @@
+"""Formations in the daemon: begins them, sends each member its setpoint ten times a second, and sees who leaves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from skygcs.config.tables import Problem
+from skygcs.core.geo import EnuFrame, Origin, world_from_enu
+from skygcs.core.monitor.conflict_levels import HORIZON_S
+from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track
+from skygcs.core.plan.formations import CURRENT, WantedFormation
+from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
+from skygcs.core.vehicle.flight_lock import Holder
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.ext.formation.config import FormationConfig, formation_problems
+from skygcs.ext.formation.formation_flight import FormationFlight, FormationState, WantedFlight
+from skygcs.ext.formation.leader import SPEED_SHARE, Demand, Leader, Stay
+from skygcs.ext.formation.methods import METHODS
+from skygcs.ext.formation.separation_filter import (
+    SLACK_M,
+    Member,
+    MotionBounds,
+    Moving,
+    Obstacle,
+    SeparationFilter,
+    Vector,
+    minus,
+)
+from skygcs.extension import Clock, Extension, StateGroup
+from skygcs.runtime.fleet_margins import margin_rule, place
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+if TYPE_CHECKING:
+    from skygcs.config.models import FleetConfig
+    from skygcs.rpc.context import Context, Services
+    from skygcs.rpc.dispatch import Method
+
+PERIOD_S = 0.1
+
+VALID_S = 0.5
+"""Of a setpoint: five periods. A vehicle that gets no more of them stays where it comes to rest."""
+
+SEEN_S = 1.5
+"""A vehicle whose position is older is not seen: the guard holds it soon after (`position_stale_s`)."""
+
+KIND = "formation"
+
+FLOWN_IN = ("position", "velocity")
+"""The control modes in which a member may be flown: both take places."""
+
+
+class Formation(Extension[FormationConfig]):
+    """One formation at a time."""
+
+    Config = FormationConfig
+
+    def __init__(self, core: Services, config: FormationConfig) -> None:
+        super().__init__(core, config)
+        self.flight: FormationFlight | None = None
+        self._numbers: dict[str, int] = {}
+        """`VehicleActor.order_number` of each member when it began."""
+        self._actors: dict[str, VehicleActor] = {}
+        self._origin: Origin | None = None
+        self._beginning = False
+        self._stepped_at = -math.inf
+        self._reported: tuple[FormationState, str] | None = None
+
+    @classmethod
+    def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
+        return formation_problems(config, fleet)
+
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS
+
+    def state_groups(self) -> Mapping[str, StateGroup]:
+        return {"formation": self._state_of}
+
+    def clocks(self) -> Iterable[Clock]:
+        yield Clock("formation tick", PERIOD_S, lambda: self.tick(self.core.now()))
+
+    def close(self) -> None:
+        self._end()
+
+    def _state_of(self, actor: VehicleActor, now: float) -> dict[str, Any] | None:
+        flight = self.flight
+        if flight is None or self._actors.get(actor.name) is not actor or actor.name in flight.left:
+            return None
+        off_m = flight.off_place_m.get(actor.name)
+        return {"state": flight.state.value, "off_place_m": None if off_m is None else round(off_m, 2)}
+
+    # -- begin and end
+
+    async def begin(self, wanted: WantedFlight) -> dict[str, Any]:
+        """Take the vehicles under control where they are not, and fly to the formation. A formation of the same members
+        that flies is given new places. Raises TargetError and RefusedError."""
+        if self._beginning:
+            raise RefusedError("another formation is being begun")
+        self._beginning = True
+        try:
+            fleet = self.core.fleet
+            actors = fleet.resolve(wanted.targets)
+            lead = None if wanted.leader is None else fleet.find(wanted.leader)
+            self._require_free(actors, lead)
+            await self._take_control(actors)
+            self._begin(actors, lead, wanted)
+        finally:
+            self._beginning = False
+        return self.status()
+
+    def _require_free(self, actors: Sequence[VehicleActor], lead: VehicleActor | None) -> None:
+        """Raises RefusedError where somebody or something else flies one of them."""
+        if lead is not None and lead in actors:
+            raise RefusedError(f"{lead.name} leads, so it is no follower: leave it out of the targets")
+        flight = self.flight
+        if (
+            flight is not None
+            and flight.state is not FormationState.STOPPED
+            and {*self._actors} != {actor.name for actor in actors}
+        ):
+            raise RefusedError(f"a formation of {', '.join(self._actors)} flies: `skygcs-cli formation stop` first")
+        keys = {actor.vehicle.key for actor in actors}
+        for lock in self.core.fleet.locks.held():
+            if lock.holder is not Holder.ENGAGEMENT and any(lock.holds(key) for key in keys):
+                raise RefusedError(f"{lock.flight}: `{lock.end_command}` first")
+        for actor in actors:
+            mode = actor.offboard.controller.wanted.value if actor.offboard.flying else FLOWN_IN[0]
+            if mode not in FLOWN_IN:
+                fix = f"`skygcs-cli control set {actor.name} position` first"
+                raise RefusedError(f"{actor.name} is flown in {mode}: {fix}")
+
+    async def _take_control(self, actors: Sequence[VehicleActor]) -> None:
+        """Raises RefusedError if one cannot be flown by setpoints. The others stay under control, and hold."""
+        names = [actor.name for actor in actors if not actor.offboard.flying]
+        if not names:
+            return
+        outcomes = await self.core.fleet.command_all(names, VehicleActor.control, mode=FLOWN_IN[0])
+        failed = [f"{name}: {outcome.message}" for name, outcome in outcomes.items() if not outcome.ok]
+        if failed:
+            more = f"; {len(names) - len(failed)} are under control and hold" if len(names) > len(failed) else ""
+            raise RefusedError("; ".join(failed) + more)
+
+    def _begin(self, actors: Sequence[VehicleActor], lead: VehicleActor | None, wanted: WantedFlight) -> None:
+        """Raises RefusedError where there is no room for it."""
+        now, origin = self.core.now(), self.core.fleet.origin
+        if origin is None:
+            raise RefusedError("the fleet has no origin yet: `skygcs-cli origin set` first")
+        # where all are
+        starts: dict[str, Vector] = {}
+        for actor in actors:
+            if (here := place(actor, now, fresh=True)) is None:
+                raise RefusedError(f"{actor.name}: its position is not known, or old")
+            starts[actor.name] = here
+        flight = self.flight
+        goes_on = flight is not None and flight.state is FormationState.FLYING
+        # the leader and the places about it
+        bounds = self._bounds(actors)
+        leader = self._leader(wanted, starts, lead, bounds, now)
+        if goes_on and flight is not None and lead is None and flight.led_by is None and wanted.at_enu_m is None:
+            leader.moving = flight.leader.moving
+        # the distances
+        rule = margin_rule(actors)
+        motion = Motion(speed_mps=bounds.speed_mps)
+        shares = {name: _share(rule, name, motion) for name in starts}
+        ratio = rule.downwash_ratio
+
+        def needed_m(a: str, b: str) -> float:
+            wanted_m = shares[a].radius_m + shares[b].radius_m + 2 * SLACK_M
+            if wanted.shape != CURRENT:
+                return wanted_m
+            x, y, z = minus(starts[a], starts[b])  # they may stay as near as they are, and come no nearer
+            least_m = shares[a].footprint_m + shares[b].footprint_m
+            return max(min(wanted_m, math.hypot(x, y, z / ratio) - SLACK_M), least_m)
+
+        self._require_room(leader, needed_m, ratio)
+        fences = {actor.name: actor.config.control.fence_at(origin) for actor in actors}
+        frame = EnuFrame(origin)
+        lowest_m = {name: min(self.config.lowest_m, starts[name][2]) for name in starts}
+
+        def allowed(name: str, at: Vector) -> bool:
+            return at[2] >= lowest_m[name] - SLACK_M and fences[name].contains(*frame.to_geodetic(*at), reference=True)
+
+        self._require_allowed(leader.places_at(leader.moving.pos_enu_m, leader.yaw_rad, leader.scale), allowed)
+        if goes_on and flight is not None:
+            flight.leader, flight.led_by = leader, None if lead is None else lead.name
+            self._report(f"{wanted.shape}: new places", {})
+            return
+        members = {name: Member(shares[name].radius_m, Moving(start)) for name, start in starts.items()}
+        filter_ = SeparationFilter(members, bounds, ratio, allowed)
+        self._end()
+        self.flight = FormationFlight(
+            leader, filter_, {name: share.tube_m for name, share in shares.items()}, None if lead is None else lead.name
+        )
+        self._actors = {actor.name: actor for actor in actors}
+        self._numbers = {actor.name: actor.order_number for actor in actors}
+        self._origin, self._stepped_at, self._reported = origin, now, None
+        for actor in actors:
+            actor.program = self
+        self._report(f"{wanted.shape} of {', '.join(starts)} begins", {})
+
+    def _bounds(self, actors: Iterable[VehicleActor]) -> MotionBounds:
+        """What all members can do."""
+        laws = [actor.config.control.law() for actor in actors]
+        speed_mps = min(self.config.speed_mps / SPEED_SHARE, *(law.vel_xy_max_mps for law in laws))
+        climb_mps = min(self.config.climb_mps / SPEED_SHARE, *(law.vel_z_max_mps for law in laws))
+        return MotionBounds(speed_mps, climb_mps)
+
+    def _leader(
+        self,
+        wanted: WantedFlight,
+        starts: Mapping[str, Vector],
+        lead: VehicleActor | None,
+        bounds: MotionBounds,
+        now: float,
+    ) -> Leader:
+        """The leader at the begin: in the middle of all, where it is wanted, or where the vehicle is that leads."""
+        names = list(starts)
+        middle = wanted.at_enu_m or _middle(list(starts.values()))
+        if lead is not None:
+            here = place(lead, now, fresh=True)
+            if here is None:
+                raise RefusedError(f"{lead.name} leads, and its position is not known, or old")
+            middle = here
+        heading = wanted.heading_rad or 0.0
+        if wanted.shape == CURRENT:
+            # as they are, about the leader
+            about = _middle(list(starts.values())) if lead is None else middle
+            offsets = {name: _turned(minus(start, about), -heading) for name, start in starts.items()}
+        else:
+            shape = WantedFormation(wanted.shape, (0.0, 0.0, 0.0), 0.0, 1.0, wanted.spacing_m)
+            points = list(shape.places(names, starts).values())
+            if lead is not None:
+                points = _behind(points, wanted)
+            offsets = _assigned(names, starts, points, middle, heading)
+        return Leader(Moving(middle), heading, bounds, offsets)
+
+    def _require_room(self, leader: Leader, needed_m: Callable[[str, str], float], ratio: float) -> None:
+        """Raises RefusedError where two places are nearer than the two vehicles may be."""
+        places = leader.places_at(leader.moving.pos_enu_m, leader.wanted_yaw_rad, leader.wanted_scale)
+        for a, b in itertools.combinations(sorted(places), 2):
+            x, y, z = minus(places[a], places[b])
+            away_m, least_m = math.hypot(x, y, z / ratio), needed_m(a, b)
+            if away_m < least_m:
+                raise RefusedError(
+                    f"the places of {a} and {b} are {away_m:.1f} m apart, heights divided by {ratio:g}; they need "
+                    f"{least_m:.1f} m: a larger spacing or scale, or a lower speed_mps of [formation]"
+                )
+
+    def _require_allowed(self, places: Mapping[str, Vector], allowed: Callable[[str, Vector], bool]) -> None:
+        for name, at in places.items():
+            if not allowed(name, at):
+                x, y, z = at
+                raise RefusedError(
+                    f"the place of {name} ({x:.1f}, {y:.1f}, {z:.1f} m) is outside its control fence, or nearer to it "
+                    "than its margin, or lower than lowest_m of [formation]"
+                )
+
+    def _end(self) -> None:
+        """Nothing is sent any more. Idempotent."""
+        self._actors, self._numbers = {}, {}
+
+    # -- while it flies
+
+    def tick(self, now: float) -> None:
+        """One step of the flight, and its setpoints."""
+        flight = self.flight
+        if flight is None or not self._actors:
+            return
+        dt_s, self._stepped_at = now - self._stepped_at, now
+        for name in flight.members:
+            if (why := self._gone(name)) is not None:
+                flight.leave(name, why)
+        seen = {name: there for name in flight.members if (there := self._measured(self._actors[name], now))}
+        leader = None
+        if flight.led_by is not None:
+            known = {actor.name: actor for actor in self.core.fleet.vehicles.values()}
+            leader = self._measured(known[flight.led_by], now) if flight.led_by in known else None
+        references = flight.step(seen, leader, list(self._obstacles(self.keys, now)), dt_s, now)
+        for name, (pos, vel, acc) in references.items():
+            outcome = self.core.fleet.setpoint(
+                name, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
+            )[name]
+            if not outcome.ok:
+                flight.stop(f"{name}: {outcome.message}")
+        if (flight.state, flight.reason) != self._reported:
+            self._reported = flight.state, flight.reason
+            if flight.state is not FormationState.FLYING:
+                self._report(f"{flight.state.value}: {flight.reason}", {})
+        if flight.state is FormationState.STOPPED:
+            self._end()
+
+    def _gone(self, name: str) -> str | None:
+        """Why a member is not flown by this formation any more; None: it is."""
+        actor = self._actors[name]
+        if self.core.fleet.vehicles.get(actor.vehicle.key) is not actor:
+            return "it was forgotten, or renumbered"
+        if not actor.offboard.flying:
+            controller = actor.offboard.controller
+            return actor.offboard.successor or "; ".join(controller.reasons) or f"control is {controller.state.value}"
+        if actor.order_number != self._numbers[name] or actor.program is not self:
+            return "it was given another order, or setpoints of a client"
+        return None
+
+    def _measured(self, actor: VehicleActor, now: float) -> Moving | None:
+        """Where a vehicle is by its last position, carried on with its velocity; None: not known, or too old."""
+        here, origin = place(actor, now, fresh=True), actor.vehicle.origin
+        position, at = actor.vehicle.timed_telemetry("position")
+        if here is None or position is None or at is None or origin is None or now - at > SEEN_S:
+            return None
+        vel = world_from_enu(tuple(position["vel_enu_mps"]), origin)
+        age_s = max(0.0, now - at)
+        return Moving((here[0] + vel[0] * age_s, here[1] + vel[1] * age_s, here[2] + vel[2] * age_s), vel)
+
+    def _obstacles(self, members: frozenset[int], now: float) -> Iterable[Obstacle]:
+        """Everything that the monitor watches or has lost, but the members."""
+        assert self._origin is not None
+        frame, tracks = EnuFrame(self._origin), self.core.fleet.monitor.monitor.tracks
+        for key, track in (*tracks.tracks.items(), *tracks.lost.items()):
+            if key not in members:
+                yield _obstacle(track, frame, self._origin, now)
+
+    @property
+    def keys(self) -> frozenset[int]:
+        flight = self.flight
+        return (
+            frozenset()
+            if flight is None
+            else frozenset(self._actors[name].vehicle.key for name in flight.members if name in self._actors)
+        )
+
+    def foreseen(self, key: int) -> list[Place]:
+        """A member's backup: what it does if anything fails."""
+        flight = self.flight
+        name = next((name for name, actor in self._actors.items() if actor.vehicle.key == key), None)
+        if flight is None or name is None or name in flight.left or self._origin is None:
+            return []
+        frame, steps = EnuFrame(self._origin), round(HORIZON_S / PLAN_STEP_S)
+        return [frame.to_geodetic(*point) for point in flight.filter.backup(name, PLAN_STEP_S, steps)]
+
+    # -- what is asked of it
+
+    def flying(self) -> FormationFlight:
+        """The formation that flies. Raises RefusedError without one."""
+        flight = self.flight
+        if flight is None or flight.state is not FormationState.FLYING:
+            why = "" if flight is None or not flight.reason else f" (it stopped: {flight.reason})"
+            raise RefusedError(f"no formation flies{why}: `skygcs-cli formation start` first")
+        return flight
+
+    def lead(self, demand: Demand) -> dict[str, Any]:
+        """Move the virtual leader. Raises RefusedError for a leader that is a vehicle, or a place outside."""
+        flight = self.flying()
+        if flight.led_by is not None and not isinstance(demand, Stay):
+            raise RefusedError(f"{flight.led_by} leads: fly that, or start the formation without a leader")
+        leader = flight.leader
+        if (to := getattr(demand, "place_enu_m", None)) is not None:
+            places = leader.places_at(to, leader.wanted_yaw_rad, leader.wanted_scale)
+            self._require_allowed(places, flight.filter.allowed)
+        leader.demand = demand
+        return self.status()
+
+    def turn(self, heading_rad: float) -> dict[str, Any]:
+        """Turn the formation about its leader."""
+        self.flying().leader.wanted_yaw_rad = math.remainder(heading_rad, math.tau)
+        return self.status()
+
+    def scale(self, factor: float) -> dict[str, Any]:
+        """Scale all offsets. Raises RefusedError where two places would be too near."""
+        flight = self.flying()
+        before, flight.leader.wanted_scale = flight.leader.wanted_scale, factor
+        try:
+            self._require_room(flight.leader, flight.filter.kept_m, flight.filter.downwash_ratio)
+        except RefusedError:
+            flight.leader.wanted_scale = before
+            raise
+        return self.status()
+
+    def stop(self) -> dict[str, Any]:
+        """Brake all; they stay under control, and hold."""
+        if self.flight is not None:
+            self.flight.stop("asked for")
+        return self.status()
+
+    def status(self) -> dict[str, Any]:
+        """The formation as formation.status answers it."""
+        if self.flight is None:
+            return {"state": "none", "members": []}
+        return self.flight.status(self.core.now())
+
+    def _report(self, text: str, data: dict[str, Any]) -> None:
+        self.core.event_log.publish(Event(KIND, None, None, f"formation {text}", data))
+
+
+class _Share(NamedTuple):
+    """What one member adds to the distance of each of its pairs."""
+
+    radius_m: float
+    """All of it."""
+    footprint_m: float
+    """Its size and the error of its position."""
+    tube_m: float
+    """How far it may be from its reference, as it is measured: what the distance allows for, and the error of the
+    position by which that is judged."""
+
+
+def _share(rule: MarginRule, name: str, motion: Motion) -> _Share:
+    terms = rule.terms(name, motion)
+    off_m = math.fsum(metres for term, metres in terms.items() if term in OFF_REFERENCE)
+    radius_m = math.fsum(terms.values())
+    known = rule.by_vehicle.get(name, rule.uncertainty)
+    return _Share(radius_m, radius_m - off_m, off_m + known.position_error_m)
+
+
+def _obstacle(track: Track, frame: EnuFrame, origin: Origin, now: float) -> Obstacle:
+    """What the monitor knows of a vehicle, carried on to now."""
+    here, vel = frame.from_ecef(track.ecef_m), (0.0, 0.0, 0.0)
+    footprint, age_s = track.footprint, 0.0 if track.parked else max(0.0, now - track.at)
+    if not track.parked and not track.lost:
+        vel = world_from_enu(track.reported_mps, origin)
+        here = (here[0] + vel[0] * age_s, here[1] + vel[1] * age_s, here[2] + vel[2] * age_s)
+    radius_m = footprint.wingspan_m / 2 + footprint.position_error_m + footprint.ball_m(min(age_s, HORIZON_S))
+    return Obstacle(track.name, here, vel, radius_m)
+
+
+def _assigned(
+    names: Sequence[str], starts: Mapping[str, Vector], points: Sequence[Vector], middle: Vector, heading: float
+) -> dict[str, Vector]:
+    """A point of the shape for each vehicle, so that they cross each other little on their way."""
+    from skygcs.core.plan.straight_flight import assigned
+
+    goals = [_plus(middle, _turned(point, heading)) for point in points]
+    order = assigned([starts[name] for name in names], goals, 2.0)
+    return {name: points[index] for name, index in zip(names, order, strict=True)}
+
+
+def _behind(points: Sequence[Vector], wanted: WantedFlight) -> list[Vector]:
+    """The points behind a vehicle that leads: the foremost is a spacing behind it."""
+    foremost = max(point[0] for point in points)
+    return [(x - foremost - wanted.spacing_m, y, z) for x, y, z in points]
+
+
+def _middle(points: Sequence[Vector]) -> Vector:
+    x, y, z = (math.fsum(point[axis] for point in points) / len(points) for axis in range(3))
+    return x, y, z
+
+
+def _turned(vector: Vector, angle_rad: float) -> Vector:
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]

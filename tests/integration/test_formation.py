@@ -1,0 +1,212 @@
+"""Formations in a whole daemon: begun, moved, turned, scaled, stopped, and each way in which one is stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import math
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M, separation_m
+from skygcs.errors import RefusedError
+from skygcs.ext.formation.config import FormationConfig
+from skygcs.sim.conditions import Conditions
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+MARGIN_M = WINGSPAN_M + 2 * POSITION_ERROR_M
+RATIO = 2.0
+
+NAMES = ["v1", "v2", "v3", "v4"]
+KINDS = pytest.mark.parametrize("kind", [{"px4": 4}, {"px4": 0, "ardupilot": 4}], ids=["px4", "ardupilot"])
+WIDE = {"fence": {"x_m": (-120.0, 120.0), "y_m": (-120.0, 120.0), "up_m": (0.0, 40.0)}}
+
+
+@contextlib.asynccontextmanager
+async def formed(tmp_path: Path, *, fly: dict[str, Any] | None = None, **kind: Any) -> AsyncIterator[Flown]:
+    table = FormationConfig(**(fly or {}))
+
+    def prepared(config: FleetConfig) -> FleetConfig:
+        return config.model_copy(update={"extensions": {"formation": table}})
+
+    acting = {"monitor": {"mode": "acting"}}
+    async with flown(tmp_path, control=WIDE, tables=acting, prepared=prepared, **kind) as gcs:
+        yield gcs
+
+
+def least_m(gcs: Flown, since: float, names: list[str] = NAMES) -> float:
+    """The least distance of two of them in truth, heights divided by the downwash ratio."""
+    looks = {name: {t.at: t.pos_m for t in gcs.truth[int(name[1:])] if t.at >= since} for name in names}
+    return min(
+        separation_m(*(p - q for p, q in zip(looks[a][at], looks[b][at], strict=True)), RATIO)
+        for a, b in itertools.combinations(names, 2)
+        for at in looks[a].keys() & looks[b].keys()
+    )
+
+
+async def status(gcs: Flown) -> dict[str, Any]:
+    return dict(await gcs("formation.status"))
+
+
+async def at_places(gcs: Flown, within_s: float = 90.0) -> None:
+    """Until all are at their places, and the leader stands."""
+
+    def there() -> bool:
+        flight = gcs.daemon.extensions["formation"].flight.status(gcs.now)
+        assert flight["state"] == "flying", flight["reason"]
+        return all(m["at_place"] for m in flight["members"]) and math.hypot(*flight["vel_enu_mps"]) < 0.05
+
+    await gcs.until(there, within_s)
+
+
+@KINDS
+async def test_a_formation_is_formed_moved_turned_scaled_and_stopped(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with formed(tmp_path, **kind) as gcs:
+        since = gcs.now
+        answer = await gcs("formation.start", targets=NAMES, shape="v", spacing_m=8.0)
+        assert answer["state"] == "flying"
+        await at_places(gcs)
+        await gcs("formation.move", to_enu_m=[40.0, 20.0, 14.0])
+        await asyncio.sleep(2.0)
+        await at_places(gcs)
+        await gcs("formation.turn", heading_deg=90.0)
+        await asyncio.sleep(2.0)
+        await at_places(gcs)
+        await gcs("formation.scale", factor=1.5)
+        await asyncio.sleep(8.0)
+        await at_places(gcs)
+        flight = await status(gcs)
+        assert flight["heading_deg"] == pytest.approx(90.0, abs=1.0) and flight["scale"] == pytest.approx(1.5, abs=0.01)
+        for member in flight["members"]:
+            assert math.dist(gcs.place(member["vehicle"]), member["place_enu_m"]) < 1.0
+        await gcs("formation.stop")
+        await gcs.until(lambda: gcs.daemon.extensions["formation"].flight.status(gcs.now)["state"] == "stopped", 10.0)
+        await asyncio.sleep(5.0)
+        assert all(gcs.control(name)["state"] == "flying" for name in NAMES)
+        assert least_m(gcs, since) > MARGIN_M
+        assert not [t for t in gcs.told if t.kind == "separation" and t.data.get("level") in ("warning", "action")]
+
+
+async def test_two_that_change_places_get_around_each_other(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=1, ardupilot=1) as gcs:
+        since, names = gcs.now, ["v1", "v2"]
+        await gcs("formation.start", targets=names, shape="line", spacing_m=12.0)
+        await at_places(gcs)
+        await gcs("formation.turn", heading_deg=180.0)
+        await asyncio.sleep(3.0)
+        await at_places(gcs)
+        assert least_m(gcs, since, names) > MARGIN_M
+
+
+async def test_a_formation_follows_a_vehicle(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=4) as gcs:
+        since = gcs.now
+        await gcs.fly("position", "v1")
+        await gcs("formation.start", targets=NAMES[1:], shape="line", spacing_m=8.0, leader="v1", heading_deg=90.0)
+        await asyncio.sleep(25.0)
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 40.0, 12.0])
+        await asyncio.sleep(40.0)
+        flight = await status(gcs)
+        assert flight["state"] == "flying", flight
+        assert flight["rms_m"] < 1.0, flight
+        assert least_m(gcs, since) > MARGIN_M
+        with pytest.raises(RefusedError, match="v1 leads"):
+            await gcs("formation.move", to_enu_m=[0.0, 0.0, 12.0])
+
+
+async def test_who_leaves_stops_the_others(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=3) as gcs:
+        names = NAMES[:3]
+        await gcs("formation.start", targets=names, shape="line", spacing_m=8.0)
+        await at_places(gcs)
+        await gcs("formation.move", vel_enu_mps=[0.0, 1.5, 0.0], valid_s=30.0)
+        await asyncio.sleep(5.0)
+        await gcs.done("vehicles.land", targets="v2")
+        await gcs.until(lambda: gcs.daemon.extensions["formation"].flight.status(gcs.now)["state"] == "stopped", 10.0)
+        flight = await status(gcs)
+        assert "v2 left" in flight["reason"]
+        await asyncio.sleep(8.0)
+        for name in ("v1", "v3"):
+            assert gcs.control(name)["state"] == "flying"
+            assert math.hypot(*gcs.truth[int(name[1:])][-1].vel_mps) < 0.3
+
+
+async def test_an_order_to_a_member_takes_it_out(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
+        await at_places(gcs)
+        await gcs.step(0.0, 10.0, 0.0, name="v1")
+        await asyncio.sleep(12.0)
+        assert "another order" in (await status(gcs))["reason"]
+        assert gcs.place("v1")[1] > 8.0
+
+
+async def test_a_velocity_ends_by_itself(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="current")
+        await gcs("formation.move", vel_enu_mps=[0.0, 1.5, 0.0], valid_s=6.0)
+        await asyncio.sleep(6.0)
+        away_m = gcs.place("v1")[1]
+        assert away_m > 4.0
+        await asyncio.sleep(10.0)
+        assert gcs.place("v1")[1] < away_m + 4.0
+        assert math.hypot(*gcs.truth[1][-1].vel_mps) < 0.3
+        assert (await status(gcs))["state"] == "flying"
+
+
+async def test_a_vehicle_in_the_way_is_flown_around(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=3) as gcs:
+        since, names = gcs.now, NAMES[:2]
+        await gcs.fly("position", "v3")
+        await gcs.done("vehicles.goto", targets="v3", enu_m=[2.5, 25.0, 10.0], force=True)
+        await asyncio.sleep(20.0)
+        await gcs("formation.start", targets=names, shape="current")
+        await gcs("formation.move", to_enu_m=[2.5, 50.0, 10.0])
+        await asyncio.sleep(2.0)
+        await at_places(gcs, 120.0)
+        assert gcs.place("v1")[1] > 45.0
+        assert least_m(gcs, since, NAMES[:3]) > MARGIN_M
+
+
+async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        with pytest.raises(RefusedError, match="no formation flies"):
+            await gcs("formation.move", to_enu_m=[0.0, 0.0, 10.0])
+        with pytest.raises(RefusedError, match="larger spacing"):
+            await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=2.0)
+        with pytest.raises(RefusedError, match="outside its control fence"):
+            await gcs("formation.start", targets=["v1", "v2"], shape="line", at_enu_m=[119.0, 0.0, 10.0])
+        with pytest.raises(RefusedError, match="no follower"):
+            await gcs("formation.start", targets=["v1", "v2"], leader="v1")
+        await gcs("formation.start", targets=["v1", "v2"], shape="line")
+        with pytest.raises(RefusedError, match="they need"):
+            await gcs("formation.scale", factor=0.2)
+        with pytest.raises(RefusedError, match="outside"):
+            await gcs("formation.move", to_enu_m=[0.0, 200.0, 10.0])
+        assert (await status(gcs))["state"] == "flying"
+
+
+async def test_a_gust_that_carries_one_away_stops_all(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2, conditions=Conditions()) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=10.0)
+        await at_places(gcs)
+        gcs.sim("v2").motion.north_m += 12.0
+        await gcs.until(lambda: gcs.daemon.extensions["formation"].flight.status(gcs.now)["state"] != "flying", 5.0)
+        assert "from its reference" in (await status(gcs))["reason"]
+
+
+async def test_a_daemon_that_ends_leaves_all_where_they_are(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=10.0)
+        await gcs("formation.move", vel_enu_mps=[0.0, 1.5, 0.0], valid_s=60.0)
+        await asyncio.sleep(10.0)
+        await gcs.stopped(10.0)
+        await asyncio.sleep(10.0)
+        assert gcs.is_safe("v1") and gcs.is_safe("v2")
