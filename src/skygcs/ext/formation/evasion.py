@@ -92,30 +92,37 @@ class Evasion:
     ) -> dict[str, list[Vector]]:
         """The velocities that each member asks for. ``wanted``: where each is to be. The farthest from its place has
         the first choice, since the others have arrived or nearly so."""
-        members = filter_.members
-        names = sorted(
-            wanted, key=lambda name: (-round(math.dist(members[name].moving.pos_enu_m, wanted[name].pos_enu_m)), name)
-        )
-        return {name: self._velocities(filter_, name, wanted[name], obstacles, now) for name in names}
+        members, asks = filter_.members, dict[str, Vector]()
+        for name, there in wanted.items():
+            moving = members[name].moving
+            straight = straight_to(moving, there, filter_.bounds)
+            asks[name] = self._detour(name, straight, moving, there, filter_.bounds, now) or straight
+        away_m = {name: math.dist(members[name].moving.pos_enu_m, there.pos_enu_m) for name, there in wanted.items()}
+        names = sorted(wanted, key=lambda name: (-round(away_m[name]), name))
+        return {name: self._velocities(filter_, name, asks, obstacles, now) for name in names}
 
     def _velocities(
-        self, filter_: SeparationFilter, name: str, wanted: Moving, obstacles: Sequence[Obstacle], now: float
+        self,
+        filter_: SeparationFilter,
+        name: str,
+        asks: Mapping[str, Vector],
+        obstacles: Sequence[Obstacle],
+        now: float,
     ) -> list[Vector]:
-        member = filter_.members[name]
-        straight = straight_to(member.moving, wanted, filter_.bounds)
-        straight = self._detour(name, straight, member.moving, wanted, filter_.bounds, now) or straight
-        near = list(_neighbours(filter_, name, obstacles))
-        present = filter_.metric(member.moving.vel_enu_mps)
-        free_s = _free_s(filter_.metric(straight), present, near)
-        progress = self.progress[name]
+        """``asks``: the velocity that each member asks for first."""
+        member, progress, straight = filter_.members[name], self.progress[name], asks[name]
+        # all go straight, unless two of them would come too near each other
+        free_s = _free_s(filter_.metric(straight), REST, _neighbours(filter_, name, obstacles, asks))
         if free_s < LOOK_S or member.taken is None:
             progress.hindered_until = now + HINDERED_S
         if not progress.hindered(now):
             return [straight]
-        rated = [(_cost(straight, straight, free_s, filter_.bounds), 0, straight)]
-        for n, candidate in enumerate(_aside(straight, filter_.bounds), 1):
-            candidate_free_s = _free_s(filter_.metric(candidate), present, near)
-            rated.append((_cost(candidate, straight, candidate_free_s, filter_.bounds), n, candidate))
+        near = list(_neighbours(filter_, name, obstacles, {}))
+        present = filter_.metric(member.moving.vel_enu_mps)
+        rated = []
+        for n, candidate in enumerate((straight, *_aside(straight, filter_.bounds))):
+            free_s = _free_s(filter_.metric(candidate), present, near)
+            rated.append((_cost(candidate, straight, free_s, filter_.bounds), n, candidate))
         return [velocity for _, _, velocity in sorted(rated)[:TRIED]]
 
     def _detour(
@@ -173,14 +180,20 @@ def _aside(straight: Vector, bounds: MotionBounds) -> Iterator[Vector]:
     yield REST
 
 
-def _neighbours(filter_: SeparationFilter, name: str, obstacles: Sequence[Obstacle]) -> Iterator[Neighbour]:
+def _neighbours(
+    filter_: SeparationFilter, name: str, obstacles: Sequence[Obstacle], asks: Mapping[str, Vector]
+) -> Iterator[Neighbour]:
+    """What is near one. ``asks``: velocities that members go over to, who then do not give way; the others fly on as
+    they do, and give way by half."""
     member = filter_.members[name]
     here, reach_m = filter_.metric(member.moving.pos_enu_m), 2.0 * filter_.bounds.speed_mps * LOOK_S
     for other, them in filter_.members.items():
         if other != name:
             there, kept_m = filter_.metric(them.moving.pos_enu_m), filter_.kept_m(name, other)
             if math.dist(here, there) < kept_m + reach_m:
-                yield Neighbour(minus(there, here), filter_.metric(them.moving.vel_enu_mps), kept_m, 0.5)
+                asked = asks.get(other)
+                velocity = filter_.metric(them.moving.vel_enu_mps if asked is None else asked)
+                yield Neighbour(minus(there, here), velocity, kept_m, 0.5 if asked is None else 1.0)
     for obstacle in obstacles:
         there, kept_m = filter_.metric(obstacle.pos_enu_m), member.radius_m + obstacle.radius_m
         if math.dist(here, there) < kept_m + reach_m:

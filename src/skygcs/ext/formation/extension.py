@@ -14,6 +14,8 @@ from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track
 from skygcs.core.plan.formations import CURRENT, WantedFormation
 from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.vehicle.flight_lock import Holder
+from skygcs.core.vehicle.offboard_entry import loss_reach
+from skygcs.core.vehicle.way_out import fence_ahead
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.formation.config import FormationConfig, formation_problems
@@ -22,6 +24,7 @@ from skygcs.ext.formation.leader import SPEED_SHARE, Demand, Leader, Stay
 from skygcs.ext.formation.methods import METHODS
 from skygcs.ext.formation.separation_filter import (
     SLACK_M,
+    Allowed,
     Member,
     MotionBounds,
     Moving,
@@ -176,13 +179,7 @@ class Formation(Extension[FormationConfig]):
             return max(min(wanted_m, math.hypot(x, y, z / ratio) - SLACK_M), least_m)
 
         self._require_room(leader, needed_m, ratio)
-        fences = {actor.name: actor.config.control.fence_at(origin) for actor in actors}
-        frame = EnuFrame(origin)
-        lowest_m = {name: min(self.config.lowest_m, starts[name][2]) for name in starts}
-
-        def allowed(name: str, at: Vector) -> bool:
-            return at[2] >= lowest_m[name] - SLACK_M and fences[name].contains(*frame.to_geodetic(*at), reference=True)
-
+        allowed = self._allowed(actors, starts, origin)
         self._require_allowed(leader.places_at(leader.moving.pos_enu_m, leader.yaw_rad, leader.scale), allowed)
         if goes_on and flight is not None:
             flight.leader, flight.led_by = leader, None if lead is None else lead.name
@@ -200,6 +197,23 @@ class Formation(Extension[FormationConfig]):
         for actor in actors:
             actor.program = self
         self._report(f"{wanted.shape} of {', '.join(starts)} begins", {})
+
+    def _allowed(self, actors: Sequence[VehicleActor], starts: Mapping[str, Vector], origin: Origin) -> Allowed:
+        """Within each one's control fence, also if its setpoints cease, and not too low."""
+        fences = {actor.name: actor.config.control.fence_at(origin) for actor in actors}
+        reaches = {actor.name: loss_reach(actor.vehicle) for actor in actors}
+        lowest_m = {name: min(self.config.lowest_m, start[2]) - SLACK_M for name, start in starts.items()}
+        frame = EnuFrame(origin)
+
+        def allowed(name: str, moving: Moving, stands: Vector) -> bool:
+            fence = fences[name]
+            return (
+                stands[2] >= lowest_m[name]
+                and fence.contains(*frame.to_geodetic(*stands), reference=True)
+                and fence_ahead(fence, origin, *moving, reaches[name], less_m=fence.margin_m + SLACK_M) is None
+            )
+
+        return allowed
 
     def _bounds(self, actors: Iterable[VehicleActor]) -> MotionBounds:
         """What all members can do."""
@@ -249,9 +263,10 @@ class Formation(Extension[FormationConfig]):
                     f"{least_m:.1f} m: a larger spacing or scale, or a lower speed_mps of [formation]"
                 )
 
-    def _require_allowed(self, places: Mapping[str, Vector], allowed: Callable[[str, Vector], bool]) -> None:
+    def _require_allowed(self, places: Mapping[str, Vector], allowed: Allowed) -> None:
+        """Raises RefusedError where a vehicle may not stand at its place."""
         for name, at in places.items():
-            if not allowed(name, at):
+            if not allowed(name, Moving(at), at):
                 x, y, z = at
                 raise RefusedError(
                     f"the place of {name} ({x:.1f}, {y:.1f}, {z:.1f} m) is outside its control fence, or nearer to it "

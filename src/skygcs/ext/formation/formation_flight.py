@@ -159,9 +159,11 @@ class FormationFlight:
         """The flight as formation.status shows it."""
         places = self.leader.places()
         off = list(self.off_place_m.values())
+        there = len(off) == len(self.filter.members) and all(metres <= AT_PLACE_M for metres in off)
         return {
             "state": self.state.value,
             "reason": self.reason,
+            "settled": self.state is FormationState.FLYING and there and self.leader.rests,
             "leader": self.led_by or "virtual",
             "middle_enu_m": [round(value, 2) for value in self.leader.moving.pos_enu_m],
             "vel_enu_mps": [round(value, 2) for value in self.leader.moving.vel_enu_mps],

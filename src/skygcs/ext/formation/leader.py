@@ -36,6 +36,8 @@ SCALE_PER_S = 0.2
 
 ARRIVED_M = 0.05
 
+RESTS_MPS = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class Stay:
@@ -93,6 +95,16 @@ class Leader:
             acc_z_mps2=ACCELERATION_SHARE * bounds.acc_z_mps2,
         )
 
+    @property
+    def rests(self) -> bool:
+        """True if it neither moves, turns nor scales, and has nowhere to go."""
+        return (
+            isinstance(self.demand, Stay)
+            and math.hypot(*self.moving.vel_enu_mps) < RESTS_MPS
+            and abs(math.remainder(self.wanted_yaw_rad - self.yaw_rad, math.tau)) < math.radians(1.0)
+            and abs(self.wanted_scale - self.scale) < 0.01
+        )
+
     def step(self, dt_s: float, now: float) -> None:
         """Advance a virtual leader by ``dt_s``."""
         self._turn_and_scale(dt_s)
@@ -107,7 +119,10 @@ class Leader:
             case GoTo(place, speed_mps):
                 slow = replace(bounds, speed_mps=min(bounds.speed_mps, speed_mps))
                 wanted = straight_to(self.moving, Moving(place), slow)
-                if math.dist(self.moving.pos_enu_m, place) < ARRIVED_M and math.hypot(*self.moving.vel_enu_mps) < 0.1:
+                if (
+                    math.dist(self.moving.pos_enu_m, place) < ARRIVED_M
+                    and math.hypot(*self.moving.vel_enu_mps) < RESTS_MPS
+                ):
                     self.demand = Stay()
         u, v, w = self.moving.vel_enu_mps
         a, b, c = bounds.limited_acceleration(

@@ -85,6 +85,7 @@ class FormationStatus(Result):
 
     state: Literal["none", "flying", "stopping", "stopped"]
     reason: str = Field("", description="Why it stops.")
+    settled: bool = Field(False, description="The leader rests, and all members are within a metre of their places.")
     leader: str | None = Field(None, description="The vehicle that leads, or virtual.")
     middle_enu_m: list[float] | None = Field(None, description="Where the leader is.")
     vel_enu_mps: list[float] | None = None

@@ -108,8 +108,8 @@ class Way(NamedTuple):
     bow_m: float
 
 
-Allowed = Callable[[str, Vector], bool]
-"""True if a vehicle may stand at this place."""
+Allowed = Callable[[str, Moving, Vector], bool]
+"""True if a vehicle may move so, and brake from there to this place."""
 
 
 @dataclass(slots=True)
@@ -132,7 +132,7 @@ class SeparationFilter:
     members: dict[str, Member]
     bounds: MotionBounds
     downwash_ratio: float
-    allowed: Allowed = lambda name, place: True
+    allowed: Allowed = lambda name, moving, stands: True
     floors_m: dict[tuple[str, str], float] = field(default_factory=dict)
     """The distance of pairs that began nearer than they should; it only grows."""
 
@@ -177,7 +177,7 @@ class SeparationFilter:
                 acc = self._towards(member.moving, velocity)
                 after = _after(member.moving, acc, dt_s)
                 way = self._way(member.moving, acc, after, dt_s)
-                if self._fits(name, way, ways, hazards) and self.allowed(name, self._end(way)):
+                if self._fits(name, way, ways, hazards) and self.allowed(name, after, self._end(way)):
                     chosen[name], ways[name], member.taken = (acc, after), way, n
                     break
         for a, b in list(self.floors_m):
