@@ -14,7 +14,7 @@ export PYTHONHASHSEED := $(if $(SEARCH),random,0)
 export SKYGCS_TEST_SEARCH := $(SEARCH)
 
 .PHONY: quick test-times test-deep mutants coverage
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-formation bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -122,6 +122,9 @@ bench-plans: $(STAMP)
 
 bench-monitor: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.monitor
+
+bench-formation: $(STAMP)   # FORMATION_ENCOUNTERS=10000
+	PYTHONPATH=tests $(BIN)/python -m bench.formation --encounters $(or $(FORMATION_ENCOUNTERS),10000)
 
 bench-invariant: $(STAMP)   # INVARIANT_FLIGHTS=1000 INVARIANT_FIRST=0
 	PYTHONPATH=tests $(BIN)/python -m bench.invariant --flights $(or $(INVARIANT_FLIGHTS),1000) --first $(or $(INVARIANT_FIRST),0)

@@ -29,6 +29,7 @@ READ = frozenset(
         "messages.latest",
         "messages.list",
         "missions.status",
+        "formation.status",
         "mocap.status",
         "monitor.status",
         "origin.get",
@@ -52,6 +53,7 @@ READ = frozenset(
 
 ENDS_FLIGHT = frozenset(
     {
+        "formation.stop",
         "missions.pause",
         "plan.abort",
         "plan.land",
@@ -77,6 +79,10 @@ ORDERS = frozenset(
         "fence.set",
         "fence.status",
         "fence.test",
+        "formation.move",
+        "formation.scale",
+        "formation.start",
+        "formation.turn",
         "link.select",
         "links.add",
         "links.change",

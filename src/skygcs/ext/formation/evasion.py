@@ -54,7 +54,7 @@ DETOUR_S, LONGER_S = 2.5, 0.5
 
 
 class Neighbour(NamedTuple):
-    """What one may come near soon, in the metric of the filter."""
+    """Something that one may come near soon, in the metric of the filter."""
 
     offset_m: Vector
     velocity_mps: Vector
@@ -65,7 +65,7 @@ class Neighbour(NamedTuple):
 
 @dataclass(slots=True)
 class Progress:
-    """Of one reference towards its place."""
+    """Progress of one reference towards its place."""
 
     nearest_m: float = math.inf
     since: float = -math.inf
@@ -183,8 +183,8 @@ def _aside(straight: Vector, bounds: MotionBounds) -> Iterator[Vector]:
 def _neighbours(
     filter_: SeparationFilter, name: str, obstacles: Sequence[Obstacle], asks: Mapping[str, Vector]
 ) -> Iterator[Neighbour]:
-    """What is near one. ``asks``: velocities that members go over to, who then do not give way; the others fly on as
-    they do, and give way by half."""
+    """Everything that is near one. ``asks``: velocities that members go over to, without giving way; the others fly on
+    as they do, and give way by half."""
     member = filter_.members[name]
     here, reach_m = filter_.metric(member.moving.pos_enu_m), 2.0 * filter_.bounds.speed_mps * LOOK_S
     for other, them in filter_.members.items():

@@ -216,7 +216,7 @@ class Formation(Extension[FormationConfig]):
         return allowed
 
     def _bounds(self, actors: Iterable[VehicleActor]) -> MotionBounds:
-        """What all members can do."""
+        """Limits that all members can keep."""
         laws = [actor.config.control.law() for actor in actors]
         speed_mps = min(self.config.speed_mps / SPEED_SHARE, *(law.vel_xy_max_mps for law in laws))
         climb_mps = min(self.config.climb_mps / SPEED_SHARE, *(law.vel_z_max_mps for law in laws))
@@ -410,7 +410,7 @@ class Formation(Extension[FormationConfig]):
 
 
 class _Share(NamedTuple):
-    """What one member adds to the distance of each of its pairs."""
+    """The part of one member in the distance of each of its pairs."""
 
     radius_m: float
     """All of it."""
@@ -430,7 +430,7 @@ def _share(rule: MarginRule, name: str, motion: Motion) -> _Share:
 
 
 def _obstacle(track: Track, frame: EnuFrame, origin: Origin, now: float) -> Obstacle:
-    """What the monitor knows of a vehicle, carried on to now."""
+    """A vehicle as the monitor knows it, carried on to now."""
     here, vel = frame.from_ecef(track.ecef_m), (0.0, 0.0, 0.0)
     footprint, age_s = track.footprint, 0.0 if track.parked else max(0.0, now - track.at)
     if not track.parked and not track.lost:

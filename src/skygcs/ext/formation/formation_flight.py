@@ -39,7 +39,7 @@ class FormationState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WantedFlight:
-    """What somebody asked for. ``spacing_m``: of a shape; ``heading_rad`` None: as the x axis, or as it is."""
+    """A formation that somebody asked for. ``heading_rad`` None: along the x axis."""
 
     targets: str | list[str]
     shape: str
@@ -50,7 +50,7 @@ class WantedFlight:
 
 
 class Reference(NamedTuple):
-    """What a member is sent to now."""
+    """The point that a member is sent to now."""
 
     pos_enu_m: Vector
     vel_enu_mps: Vector

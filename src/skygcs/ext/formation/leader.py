@@ -85,7 +85,7 @@ class Leader:
 
     @property
     def own_bounds(self) -> MotionBounds:
-        """What the leader itself does at most."""
+        """The limits of the leader's own motion."""
         bounds = self.bounds
         return replace(
             bounds,

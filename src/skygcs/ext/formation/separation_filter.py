@@ -23,9 +23,11 @@ Between the points of a way: a curve whose acceleration is at most a lies within
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from skygcs.core.monitor.approach import closest_approach
 
 Vector = tuple[float, float, float]
 
@@ -37,6 +39,9 @@ GRID_S = 0.2
 LONGEST_STEP_S = 0.3
 """A later step goes on from where the references are; three periods."""
 
+FLIES_ON_S = 3.0
+"""An obstacle is looked at for so long after a reference could stand: time to get out of its way."""
+
 SLACK_M = 0.05
 """Two that keep exactly their distance could not move beside each other: bows and roundings are taken off it."""
 
@@ -46,7 +51,7 @@ RESPONSE_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MotionBounds:
-    """What a reference does at most; across and up or down."""
+    """The limits of a reference's motion, across and up or down."""
 
     speed_mps: float = 2.0
     climb_mps: float = 1.0
@@ -108,6 +113,14 @@ class Way(NamedTuple):
     bow_m: float
 
 
+class Try(NamedTuple):
+    """One step that a reference could take."""
+
+    acc_enu_mps2: Vector
+    after: Moving
+    way: Way
+
+
 Allowed = Callable[[str, Moving, Vector], bool]
 """True if a vehicle may move so, and brake from there to this place."""
 
@@ -121,7 +134,7 @@ class Member:
     moving: Moving
     acc_enu_mps2: Vector = REST
     """That of the last step, which led here."""
-    taken: int | None = None
+    taken: int | None = 0
     """Which of the velocities that it was asked for was taken in the last step, from 0; None: it braked."""
 
 
@@ -163,8 +176,8 @@ class SeparationFilter:
     # -- one step
 
     def step(self, asked: Mapping[str, Sequence[Vector]], obstacles: Sequence[Obstacle], dt_s: float) -> None:
-        """Advance every reference by ``dt_s``. ``asked``: of each the velocities to go over to, the dearest first; who
-        comes first in it has the first choice. One that is left out brakes."""
+        """Advance every reference by ``dt_s``. ``asked``: of each the velocities to go over to, the best first. The
+        member that comes first in it has the first choice; one that is left out brakes."""
         dt_s = min(dt_s, LONGEST_STEP_S)
         chosen = {name: self._braked(member.moving, dt_s) for name, member in self.members.items()}
         ways = {name: self._way(member.moving, REST, member.moving, 0.0) for name, member in self.members.items()}
@@ -173,10 +186,7 @@ class SeparationFilter:
             member.taken = None
         for name, velocities in asked.items():
             member = self.members[name]
-            for n, velocity in enumerate(velocities):
-                acc = self._towards(member.moving, velocity)
-                after = _after(member.moving, acc, dt_s)
-                way = self._way(member.moving, acc, after, dt_s)
+            for n, (acc, after, way) in self._tries(name, velocities, ways[name], hazards, dt_s):
                 if self._fits(name, way, ways, hazards) and self.allowed(name, after, self._end(way)):
                     chosen[name], ways[name], member.taken = (acc, after), way, n
                     break
@@ -185,12 +195,30 @@ class SeparationFilter:
         for name, member in self.members.items():
             member.acc_enu_mps2, member.moving = chosen[name]
 
+    def _tries(
+        self, name: str, velocities: Sequence[Vector], braking: Way, hazards: Sequence[Obstacle], dt_s: float
+    ) -> Iterable[tuple[int, Try]]:
+        """Number and step of each velocity that is asked for. Where an obstacle comes near even if it brakes, the one
+        that keeps away from it for longest comes first."""
+        moving, radius_m = self.members[name].moving, self.members[name].radius_m
+
+        def tries() -> Iterator[tuple[int, Try]]:
+            for n, velocity in enumerate(velocities):
+                acc = self._towards(moving, velocity)
+                after = _after(moving, acc, dt_s)
+                yield n, Try(acc, after, self._way(moving, acc, after, dt_s))
+
+        if not any(_risk(braking, hazard, radius_m)[0] < math.inf for hazard in hazards):
+            return tries()
+        return sorted(tries(), key=lambda one: min(_risk(one[1].way, h, radius_m) for h in hazards), reverse=True)
+
     def _raise_floor(self, a: str, b: str, ways: Mapping[str, Way]) -> None:
-        least_m = min(_least_m(ways[a], ways[b]), self.wanted_m(a, b))
-        if least_m >= self.wanted_m(a, b):
+        """Keep what a pair has gained on its ways, less the slack that lets it move at all."""
+        gained_m = _least_m(ways[a], ways[b]) - SLACK_M
+        if gained_m >= self.wanted_m(a, b):
             del self.floors_m[a, b]
         else:
-            self.floors_m[a, b] = max(least_m, self.floors_m[a, b])
+            self.floors_m[a, b] = max(gained_m, self.floors_m[a, b])
 
     def _towards(self, moving: Moving, velocity: Vector) -> Vector:
         x, y, z = (w - v for w, v in zip(velocity, moving.vel_enu_mps, strict=True))
@@ -268,8 +296,8 @@ class SeparationFilter:
                 return False
         radius_m = self.members[name].radius_m
         for hazard in hazards:
-            room_m = _room_m(way, hazard, radius_m)
-            if room_m < 0.0 and room_m < _room_m(ways[name], hazard, radius_m) - 1e-9:
+            risk = _risk(way, hazard, radius_m)
+            if risk[0] < math.inf and risk < _risk(ways[name], hazard, radius_m):
                 return False
         return True
 
@@ -293,16 +321,25 @@ def _least_m(first: Way, second: Way) -> float:
     return math.sqrt(least) - first.bow_m - second.bow_m
 
 
-def _room_m(way: Way, hazard: Obstacle, radius_m: float) -> float:
-    """By how much a way stays farther from an obstacle, which flies straight on, than it should; negative: nearer."""
+def _risk(way: Way, hazard: Obstacle, radius_m: float) -> tuple[float, float]:
+    """(seconds until a way is nearer to an obstacle than it should be, by how much it then stays farther): infinite
+    and positive if it never is. The larger, the better. The obstacle flies straight on, also for `FLIES_ON_S` after
+    the reference stands."""
     (x, y, z), (u, v, w) = hazard.pos_enu_m, hazard.vel_enu_mps
-    least = math.inf
-    for k, point in enumerate(way.points):
-        t_s = k * GRID_S
-        least = min(least, math.dist(point, (x + u * t_s, y + v * t_s, z + w * t_s)))
+    points, enters_s, least = way.points, math.inf, math.inf
     # between two points: half of what both fly in that time
     between_m = 0.5 * GRID_S * (math.hypot(u, v, w) + _fastest_mps(way))
-    return least - between_m - radius_m - hazard.radius_m
+    needed_m = radius_m + hazard.radius_m + between_m
+    for k, point in enumerate(points):
+        t_s = k * GRID_S
+        away_m = math.dist(point, (x + u * t_s, y + v * t_s, z + w * t_s))
+        least = min(least, away_m)
+        if away_m < needed_m and enters_s == math.inf:
+            enters_s = t_s
+    stands_s = (len(points) - 1) * GRID_S
+    offset = minus((x + u * stands_s, y + v * stands_s, z + w * stands_s), points[-1])
+    after = closest_approach(offset, hazard.vel_enu_mps, needed_m, FLIES_ON_S)
+    return min(enters_s, stands_s + after.enters_s), min(least, after.separation_m) - needed_m
 
 
 def _fastest_mps(way: Way) -> float:

@@ -1,0 +1,78 @@
+"""Ten vehicles that follow a virtual leader along a square, in a whole daemon in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M, separation_m
+from skygcs.ext.formation.config import FormationConfig
+from skygcs.sim.conditions import Conditions
+from support.flown import flown
+
+RATIO = 2.0
+FENCE = {"x_m": (-200.0, 200.0), "y_m": (-200.0, 200.0), "up_m": (0.0, 60.0)}
+SQUARE = ((60.0, 0.0, 20.0), (60.0, 60.0, 25.0), (0.0, 60.0, 20.0), (0.0, 0.0, 20.0))
+LOOK_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """The flight in figures; ``rms_m`` in truth, while the leader moves; infinite if the formation stopped."""
+
+    speed_mps: float
+    rms_m: float
+    least_m: float
+    footprints_m: float
+    reason: str
+
+
+async def led_formation(
+    tmp_path: Path, *, px4: int = 5, ardupilot: int = 5, speed_mps: float = 3.0, wind_mps: float = 0.0
+) -> Led:
+    """Fly it."""
+    table = FormationConfig(speed_mps=speed_mps)
+
+    def prepared(config: FleetConfig) -> FleetConfig:
+        return config.model_copy(update={"extensions": {"formation": table}})
+
+    names = [f"v{i + 1}" for i in range(px4 + ardupilot)]
+    conditions = Conditions(wind_enu_mps=(wind_mps, 0.0, 0.0))
+    async with flown(
+        tmp_path,
+        px4=px4,
+        ardupilot=ardupilot,
+        height_m=20.0,
+        control={"fence": FENCE},
+        conditions=conditions,
+        prepared=prepared,
+    ) as gcs:
+        extension = gcs.daemon.extensions["formation"]
+        began = gcs.now
+        await gcs("formation.start", targets=names, shape="v", spacing_m=9.0)
+        await gcs.until(lambda: extension.status()["settled"], 120.0)
+        squares: list[float] = []
+        for corner in SQUARE:
+            await gcs("formation.move", to_enu_m=list(corner))
+            await asyncio.sleep(LOOK_S)
+            while not extension.status()["settled"]:
+                state = extension.status()
+                if state["state"] != "flying":
+                    return Led(speed_mps, math.inf, 0.0, 0.0, state["reason"])
+                if math.hypot(*state["vel_enu_mps"]) > 0.3:
+                    squares += [
+                        math.dist(gcs.place(member["vehicle"]), member["place_enu_m"]) ** 2
+                        for member in state["members"]
+                    ]
+                await asyncio.sleep(LOOK_S)
+        looks = {name: {t.at: t.pos_m for t in gcs.truth[int(name[1:])] if t.at >= began} for name in names}
+    least_m = min(
+        separation_m(*(p - q for p, q in zip(looks[a][at], looks[b][at], strict=True)), RATIO)
+        for a, b in itertools.combinations(names, 2)
+        for at in looks[a].keys() & looks[b].keys()
+    )
+    return Led(speed_mps, math.sqrt(math.fsum(squares) / len(squares)), least_m, WINGSPAN_M + 2 * POSITION_ERROR_M, "")
