@@ -122,6 +122,57 @@ def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
     row["finished"] = True
 
 
+def test_a_mixed_fleet_flies_as_a_formation(fleet: MixedField, row: dict[str, Any]) -> None:
+    """About a point, which moves while the formation turns and grows; then behind one of them."""
+    fleet.daemon.call("vehicles.takeoff", targets="all", height_m=UP_M)
+    fleet.wait(lambda: all(fleet.truth(n).track[-1][3] > UP_M - 1.5 for n in fleet.names), 60, "all have taken off")
+    time.sleep(5.0)
+    began = time.monotonic()
+    fleet.daemon.call("formation.start", targets="all", shape="v", spacing_m=11.0)
+    _settled(fleet)
+    moves = began, time.monotonic()
+    for method, params in (
+        ("formation.move", {"to_enu_m": [25.0, 25.0, 20.0]}),
+        ("formation.turn", {"heading_deg": 90.0}),
+        ("formation.scale", {"factor": 1.2}),
+    ):
+        fleet.daemon.call(method, **params)
+    row["rms_m"] = _settled(fleet)
+    fleet.daemon.call("formation.stop")
+    fleet.wait(lambda: fleet.daemon.call("formation.status")["state"] == "stopped", 20, "the formation stands")
+    leader, *followers = fleet.names[::-1]
+    fleet.daemon.call(
+        "formation.start", targets=followers, shape="line", spacing_m=11.0, heading_deg=90.0, leader=leader
+    )
+    _settled(fleet)
+    fleet.daemon.call("vehicles.goto", targets=leader, enu_m=[10.0, 45.0, 15.0])
+    time.sleep(3.0)
+    row["rms_behind_m"] = _settled(fleet)
+    row["seconds"] = [round(at - began, 1) for at in (*moves, time.monotonic())]
+    least = _least(fleet, began)
+    nearest = min(least, key=lambda pair: least[pair])
+    row["measured_least_m"], row["measured_pair"] = round(least[nearest], 2), list(nearest)
+    row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
+    assert least[nearest] >= KNOWN_M, row
+    row["finished"] = True
+
+
+def _settled(fleet: MixedField) -> float:
+    """Until all are at their places; the largest RMS of their distances from them on the way."""
+    most_m = 0.0
+
+    def settled() -> bool:
+        nonlocal most_m
+        status = fleet.daemon.call("formation.status")
+        assert status["state"] == "flying", status["reason"]
+        if math.hypot(*status["vel_enu_mps"]) > 0.5:
+            most_m = max(most_m, status["rms_m"] or 0.0)
+        return bool(status["settled"])
+
+    fleet.wait(settled, 120, "the formation is settled")
+    return most_m
+
+
 def _land(fleet: MixedField) -> None:
     fleet.daemon.call("plan.land")
     fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 200, "all have landed")

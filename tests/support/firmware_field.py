@@ -555,6 +555,8 @@ lat_deg = {HOME[0]}
 lon_deg = {HOME[1]}
 alt_amsl_m = {HOME[2]}
 
+[formation]
+
 [links.vehicles]
 type = "udp_server"
 host = "127.0.0.1"

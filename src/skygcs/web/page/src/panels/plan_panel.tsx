@@ -7,6 +7,7 @@ import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
+import { LiveFormation } from "./live_formation.tsx";
 import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
@@ -18,12 +19,13 @@ import { Timeline } from "./timeline.tsx";
 const OVERLAY = "plan";
 const SHAPE_OVERLAY = "plan draft";
 
-type Source = "files" | "formation" | "goals";
+type Source = "files" | "formation" | "goals" | "live";
 
 const TABS: readonly { id: Source; title: string }[] = [
   { id: "files", title: "File" },
   { id: "formation", title: "Formation" },
   { id: "goals", title: "Final positions" },
+  { id: "live", title: "Live" },
 ];
 
 /** It outlives the panel: another tab must not lose a plan. */
@@ -55,6 +57,7 @@ export default function PlanPanel(props: PanelProps) {
       {source === "files" && <FromFiles {...props} take={take} />}
       {source === "formation" && <FromFormation {...props} take={take} />}
       {source === "goals" && <FromGoals {...props} take={take} />}
+      {source === "live" && <LiveFormation {...props} />}
       {checked !== null && <Judged checked={checked} discard={() => take(null)} />}
       {timeline !== null && <Timeline timeline={timeline} phases={checked?.paths?.phases ?? []} downwashRatio={checked?.certificate?.downwash_ratio ?? 2} t_s={t_s} setT={setT} />}
       <PlanFlight {...props} checked={checked} follow={setT} />

@@ -1,0 +1,189 @@
+// A formation that flies now: start it, move its leader, turn, scale and stop it. Its places are ghosts on the view.
+
+import { useEffect, useMemo, useState } from "preact/hooks";
+import { namesText } from "../format.ts";
+import { HoldButton } from "../hold_button.tsx";
+import { useStore } from "../hooks.ts";
+import type { Outcome, Vec3 } from "../types.ts";
+import { mayOrder, orderWith } from "./calls.ts";
+import { overlay } from "./drawing.ts";
+import { SHAPES, type FormationShape } from "./formation.ts";
+import { Choice, Failure, NumberField, usePolled, useTool } from "./parts.tsx";
+import type { PanelProps } from "./registry.ts";
+
+const OVERLAY = "live formation";
+
+interface Member {
+  vehicle: string;
+  place_enu_m: Vec3;
+  off_place_m: number | null;
+  at_place: boolean;
+  hindered: boolean;
+  left: string | null;
+}
+
+export interface FormationStatus {
+  state: "none" | "flying" | "stopping" | "stopped";
+  reason: string;
+  settled: boolean;
+  leader: string | null;
+  middle_enu_m: Vec3 | null;
+  heading_deg: number | null;
+  scale: number | null;
+  rms_m: number | null;
+  least_m: number | null;
+  least_pair: readonly string[] | null;
+  members: readonly Member[];
+}
+
+const VIRTUAL = "";
+
+type Shape = FormationShape | "current";
+
+export function LiveFormation(props: PanelProps) {
+  const { store, connection, view } = props;
+  const orders = useStore(store, mayOrder);
+  const found = usePolled<FormationStatus>(store, connection, "formation.status", {}, 500);
+  const status = found.answer;
+  const flies = status?.state === "flying";
+  const shapes = useMemo(
+    () => (flies ? status.members.map((one) => ({ kind: "mark", at: one.place_enu_m, symbol: "ghost", ink: "plan", text: one.vehicle }) as const) : []),
+    [flies, status],
+  );
+  useEffect(() => view.setOverlay(OVERLAY, overlay(shapes)), [view, shapes]);
+  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
+  if (status === null) {
+    const missing = found.error?.includes("formation.status") === true;
+    return missing ? <p class="note">No live formations: add a table [formation] to the fleet file.</p> : <Failure text={found.error} />;
+  }
+  return (
+    <section class="card" aria-label="Live formation">
+      <Shown status={status} />
+      {orders && flies && <Flying {...props} status={status} />}
+      {orders && <Start {...props} flies={flies} />}
+    </section>
+  );
+}
+
+function Shown({ status }: { status: FormationStatus }) {
+  if (status.state === "none") return <p class="muted">No formation flies.</p>;
+  return (
+    <>
+      <p>
+        <b>{status.settled ? "settled" : status.state}</b>
+        {status.leader === "virtual" ? "" : ` behind ${status.leader ?? "?"}`}
+        {status.rms_m === null ? "" : `, ${status.rms_m.toFixed(1)} m off their places in the mean`}
+        {status.least_m === null ? "" : `, least distance ${status.least_m.toFixed(1)} m (${(status.least_pair ?? []).join(" and ")})`}
+      </p>
+      {status.reason !== "" && <p class="failure">{status.reason}</p>}
+      <table class="plain">
+        <thead>
+          <tr>
+            <th>vehicle</th>
+            <th>state</th>
+            <th class="number">off its place</th>
+          </tr>
+        </thead>
+        <tbody>
+          {status.members.map((one) => (
+            <tr key={one.vehicle} class={one.left === null ? "" : "lost"}>
+              <td>{one.vehicle}</td>
+              <td>{one.left !== null ? `left: ${one.left}` : one.hindered ? "another is in its way" : one.at_place ? "at its place" : "on its way"}</td>
+              <td class="number">{one.off_place_m === null ? "–" : `${one.off_place_m.toFixed(1)} m`}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </>
+  );
+}
+
+/** The answer of every method of a formation, as the list of orders shows it. */
+function readStatus(): { ok: boolean; outcomes: Readonly<Record<string, Outcome>>; text: string | null } {
+  return { ok: true, outcomes: {}, text: null };
+}
+
+function Flying({ store, connection, view, status }: PanelProps & { status: FormationStatus }) {
+  const targets = status.members.map((one) => one.vehicle);
+  const [to, setTo] = useState<Vec3>(status.middle_enu_m ?? [0, 0, 10]);
+  const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
+  const [scale, setScale] = useState(status.scale ?? 1);
+  const order = (label: string, method: string, params: object): void => void orderWith(store, connection, { label, method, params, targets }, readStatus);
+  const tool = useTool(
+    view,
+    () => ({
+      cursor: "crosshair",
+      hint: "Click: where the formation's middle is to fly to. Nothing flies before you say so.",
+      click: (at) => setTo((before) => [Math.round(at.x * 10) / 10, Math.round(at.y * 10) / 10, before[2]]),
+    }),
+    "live formation",
+  );
+  const axis = (k: 0 | 1 | 2) => (value: number | null): void => {
+    if (value !== null) setTo((before) => before.map((old, n) => (n === k ? value : old)) as unknown as Vec3);
+  };
+  return (
+    <>
+      {status.leader === "virtual" && (
+        <div class="row wrap">
+          <NumberField label="To x" unit="m" value={to[0]} onValue={axis(0)} />
+          <NumberField label="y" unit="m" value={to[1]} onValue={axis(1)} />
+          <NumberField label="Height" unit="m" value={to[2]} onValue={axis(2)} />
+          {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
+          <HoldButton targets={targets} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
+            Fly there
+          </HoldButton>
+        </div>
+      )}
+      <div class="row wrap">
+        <NumberField label="Looks to" unit="° from x" value={heading} least={-360} most={360} onValue={(value) => value !== null && setHeading(value)} />
+        <HoldButton targets={targets} what={`Turn the formation of ${namesText(targets)}`} act={() => order("Turn formation", "formation.turn", { heading_deg: heading })}>
+          Turn
+        </HoldButton>
+        <NumberField label="Scale" unit="×" value={scale} least={0.1} most={10} onValue={(value) => value !== null && setScale(value)} />
+        <HoldButton targets={targets} what={`Scale the formation of ${namesText(targets)}`} act={() => order("Scale formation", "formation.scale", { factor: scale })}>
+          Scale
+        </HoldButton>
+      </div>
+      <div class="row">
+        <button type="button" class="primary" onClick={() => order("Stop formation", "formation.stop", {})}>
+          Stop: all brake and hold
+        </button>
+      </div>
+    </>
+  );
+}
+
+function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {
+  const selection = useStore(store, (state) => state.selection);
+  const known = useStore(store, (state) => state.names);
+  const [shape, setShape] = useState<Shape>("v");
+  const [spacing, setSpacing] = useState(8);
+  const [heading, setHeading] = useState(0);
+  const [leader, setLeader] = useState(VIRTUAL);
+  const targets = [...selection].filter((name) => name !== leader);
+  const leaders = known.filter((name) => !selection.has(name));
+  const params = { targets, shape, spacing_m: spacing, heading_deg: heading, ...(leader === VIRTUAL ? {} : { leader }) };
+  const start = (): void => void orderWith(store, connection, { label: "Start formation", method: "formation.start", params, targets }, readStatus);
+  return (
+    <>
+      <div class="row wrap">
+        <Choice
+          label="Shape"
+          value={shape}
+          options={[["current", "as they are"], ...SHAPES.map((one) => [one, one === "v" ? "V" : one] as const)]}
+          onValue={setShape}
+        />
+        <NumberField label="Spacing" unit="m" value={spacing} least={0.5} most={1000} onValue={(value) => value !== null && setSpacing(value)} />
+        <NumberField label="Heading" unit="° from x" value={heading} least={-360} most={360} onValue={(value) => value !== null && setHeading(value)} />
+        <Choice label="Leader" value={leader} options={[[VIRTUAL, "a point"], ...leaders.map((name) => [name, name] as const)]} onValue={setLeader} />
+      </div>
+      {targets.length === 0 ? (
+        <p class="muted">Select the vehicles that are to follow.</p>
+      ) : (
+        <HoldButton targets={targets} what={`Fly ${namesText(targets)} as a formation`} act={start}>
+          {flies ? `New places for ${targets.length}` : `Start formation of ${targets.length}`}
+        </HoldButton>
+      )}
+    </>
+  );
+}
