@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import math
+import runpy
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
+from support.process import ROOT
 
 pytestmark = pytest.mark.looptime
 
@@ -171,6 +173,54 @@ async def test_a_vehicle_in_the_way_is_flown_around(tmp_path: Path) -> None:
         await at_places(gcs, 120.0)
         assert gcs.place("v1")[1] > 45.0
         assert least_m(gcs, since, NAMES[:3]) > MARGIN_M
+
+
+class Program:
+    """A client whose calls are those of a daemon in virtual time."""
+
+    def __init__(self, gcs: Flown) -> None:
+        self.call = gcs
+
+
+async def test_the_flock_of_the_examples_flies_in_its_box_and_stays_when_it_ends(tmp_path: Path) -> None:
+    flock = runpy.run_path(str(ROOT / "configs" / "flock.py"))
+    names = [*NAMES, "v5", "v6"]
+    async with formed(tmp_path, px4=3, ardupilot=3) as gcs:
+        since = gcs.now
+        await gcs("formation.start", targets=names, shape="current")
+        flying: dict[str, Any] = {}
+        for _ in range(320):
+            members = {name: (gcs.place(name), flying.get(name, (0.0, 0.0, 0.0))) for name in names}
+            flying = await flock["guide"](Program(gcs), members)
+            await asyncio.sleep(flock["PERIOD_S"])
+            assert (await status(gcs))["leader"] == "program"
+        assert least_m(gcs, since, names) > MARGIN_M
+        for name in names:
+            flown_m = [math.dist(a.pos_m, b.pos_m) for a, b in itertools.pairwise(gcs.truth[int(name[1:])])]
+            assert math.fsum(flown_m) > 20.0
+            x, y, up = gcs.place(name)
+            assert abs(x) < 32.0 and abs(y) < 32.0
+            assert 2.5 < up < 18.0  # around each other also below the box, not below lowest_m
+        await asyncio.sleep(8.0)
+        flight = await status(gcs)
+        assert flight["leader"] == "virtual" and flight["settled"]
+        assert all(math.hypot(*gcs.truth[int(name[1:])][-1].vel_mps) < 0.3 for name in names)
+
+
+async def test_a_programs_places_are_checked_and_a_leader_takes_over_from_it(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
+        with pytest.raises(RefusedError, match="v9: no members; there are v1, v2"):
+            await gcs("formation.guide", places={"v9": {"pos_enu_m": [0.0, 0.0, 10.0]}})
+        with pytest.raises(RefusedError, match="outside its control fence"):
+            await gcs("formation.guide", places={"v1": {"pos_enu_m": [0.0, 500.0, 10.0]}})
+        await gcs("formation.guide", places={"v1": {"pos_enu_m": [0.0, 20.0, 10.0]}}, valid_s=60.0)
+        await asyncio.sleep(20.0)
+        assert math.dist(gcs.place("v1"), (0.0, 20.0, 10.0)) < 1.0
+        await gcs("formation.move")
+        await at_places(gcs)
+        assert (await status(gcs))["leader"] == "virtual"
+        assert math.dist(gcs.place("v1"), (0.0, 20.0, 10.0)) < 1.0
 
 
 async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:

@@ -79,6 +79,7 @@ ORDERS = frozenset(
         "fence.set",
         "fence.status",
         "fence.test",
+        "formation.guide",
         "formation.move",
         "formation.scale",
         "formation.start",

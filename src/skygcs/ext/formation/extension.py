@@ -11,7 +11,7 @@ from skygcs.config.tables import Problem
 from skygcs.core.geo import EnuFrame, Origin, world_from_enu
 from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track
-from skygcs.core.plan.formations import CURRENT, WantedFormation
+from skygcs.core.plan.formations import CURRENT, WantedFormation, middle_of
 from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
@@ -20,7 +20,7 @@ from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.formation.config import FormationConfig, formation_problems
 from skygcs.ext.formation.formation_flight import FormationFlight, FormationState, WantedFlight
-from skygcs.ext.formation.leader import SPEED_SHARE, Demand, Leader, Stay
+from skygcs.ext.formation.leader import SPEED_SHARE, Demand, Leader, Stay, turned
 from skygcs.ext.formation.methods import METHODS
 from skygcs.ext.formation.separation_filter import (
     SLACK_M,
@@ -232,7 +232,7 @@ class Formation(Extension[FormationConfig]):
     ) -> Leader:
         """The leader at the begin: in the middle of all, where it is wanted, or where the vehicle is that leads."""
         names = list(starts)
-        middle = wanted.at_enu_m or _middle(list(starts.values()))
+        middle = wanted.at_enu_m or middle_of(list(starts.values()))
         if lead is not None:
             here = place(lead, now, fresh=True)
             if here is None:
@@ -241,8 +241,8 @@ class Formation(Extension[FormationConfig]):
         heading = wanted.heading_rad or 0.0
         if wanted.shape == CURRENT:
             # as they are, about the leader
-            about = _middle(list(starts.values())) if lead is None else middle
-            offsets = {name: _turned(minus(start, about), -heading) for name, start in starts.items()}
+            about = middle_of(list(starts.values())) if lead is None else middle
+            offsets = {name: turned(minus(start, about), -heading) for name, start in starts.items()}
         else:
             shape = WantedFormation(wanted.shape, (0.0, 0.0, 0.0), 0.0, 1.0, wanted.spacing_m)
             points = list(shape.places(names, starts).values())
@@ -370,6 +370,7 @@ class Formation(Extension[FormationConfig]):
         flight = self.flying()
         if flight.led_by is not None and not isinstance(demand, Stay):
             raise RefusedError(f"{flight.led_by} leads: fly that, or start the formation without a leader")
+        flight.follow_leader()
         leader = flight.leader
         if (to := getattr(demand, "place_enu_m", None)) is not None:
             places = leader.places_at(to, leader.wanted_yaw_rad, leader.wanted_scale)
@@ -377,14 +378,27 @@ class Formation(Extension[FormationConfig]):
         leader.demand = demand
         return self.status()
 
+    def guide(self, places: Mapping[str, Moving], valid_s: float) -> dict[str, Any]:
+        """Fly members to a program's own places for so long. Raises RefusedError for who is no member, or a place where
+        it may not be."""
+        flight = self.flying()
+        if unknown := sorted(places.keys() - {*flight.members}):
+            raise RefusedError(f"{', '.join(unknown)}: no members; there are {', '.join(flight.members)}")
+        self._require_allowed({name: moving.pos_enu_m for name, moving in places.items()}, flight.filter.allowed)
+        flight.guide(places, self.core.now() + valid_s)
+        return self.status()
+
     def turn(self, heading_rad: float) -> dict[str, Any]:
         """Turn the formation about its leader."""
-        self.flying().leader.wanted_yaw_rad = math.remainder(heading_rad, math.tau)
+        flight = self.flying()
+        flight.follow_leader()
+        flight.leader.wanted_yaw_rad = math.remainder(heading_rad, math.tau)
         return self.status()
 
     def scale(self, factor: float) -> dict[str, Any]:
         """Scale all offsets. Raises RefusedError where two places would be too near."""
         flight = self.flying()
+        flight.follow_leader()
         before, flight.leader.wanted_scale = flight.leader.wanted_scale, factor
         try:
             self._require_room(flight.leader, flight.filter.kept_m, flight.filter.downwash_ratio)
@@ -446,7 +460,7 @@ def _assigned(
     """A point of the shape for each vehicle, so that they cross each other little on their way."""
     from skygcs.core.plan.straight_flight import assigned
 
-    goals = [_plus(middle, _turned(point, heading)) for point in points]
+    goals = [_plus(middle, turned(point, heading)) for point in points]
     order = assigned([starts[name] for name in names], goals, 2.0)
     return {name: points[index] for name, index in zip(names, order, strict=True)}
 
@@ -455,16 +469,6 @@ def _behind(points: Sequence[Vector], wanted: WantedFlight) -> list[Vector]:
     """The points behind a vehicle that leads: the foremost is a spacing behind it."""
     foremost = max(point[0] for point in points)
     return [(x - foremost - wanted.spacing_m, y, z) for x, y, z in points]
-
-
-def _middle(points: Sequence[Vector]) -> Vector:
-    x, y, z = (math.fsum(point[axis] for point in points) / len(points) for axis in range(3))
-    return x, y, z
-
-
-def _turned(vector: Vector, angle_rad: float) -> Vector:
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]
 
 
 def _plus(a: Vector, b: Vector) -> Vector:

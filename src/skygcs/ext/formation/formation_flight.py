@@ -20,8 +20,8 @@ from enum import StrEnum
 from typing import Any, NamedTuple
 
 from skygcs.ext.formation.evasion import Evasion
-from skygcs.ext.formation.leader import Leader
-from skygcs.ext.formation.separation_filter import Moving, Obstacle, SeparationFilter, Vector
+from skygcs.ext.formation.leader import Leader, standing
+from skygcs.ext.formation.separation_filter import Moving, Obstacle, SeparationFilter, Vector, moved
 
 OFF_S = 1.0
 """A member that is so long farther from its reference than its part of the distance allows stops the formation: a gust
@@ -75,10 +75,16 @@ class FormationFlight:
     left: dict[str, str] = field(default_factory=dict)
     """Members that left, and why."""
     evasion: Evasion = field(default_factory=Evasion)
+    _guided: dict[str, Moving] = field(default_factory=dict)
+    """Places that a program gave instead of those about the leader ..."""
+    _guided_until: float = -math.inf
+    """... and until when."""
     least_m: tuple[float, str, str] | None = None
     """The least distance that two members were seen at, in the metric of the downwash ratio."""
     off_place_m: dict[str, float] = field(default_factory=dict)
     """Of each member as it is measured, from its place; without what is not seen."""
+    _wanted: dict[str, Moving] = field(default_factory=dict)
+    """Where each member was to be in the last step."""
     _off_since: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -90,6 +96,38 @@ class FormationFlight:
         """Brake all. Idempotent."""
         if self.state is FormationState.FLYING:
             self.state, self.reason = FormationState.STOPPING, reason
+
+    def guide(self, places: Mapping[str, Moving], until: float) -> None:
+        """Fly to a program's own places until then; a member without one stays. After it all stay where they are."""
+        stay = {name: Moving(member.moving.pos_enu_m) for name, member in self.filter.members.items()}
+        self._guided, self._guided_until = {**stay, **places}, until
+
+    @property
+    def guided(self) -> bool:
+        """True while a program's places are in force."""
+        return bool(self._guided)
+
+    def follow_leader(self) -> None:
+        """End a program's places: all stay about the leader, which stands in their middle. Idempotent."""
+        if self._guided:
+            self._guided = {}
+            here = {name: member.moving.pos_enu_m for name, member in self.filter.members.items()}
+            self.leader = standing(here, self.leader.yaw_rad, self.filter.bounds)
+
+    def _places(self, leader: Moving | None, dt_s: float, now: float) -> dict[str, Moving]:
+        """Where each member is to be now: by the program, or about the leader, which is advanced."""
+        if self._guided and now >= self._guided_until:
+            self.follow_leader()
+        if self._guided:
+            self._guided = {name: moved(moving, dt_s) for name, moving in self._guided.items()}
+            return self._guided
+        if self.led_by is None:
+            self.leader.step(dt_s, now)
+        elif leader is not None:
+            self.leader.follow(leader, dt_s)
+        else:
+            self.stop(f"{self.led_by}, which leads, is not seen")
+        return self.leader.places()
 
     def leave(self, name: str, why: str) -> None:
         """A member is not flown by this formation any more: the others stop. Idempotent."""
@@ -113,13 +151,7 @@ class FormationFlight:
         if self.state is FormationState.STOPPED:
             return {}
         self._judge(seen, now)
-        if self.led_by is None:
-            self.leader.step(dt_s, now)
-        elif leader is not None:
-            self.leader.follow(leader, dt_s)
-        else:
-            self.stop(f"{self.led_by}, which leads, is not seen")
-        places = self.leader.places()
+        self._wanted = places = self._places(leader, dt_s, now)
         self.off_place_m = {
             name: math.dist(there.pos_enu_m, places[name].pos_enu_m) for name, there in seen.items() if name in places
         }
@@ -157,14 +189,14 @@ class FormationFlight:
 
     def status(self, now: float) -> dict[str, Any]:
         """The flight as formation.status shows it."""
-        places = self.leader.places()
+        places = self._wanted or self.leader.places()
         off = list(self.off_place_m.values())
         there = len(off) == len(self.filter.members) and all(metres <= AT_PLACE_M for metres in off)
         return {
             "state": self.state.value,
             "reason": self.reason,
-            "settled": self.state is FormationState.FLYING and there and self.leader.rests,
-            "leader": self.led_by or "virtual",
+            "settled": self.state is FormationState.FLYING and there and self.leader.rests and not self.guided,
+            "leader": "program" if self.guided else self.led_by or "virtual",
             "middle_enu_m": [round(value, 2) for value in self.leader.moving.pos_enu_m],
             "vel_enu_mps": [round(value, 2) for value in self.leader.moving.vel_enu_mps],
             "heading_rad": self.leader.yaw_rad,

@@ -17,8 +17,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from skygcs.core.plan.formations import middle_of
 from skygcs.ext.formation.evasion import straight_to
-from skygcs.ext.formation.separation_filter import RESPONSE_S, REST, MotionBounds, Moving, Vector
+from skygcs.ext.formation.separation_filter import RESPONSE_S, REST, MotionBounds, Moving, Vector, minus
 
 ACCELERATION_SHARE = 0.5
 """Of the members': the other half is for keeping their places."""
@@ -149,9 +150,8 @@ class Leader:
         return {name: moving.pos_enu_m for name, moving in at.places().items()}
 
     def _place(self, offset: Vector) -> Moving:
-        cos, sin, scale = math.cos(self.yaw_rad), math.sin(self.yaw_rad), self.scale
-        x, y, z = scale * offset[0], scale * offset[1], scale * offset[2]
-        east, north = cos * x - sin * y, sin * x + cos * y
+        scale = self.scale
+        east, north, z = turned((scale * offset[0], scale * offset[1], scale * offset[2]), self.yaw_rad)
         (px, py, pz), (u, v, w) = self.moving
         rate, growth = self.yaw_rate_radps, self.scale_per_s / scale
         return Moving(
@@ -171,6 +171,19 @@ class Leader:
         most = min(SCALE_PER_S, swing_mps / max(outer_m, 0.1))
         self.scale_per_s = _ramped(self.scale_per_s, self.wanted_scale - self.scale, most, dt_s)
         self.scale += self.scale_per_s * dt_s
+
+
+def standing(places: Mapping[str, Vector], yaw_rad: float, bounds: MotionBounds) -> Leader:
+    """A leader in the middle of places, which stay as they are."""
+    middle = middle_of(list(places.values()))
+    offsets = {name: turned(minus(place, middle), -yaw_rad) for name, place in places.items()}
+    return Leader(Moving(middle), yaw_rad, bounds, offsets)
+
+
+def turned(vector: Vector, yaw_rad: float) -> Vector:
+    """A vector turned about up, counter-clockwise."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]
 
 
 def _ramped(rate: float, left: float, most: float, dt_s: float) -> float:

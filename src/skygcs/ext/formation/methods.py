@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Literal, Protocol
 
 from pydantic import Field, model_validator
@@ -10,6 +11,7 @@ from pydantic import Field, model_validator
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.ext.formation.formation_flight import WantedFlight
 from skygcs.ext.formation.leader import Demand, Fly, GoTo, Stay
+from skygcs.ext.formation.separation_filter import Moving
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
@@ -68,6 +70,24 @@ class FormationScaleParams(MethodParams):
     factor: Annotated[float, Field(ge=0.1, le=10)] = Field(description="Of the offsets at the start.")
 
 
+class GuidedPlace(MethodParams):
+    """Where one member is to be now, and how that place moves."""
+
+    pos_enu_m: Place
+    vel_enu_mps: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+        [0.0, 0.0, 0.0], description="[x, y, up] along the fleet's axes; the place moves on with it."
+    )
+
+
+class FormationGuideParams(MethodParams):
+    """Places of a program's own, in place of those about a leader."""
+
+    places: dict[str, GuidedPlace] = Field(max_length=300, description="By vehicle; members without one stay.")
+    valid_s: Annotated[float, Field(ge=0.1, le=LONGEST_FLY_S)] = Field(
+        1.0, description="Without newer ones all stay where they are then, about a leader that stands."
+    )
+
+
 class FormationMember(Result):
     """One follower."""
 
@@ -86,7 +106,7 @@ class FormationStatus(Result):
     state: Literal["none", "flying", "stopping", "stopped"]
     reason: str = Field("", description="Why it stops.")
     settled: bool = Field(False, description="The leader rests, and all members are within a metre of their places.")
-    leader: str | None = Field(None, description="The vehicle that leads, or virtual.")
+    leader: str | None = Field(None, description="The vehicle that leads, virtual, or program (formation.guide).")
     middle_enu_m: list[float] | None = Field(None, description="Where the leader is.")
     vel_enu_mps: list[float] | None = None
     heading_deg: float | None = None
@@ -97,6 +117,13 @@ class FormationStatus(Result):
     )
     least_pair: list[str] | None = None
     members: list[FormationMember]
+
+
+def formation_guide(context: Context, params: FormationGuideParams) -> JsonObject:
+    """Fly members to places of the caller's own, again and again: a flock, a game, a planner. The filter keeps them
+    apart, whatever places are given."""
+    places = {name: Moving(vector(place.pos_enu_m), vector(place.vel_enu_mps)) for name, place in params.places.items()}
+    return shown(_keeper(context).guide(places, params.valid_s))
 
 
 async def formation_start(context: Context, params: FormationStartParams) -> JsonObject:
@@ -149,6 +176,7 @@ class FormationKeeper(Protocol):
 
     async def begin(self, wanted: WantedFlight) -> JsonObject: ...
     def lead(self, demand: Demand) -> JsonObject: ...
+    def guide(self, places: Mapping[str, Moving], valid_s: float) -> JsonObject: ...
     def turn(self, heading_rad: float) -> JsonObject: ...
     def scale(self, factor: float) -> JsonObject: ...
     def stop(self) -> JsonObject: ...
@@ -178,6 +206,7 @@ _TARGET = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 METHODS: tuple[Method[Context], ...] = (
     Method("formation.start", FormationStartParams, formation_start, FormationStatus, _TARGET),
     Method("formation.move", FormationMoveParams, formation_move, FormationStatus, (error_codes.REFUSED,)),
+    Method("formation.guide", FormationGuideParams, formation_guide, FormationStatus, (error_codes.REFUSED,)),
     Method("formation.turn", FormationTurnParams, formation_turn, FormationStatus, (error_codes.REFUSED,)),
     Method("formation.scale", FormationScaleParams, formation_scale, FormationStatus, (error_codes.REFUSED,)),
     Method("formation.stop", NoParams, formation_stop, FormationStatus, always=True),

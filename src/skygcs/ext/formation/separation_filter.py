@@ -356,6 +356,11 @@ def _after(moving: Moving, acc: Vector, dt_s: float) -> Moving:
     )
 
 
+def moved(moving: Moving, dt_s: float) -> Moving:
+    """Where it is so much later, straight on."""
+    return _after(moving, REST, dt_s)
+
+
 def _times(vector: Vector, factor: float) -> Vector:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 

@@ -94,3 +94,17 @@ def test_its_status_has_distances_and_whether_it_is_settled() -> None:
     run.formation.leader.wanted_yaw_rad = 1.0
     run.step(0.3)
     assert not run.formation.status(run.now)["settled"]
+
+
+def test_a_programs_places_hold_until_then_and_then_all_stay() -> None:
+    run = Run(flight())
+    run.formation.guide({"a": Moving((3.0, 5.0, 10.0), (0.5, 0.0, 0.0))}, until=4.0)
+    run.step(3.5)
+    assert run.formation.guided and run.formation.status(run.now)["leader"] == "program"
+    assert not run.formation.status(run.now)["settled"]
+    a = run.formation.filter.members["a"].moving
+    assert a.pos_enu_m[0] > 2.0 and a.vel_enu_mps[0] > 0.4
+    assert run.formation.filter.members["b"].moving.pos_enu_m == pytest.approx(STARTS["b"])
+    run.step(6.0)
+    assert not run.formation.guided and run.formation.status(run.now)["settled"]
+    assert run.formation.filter.members["a"].moving.pos_enu_m[0] < 7.0
