@@ -122,6 +122,19 @@ async def test_a_formation_follows_a_vehicle(tmp_path: Path) -> None:
             await gcs("formation.move", to_enu_m=[0.0, 0.0, 12.0])
 
 
+async def test_nobody_follows_a_leader_down_to_the_ground(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=3) as gcs:
+        await gcs("formation.start", targets=["v2", "v3"], shape="line", spacing_m=8.0, leader="v1")
+        await asyncio.sleep(15.0)
+        await gcs.done("vehicles.land", targets="v1")
+        await gcs.until(lambda: gcs.daemon.extensions["formation"].status()["state"] == "stopped", 60.0)
+        assert "does not fly" in (await status(gcs))["reason"]
+        await asyncio.sleep(5.0)
+        assert all(gcs.place(name)[2] > 2.5 for name in ("v2", "v3"))
+        with pytest.raises(RefusedError, match="leads, and does not fly"):
+            await gcs("formation.start", targets=["v2", "v3"], leader="v1")
+
+
 async def test_who_leaves_stops_the_others(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=3) as gcs:
         names = NAMES[:3]

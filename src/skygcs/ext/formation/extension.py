@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from skygcs.config.tables import Problem
 from skygcs.core.geo import EnuFrame, Origin, world_from_enu
 from skygcs.core.monitor.conflict_levels import HORIZON_S
-from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track
+from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track, is_flying
 from skygcs.core.plan.formations import CURRENT, WantedFormation, middle_of
 from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.vehicle.flight_lock import Holder
@@ -237,6 +237,8 @@ class Formation(Extension[FormationConfig]):
             here = place(lead, now, fresh=True)
             if here is None:
                 raise RefusedError(f"{lead.name} leads, and its position is not known, or old")
+            if not is_flying(lead.vehicle, now):
+                raise RefusedError(f"{lead.name} leads, and does not fly: `skygcs-cli takeoff {lead.name} 10` first")
             middle = here
         heading = wanted.heading_rad or 0.0
         if wanted.shape == CURRENT:
@@ -289,11 +291,7 @@ class Formation(Extension[FormationConfig]):
             if (why := self._gone(name)) is not None:
                 flight.leave(name, why)
         seen = {name: there for name in flight.members if (there := self._measured(self._actors[name], now))}
-        leader = None
-        if flight.led_by is not None:
-            known = {actor.name: actor for actor in self.core.fleet.vehicles.values()}
-            leader = self._measured(known[flight.led_by], now) if flight.led_by in known else None
-        references = flight.step(seen, leader, list(self._obstacles(self.keys, now)), dt_s, now)
+        references = flight.step(seen, self._led(flight, now), list(self._obstacles(self.keys, now)), dt_s, now)
         for name, (pos, vel, acc) in references.items():
             outcome = self.core.fleet.setpoint(
                 name, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
@@ -306,6 +304,16 @@ class Formation(Extension[FormationConfig]):
                 self._report(f"{flight.state.value}: {flight.reason}", {})
         if flight.state is FormationState.STOPPED:
             self._end()
+
+    def _led(self, flight: FormationFlight, now: float) -> Moving | None:
+        """Where the vehicle is that leads; None: it is not seen, or none leads. One that lands ends the flight: the others
+        must not follow it down."""
+        actor = next((a for a in self.core.fleet.vehicles.values() if a.name == flight.led_by), None)
+        if actor is None:
+            return None
+        if not is_flying(actor.vehicle, now):
+            flight.stop(f"{actor.name}, which leads, does not fly")
+        return self._measured(actor, now)
 
     def _gone(self, name: str) -> str | None:
         """Why a member is not flown by this formation any more; None: it is."""
