@@ -306,8 +306,8 @@ class Formation(Extension[FormationConfig]):
             self._end()
 
     def _led(self, flight: FormationFlight, now: float) -> Moving | None:
-        """Where the vehicle is that leads; None: it is not seen, or none leads. One that lands ends the flight: the others
-        must not follow it down."""
+        """Where the vehicle is that leads; None: it is not seen, or none leads. One that lands ends the flight: the
+        others must not follow it down."""
         actor = next((a for a in self.core.fleet.vehicles.values() if a.name == flight.led_by), None)
         if actor is None:
             return None
