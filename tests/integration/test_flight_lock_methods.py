@@ -99,6 +99,10 @@ MOVES = {
         *("trajectory.load", "trajectory.pause", "trajectory.resume", "trajectory.speed", "trajectory.abort"),
         *("control.setpoint", "plan.speed"),
     ),
+    "tests/integration/test_formation.py": (
+        *("formation.start", "formation.guide", "formation.move", "formation.turn", "formation.scale"),
+        "formation.stop",
+    ),
     "tests/integration/test_companion_control.py": ("companion.contact", "companion.order", "companion.setpoint"),
     "tests/integration/test_authority.py": ("authority.grant", "authority.revoke"),
     "tests/unit/core/vehicle/test_gate.py": ("vehicles.command", "messages.send"),

@@ -20,7 +20,7 @@ import itertools
 import math
 import random
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -94,12 +94,14 @@ class Watched:
 
 
 class Air:
-    """Twenty vehicles behind their radios, on the ground."""
+    """Vehicles behind their radios, on the ground. ``by``: how plans are flown; None: as it is chosen."""
 
-    def __init__(self, daemon: Daemon) -> None:
+    def __init__(self, daemon: Daemon, radios: Sequence[str] = RADIOS, by: str | None = None) -> None:
         self.daemon = daemon
+        self.radios = radios
+        self.by = by
         self.frame = LocalFrame(FIELD["lat_deg"], FIELD["lon_deg"], FIELD["alt_amsl_m"])
-        self.links = [link for link in map(daemon.links.link, RADIOS) if isinstance(link, SimulatedVehiclesLink)]
+        self.links = [link for link in map(daemon.links.link, radios) if isinstance(link, SimulatedVehiclesLink)]
         self.names: dict[int, str] = {}
         self._lost: str | None = None
         self._gaps: set[int] = set()
@@ -140,7 +142,7 @@ class Air:
     async def heard(self) -> None:
         """Until every vehicle is there, and planned on its radio."""
         end = self.daemon.now() + 240.0
-        while len(self.daemon.fleet.vehicles) < VEHICLES or not self._settled():
+        while len(self.daemon.fleet.vehicles) < len(self.sims) or not self._settled():
             if self.daemon.now() > end:
                 raise RuntimeError("the radios never settled")
             await asyncio.sleep(0.5)
@@ -148,7 +150,7 @@ class Air:
 
     def _settled(self) -> bool:
         radios = self.daemon.air.status(self.daemon.now())
-        return len(radios) == len(RADIOS) and all(v["settled"] for radio in radios for v in radio["vehicles"])
+        return len(radios) == len(self.radios) and all(v["settled"] for radio in radios for v in radio["vehicles"])
 
     async def call(self, method_name: str, **params: Any) -> Any:
         method = METHODS[method_name]
@@ -195,7 +197,8 @@ class Air:
         return report
 
     async def _begin(self) -> Any:
-        answer = await self.call("plan.run", mode="position", set_return_heights=True, force=True)
+        how = {} if self.by is None else {"by": self.by}
+        answer = await self.call("plan.run", mode="position", set_return_heights=True, force=True, **how)
         # force is for the clocks only, which virtual time sets apart
         findings = answer["report"]["findings"]
         bad = [f["text"] for f in findings if f["severity"] == "refused" and f["check"] != "preflight"]
@@ -307,6 +310,33 @@ def _through(at: Callable[[float], Vector]) -> Trajectory:
 OVER = ("finished", "aborted", "landed")
 
 
+@contextlib.asynccontextmanager
+async def in_the_air(
+    folder: Path, links: Mapping[str, Mapping[str, Any]], *, by: str | None = None, fence: Mapping[str, Any] = FENCE
+) -> AsyncIterator[Air]:
+    """A daemon with these simulated radios, once it has heard and planned all their vehicles."""
+    own = {"socket": folder / "s", "log_dir": folder / "logs", "record": False}
+    config = FleetConfig.model_validate(
+        {"daemon": own, "origin": FIELD, "links": links, "defaults": {"control": {"fence": fence}}}
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    running = asyncio.create_task(daemon.run(), name="the daemon")
+    await daemon.ready.wait()
+    try:
+        await asyncio.sleep(1.0)
+        air = Air(daemon, list(links), by)
+        for sim in air.sims:
+            for param, value in PARAMS.items():
+                sim.params.set(param, value)
+        await air.heard()
+        await asyncio.sleep(30.0)
+        yield air
+    finally:
+        daemon.stop()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+
+
 async def fly_all(folder: Path, names: list[str]) -> list[dict[str, Any]]:
     """The flights of these names, one after the other in one air; a lost link comes last."""
     half = VEHICLES // len(RADIOS)
@@ -323,30 +353,12 @@ async def fly_all(folder: Path, names: list[str]) -> list[dict[str, Any]]:
         }
         for i, name in enumerate(RADIOS)
     }
-    own = {"socket": folder / "s", "log_dir": folder / "logs", "record": False}
-    config = FleetConfig.model_validate(
-        {"daemon": own, "origin": FIELD, "links": links, "defaults": {"control": {"fence": FENCE}}}
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run(), name="the daemon")
-    await daemon.ready.wait()
-    gaps: asyncio.Task[None] | None = None
-    try:
-        await asyncio.sleep(1.0)
-        air = Air(daemon)
-        for sim in air.sims:
-            for param, value in PARAMS.items():
-                sim.params.set(param, value)
-        await air.heard()
-        await asyncio.sleep(30.0)
+    async with in_the_air(folder, links) as air:
         gaps = asyncio.create_task(air.gaps(), name="gaps")
-        return [await (_lost_link(air) if name == "lost link" else _flight(air, name)) for name in names]
-    finally:
-        if gaps is not None:
+        try:
+            return [await (_lost_link(air) if name == "lost link" else _flight(air, name)) for name in names]
+        finally:
             gaps.cancel()
-        daemon.stop()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
 
 
 async def _flight(air: Air, name: str) -> dict[str, Any]:
@@ -399,7 +411,7 @@ def _row(air: Air, name: str, certificate: Certificate, seen: Watched, report: M
     wanted = "stopped" if name == "lost link" else "finished"
     return {
         "flight": name,
-        "vehicles": VEHICLES,
+        "vehicles": len(air.sims),
         "state": status["state"],
         "reason": status["reason"],
         "states": seen.states,
