@@ -44,6 +44,20 @@ async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, 
         assert least_distance(gcs, began)[0] > MARGIN_M
 
 
+@KINDS
+async def test_a_plan_that_is_run_in_the_moment_the_last_one_finished_is_flown(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    """The orders to hold at the end of the one do not end the engagement of the other."""
+    async with flown(tmp_path, **kind) as gcs:
+        starts, goals = crossing(gcs)
+        for plan in (timed(starts, goals), timed(goals, starts)):
+            began = gcs.now
+            await run(gcs, plan)
+            await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 120.0)
+            assert state(gcs) == "finished", plan_events(gcs, began)
+
+
 async def midway(gcs: Flown, **params: Any) -> float:
     """In the middle of the plan itself; when that was."""
     starts, goals = crossing(gcs)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
@@ -33,12 +34,17 @@ class KnownLinks(WideLinks):
         self.broadcast = True
         self.heard: Mapping[str, LinkFacts] = {}
         self.replayed: set[int] = set()
+        self.held: Callable[[Hashable], bool] = lambda key: False
+        """True for the key of a message that still waits to be sent."""
 
     def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
         return self.bytes_per_s
 
     def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
         return self.heard
+
+    def holds(self, vehicle: Vehicle, priority: Priority, key: Hashable) -> bool:
+        return self.held(key)
 
     def may_broadcast(self) -> bool:
         return self.broadcast

@@ -70,6 +70,7 @@ class SimField:
         priority: Priority,
         *,
         everywhere: bool = False,
+        key: object = None,
         clearance: Clearance | None = None,
     ) -> bool:
         self._seq += 1

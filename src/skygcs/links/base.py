@@ -182,6 +182,10 @@ class Channel(ABC):
         """How many of this class wait to be sent."""
         return 0
 
+    def holds(self, priority: Priority, sysid: int, key: Hashable) -> bool:
+        """True if a message of ours to this system waits to be sent under this key."""
+        return False
+
     def drop_setpoints(self, sysid: int) -> int:
         """Forget setpoints of ours for this system that wait to be sent here, as they go over another link from now on;
         how many that were."""

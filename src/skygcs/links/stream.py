@@ -163,6 +163,9 @@ class QueuedChannel(Channel):
     def waiting(self, priority: Priority) -> int:
         return self.queue.waiting(priority)
 
+    def holds(self, priority: Priority, sysid: int, key: Hashable) -> bool:
+        return self.queue.holds(priority, None if self.air is None else sysid, key)
+
     def counters(self) -> dict[str, Any]:
         return {**super().counters(), "tx_waiting": len(self._line)}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
 from skygcs.core.mavlink.frame import Frame
@@ -19,6 +19,7 @@ from skygcs.core.radio_link.capacity import (
     SETPOINT_SHARE,
     setpoint_bytes_per_s,
 )
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel
 from skygcs.runtime.hub import Hub
@@ -129,6 +130,11 @@ class LinkView:
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         """See `Hub.channels_to`."""
         return self._hub.channels_to(vehicle.sysid, vehicle.compid)
+
+    def holds(self, vehicle: Vehicle, priority: Priority, key: Hashable) -> bool:
+        """See `VehicleLinks.holds`."""
+        channels = self._hub.channels
+        return any(channels[i].holds(priority, vehicle.sysid, key) for i in self.channels_to(vehicle))
 
     def links_to(self, vehicle: Vehicle) -> frozenset[str]:
         """Names of the links over which this vehicle was heard less than HEARD_S ago."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import defaultdict
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -597,7 +597,8 @@ class VehicleParams:
         assert info is not None
         values = {**effect.values, "target_system": sysid, "target_component": compid}
         cleared: dict[str, Any] = {"clearance": _CLEARED[effect.message]} if effect.message in _CLEARED else {}
-        self._taken[protocol] += self._send(info, values, sysid, compid, Priority.PROTOCOL, **cleared)
+        key = _key(effect.message, effect.values, sysid, compid)
+        self._taken[protocol] += self._send(info, values, sysid, compid, Priority.PROTOCOL, key=key, **cleared)
 
     def _set_timer(self) -> None:
         self._timer.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))
@@ -605,8 +606,20 @@ class VehicleParams:
     def _on_timer(self) -> None:
         now = self._loop.time()
         for protocol in list(self._running):
+            if isinstance(protocol, ParameterProtocol) and self._is_queued(protocol, now):
+                protocol.still_waits(now)
             self._apply(protocol, protocol.on_timer(now))
         self._set_timer()
+
+    def _is_queued(self, protocol: ParameterProtocol, now: float) -> bool:
+        """True if its deadline has come while its request still waits for the radio: to repeat it would be to let it
+        wait once more."""
+        if protocol.deadline is None or now < protocol.deadline:
+            return False
+        links, ids = self._services.links, (self._vehicle.sysid, self._vehicle.compid)
+        values = {"param_id": protocol.name, "param_index": -1}
+        keys = (_key(message, values, *ids) for message in ("PARAM_SET", "PARAM_REQUEST_READ"))
+        return any(links.holds(self._vehicle, Priority.PROTOCOL, key) for key in keys)
 
     def _loaded(self, task: asyncio.Task[Loaded]) -> None:
         if self._loading is task:
@@ -637,6 +650,15 @@ class VehicleParams:
     def _report(self, action: str, text: str, data: dict[str, Any]) -> None:
         data = {"action": action, "state": "done"} | data
         self._on_event(Event("params", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def _key(message: str, values: Mapping[str, Any], sysid: int, compid: int) -> Hashable | None:
+    """Key in the link's queue: a repeated request takes the place of one that still waits. None: a part of a file."""
+    if message == "PARAM_SET":
+        return message, sysid, compid, values["param_id"]
+    if message == "PARAM_REQUEST_READ":
+        return message, sysid, compid, values["param_id"], values["param_index"]
+    return None
 
 
 def _progress_data(progress: ListProgress) -> dict[str, Any]:

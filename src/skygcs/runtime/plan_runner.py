@@ -95,6 +95,9 @@ from skygcs.runtime.vehicle_services import VehicleLinks
 BELOW_GROUND_M = 2.0
 """A landing is certified down to so far below the lowest known ground: the field may slope."""
 
+LAST_ENDS_S = 15.0
+"""An order to hold is repeated for some 10 s at most."""
+
 PAUSE_WAIT_S = 30.0
 """The longest stop: 5 m/s with 1 m/s² takes five seconds."""
 
@@ -309,6 +312,7 @@ class PlanRunner:
             raise RefusedError("skygcs is shutting down")
         self._busy = "the check before a flight"
         try:
+            await self._last_ended()
             checked = await self._check(request, set_return_heights=set_return_heights, before_flight=True)
             if not checked.passes(force=request.force) or checked.execution is None:
                 return False, checked.report(force=request.force)
@@ -324,6 +328,15 @@ class PlanRunner:
             return bool(report["ok"]), report
         finally:
             self._busy = self._checking = None
+
+    async def _last_ended(self) -> None:
+        """Wait for the orders to hold at the end of the last flight: one that comes later than an engagement of this
+        one would take its place. Raises RefusedError."""
+        try:
+            async with asyncio.timeout(LAST_ENDS_S):
+                await self._orders.settled()
+        except TimeoutError:
+            raise RefusedError("orders of the last flight are still under way: `skygcs-cli plan status`") from None
 
     def _begin(self, request: FlightRequest, checked: _Checked, execution: Execution) -> None:
         """Let a checked flight begin."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +13,7 @@ from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.monitor.tracks import Place
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -74,6 +75,10 @@ class VehicleLinks(Protocol):
         """Ids of the channels on which a message of ours to this vehicle is sent now."""
         ...
 
+    def holds(self, vehicle: Vehicle, priority: Priority, key: Hashable) -> bool:
+        """True if a message of ours to this vehicle still waits to be sent under this key."""
+        ...
+
     def links_to(self, vehicle: Vehicle) -> frozenset[str]:
         """Names of the links over which this vehicle is heard now."""
         ...
@@ -122,6 +127,9 @@ class WideLinks:
 
     def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
         return ()
+
+    def holds(self, vehicle: Vehicle, priority: Priority, key: Hashable) -> bool:
+        return False
 
     def links_to(self, vehicle: Vehicle) -> frozenset[str]:
         return frozenset()

@@ -20,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.plans import flights, refusals, tick_lateness
+from bench.plans import flights, goto_flights, refusals, tick_lateness
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
 from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import TimedPlan
@@ -64,7 +64,11 @@ def main() -> int:
             wrong = ["random plans"] if instances["violations"] or instances["loose"] else []
             keep("instances", instances, wrong if "random plans" not in answer["missed"] else [])
         print(json.dumps(answer.get("instances"), indent=2), flush=True)
+        slow = [row for share in pool.map(goto_flights.flown, goto_flights.cases()) for row in share]
         flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
+    for row in slow:
+        print(goto_flights.text(row))
+    keep("goto", slow, [f"by {r['by']}: {r['flight']} of {r['vehicles']}" for r in slow if not r["met"]])
     for row in flown:
         print(flights.text(row))
     keep("flights", flown, [f"flight: {row['flight']}" for row in flown if not row["met"]])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+import random
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.monitor.virtual import in_virtual_time
-from bench.plans.flights import FIELD, LIMITS, OVER, OWED_M, RULE, Air, Watched, above, crossing, in_the_air
-from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan
-from skygcs.core.plan.formations import WantedFormation
-from skygcs.core.plan.plan_search import Task, make_plan
+from bench.plans.flights import FIELD, OVER, OWED_M, RULE, UP_M, Air, Watched, above, in_the_air
+from skygcs.core.plan.fleet_plan import PhasedPlan
+from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.core.separation import separation_m
+from support.planned import instant_planning
 
 AIR_KBPS = 64
 COUNTS = (4, 8, 14)
@@ -60,24 +61,39 @@ def cases() -> list[Case]:
     return slow + [Case(count, 0.0, "setpoints") for count in COUNTS]
 
 
-def plan_of(air: Air, name: str) -> Plan:
-    """A phased plan from where the vehicles are."""
-    if name == "crossing":
-        return crossing(air)
+async def plan_of(air: Air, name: str) -> PhasedPlan:
+    """What `plan make` makes of the task for the way it is flown, from where the vehicles are."""
+    instant_planning(air.daemon)
     starts = above(air)
-    middle = tuple(math.fsum(place[k] for place in starts.values()) / len(starts) for k in range(2))
-    shape = WantedFormation(name, (middle[0], middle[1] + 20.0, 10.0), 1.0, 1.0, SPACING_M)
-    goals = shape.places(list(starts), starts)
-    task = Task(starts, goals, exchangeable=True, kind="phased")
-    found = make_plan(task, RULE, LIMITS, FlightSpace(ceiling_m=100.0))
-    if found.plan is None:
-        raise RuntimeError(found.reasons()[:3])
-    return found.plan
+    task: dict[str, Any] = {
+        "starts": {one: list(place) for one, place in starts.items()},
+        "by": air.by,
+        "kind": "phased",
+    }
+    if name == "crossing":
+        goals = list(starts.values())
+        random.Random(7).shuffle(goals)
+        task["goals"] = {one: list(goal) for one, goal in zip(starts, goals, strict=True)}
+    else:
+        middle = [math.fsum(place[k] for place in starts.values()) / len(starts) for k in range(2)]
+        middle_m = [middle[0], middle[1] + 20.0, UP_M]
+        task["formation"] = {
+            "vehicles": list(starts),
+            "shape": name,
+            "middle_m": middle_m,
+            "spacing_m": SPACING_M,
+            "yaw_deg": 60.0,
+        }
+    found = await air.call("plan.make", **task)
+    if found["plan"] is None:
+        raise RuntimeError(found["reasons"][:3])
+    plan, _ = plan_from_json("plan.make", found["plan"])
+    assert isinstance(plan, PhasedPlan)
+    return plan
 
 
 async def _flight(air: Air, name: str, case: Case) -> dict[str, Any]:
-    plan = plan_of(air, name)
-    assert isinstance(plan, PhasedPlan)
+    plan = await plan_of(air, name)
     seen, began, before = Watched(), air.daemon.now(), _sent_bytes(air)
     report = await air.fly(plan, seen, until=lambda: air.state in OVER, lost=lambda: None)
     seconds = air.daemon.now() - began
@@ -110,8 +126,7 @@ async def _killed(case: Case, phase: int) -> dict[str, Any]:
     """The crossing, and the ground dies while all are in this phase of it."""
     with tempfile.TemporaryDirectory() as folder:
         async with in_the_air(Path(folder), case.links(), by=case.by, fence=FENCE) as air:
-            plan = crossing(air)
-            assert isinstance(plan, PhasedPlan)
+            plan = await plan_of(air, "crossing")
             name, seen = plan.phases[phase].name, Watched()
 
             def there() -> bool:
@@ -189,5 +204,6 @@ def text(row: Mapping[str, Any]) -> str:
         return f"{head}: at rest {row['off_end_m']:.2f} m from the ends, measured {row['measured_least_m']:.2f} m"
     return (
         f"{head}: {row['state']} in {row['seconds']:.0f} s, {len(row['stops'])} stops, "
-        f"{row['uplink_bytes_per_s']:.0f} B/s up; certified {row['certified_least_m']:.2f} m, measured {row['measured_least_m']:.2f} m"
+        f"{row['uplink_bytes_per_s']:.0f} B/s up; references {row['certified_least_m']:.2f} m apart, "
+        f"margin {row['certified_margin_m']:.2f} m, measured {row['measured_least_m']:.2f} m"
     )

@@ -49,6 +49,7 @@ async def field(cache: Path) -> AsyncIterator[tuple[Fleet, list[str]]]:
         /,
         *,
         everywhere: bool = False,
+        key: object = None,
         clearance: Clearance | None = None,
     ) -> bool:
         sent.append(info.name)

@@ -41,6 +41,9 @@ from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamValue, Valu
 from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Send
 from skygcs.core.protocols.command import RETRY_TIMERS_S
 
+LONGEST_QUEUED_S = 120.0
+"""Twenty parameters of each of fourteen vehicles take a radio at 64 kbit/s a minute and a half."""
+
 LATE_VALUE_S = 2.5
 """An answer later than this is not expected any more: three rounds of a nine-node multipoint radio at 64 kbit/s."""
 
@@ -216,6 +219,13 @@ class ParameterProtocol(ProtocolMachine):
                 now, "unknown", f"it answers, but not for {self.name}: it seems to have no such parameter"
             )
         return self._finish(now, "timeout", f"no answer to {self._tries} transmissions")
+
+    def still_waits(self, now: float) -> None:
+        """Its request has not left yet, behind others for the same radio: the wait for its answer begins later, up to
+        `LONGEST_QUEUED_S` after the begin."""
+        if self.deadline is not None and now - self._started < LONGEST_QUEUED_S:
+            self.deadline = now + RETRY_TIMERS_S[max(0, self._tries - 1)]
+            self.last_sent = now
 
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
         """End it from outside."""
