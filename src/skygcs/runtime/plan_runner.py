@@ -47,6 +47,7 @@ from skygcs.core.trajectory import ClockState, MotionLimits, least_limits
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.plan_rehearsal import (
+    PX4_OVERSHOOT_S,
     Flown,
     Stage,
     Stopped,
@@ -762,8 +763,9 @@ def _prepared_and_loaded(situation: Situation, rest: list[FlightStep] | None, st
     steps, loaded = [], []
     for step in prepared.steps:
         ways = _loaded(step)
-        if stage is not None and not step.timed and too_fast(ways, step.name, stage) is not None:
-            slower = slowed(step, situation.limits, stage)
+        tubes = prepared.tubes
+        if stage is not None and tubes is not None and not step.timed and too_fast(ways, step.name, stage, tubes):
+            slower = slowed(step, situation.limits, stage, tubes)
             step, ways = (step, ways) if slower is None else (slower, _loaded(slower))
         steps.append(step)
         loaded.append(ways)
@@ -795,7 +797,14 @@ def _stage(checked: _Checked, speed_factor: float) -> Stage:
 
 def _stage_of(lock: FlightLock, actors: Sequence[VehicleActor], speed_factor: float) -> Stage:
     """Where a flight with this lock is rehearsed: with the guard's figures of now."""
-    flown = {actor.name: Flown(lock.member(actor.name).fence, loss_reach(actor.vehicle)) for actor in actors}
+    flown = {
+        actor.name: Flown(
+            lock.member(actor.name).fence,
+            loss_reach(actor.vehicle),
+            PX4_OVERSHOOT_S if actor.vehicle.family == "px4" else 0.0,
+        )
+        for actor in actors
+    }
     brake_mps2 = min(lock.member(actor.name).limits.brake_mps2 for actor in actors)
     return Stage(lock.origin, flown, brake_mps2, speed_factor)
 

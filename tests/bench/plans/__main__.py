@@ -13,19 +13,27 @@ import json
 import math
 import random
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from bench.monitor.virtual import in_virtual_time
 from bench.plans import flights, goto_flights, refusals, tick_lateness
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
 from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.trajectory import Piece, Trajectory
+from support.dry_runs import Judged as DryRuns
+from support.dry_runs import judge as judge_dry_runs
+
+DRY_DAEMONS = 180
+"""Eight plans each: a thousand are flown, and some hundred refused ones are carried on from."""
 
 OUT = Path(__file__).parents[3] / "build" / "bench"
 SEEDS = range(5)
@@ -66,6 +74,11 @@ def main() -> int:
         print(json.dumps(answer.get("instances"), indent=2), flush=True)
         slow = [row for share in pool.map(goto_flights.flown, goto_flights.cases()) for row in share]
         flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
+        dry = DryRuns()
+        for one in pool.map(dry_runs, range(DRY_DAEMONS)):
+            dry += one
+    print(f"dry runs: {dry.passed} passed, {dry.flown} flown to their ends, {dry.refused} refused, {dry.led_on} led on")
+    keep("dry_runs", asdict(dry), dry.faults)
     for row in slow:
         print(goto_flights.text(row))
     keep("goto", slow, [f"by {r['by']}: {r['flight']} of {r['vehicles']}" for r in slow if not r["met"]])
@@ -77,6 +90,12 @@ def main() -> int:
     keep("control_ticks", ticks, [])
     print(f"{answer['seconds']:.0f} s; {len(answer['missed'])} missed; all of it in {OUT / 'plans.json'}")
     return 1 if answer["missed"] else 0
+
+
+def dry_runs(seed: int) -> DryRuns:
+    """Random plans of one daemon, in virtual time."""
+    with tempfile.TemporaryDirectory() as folder:
+        return in_virtual_time(judge_dry_runs(seed, Path(folder)))
 
 
 def _refusal(case: refusals.Case) -> dict[str, Any]:

@@ -8,6 +8,7 @@ and the same fence with the guard's look-ahead as in the flight, with vehicles t
     references                       `TrajectoryFlight.reference`
     fence: look-ahead of velocity    `fence_ahead`, which the control loop asks at each of its ticks
     fence: the vehicle itself        its reference, with its tube around it
+    the end of a straight leg        passed by `Flown.overshoot_s` times the speed, which has to stay in the tube
 
 Not rehearsed: wind, losses, pilots, orders and what a firmware does by itself. What stops a rehearsal stops the flight;
 an undisturbed flight is stopped by nothing that a rehearsal does not have.
@@ -39,15 +40,26 @@ fro by less in half a tick."""
 LONGEST_S = 7_200.0
 """Of a plan; a rehearsal that is not over by then never is."""
 
-SLOWER = (0.7, 0.5, 0.35, 0.25, 0.17, 0.12)
+SLOWER = (0.7, 0.5, 0.45, 0.35, 0.25, 0.17, 0.12)
 """Multiples of the speed that are tried for a step, or for a whole plan, that leads out of the fence too fast."""
 
 
+PX4_OVERSHOOT_S = 0.2
+"""A PX4 passes the end of its way by so much times the speed it comes with: what its velocity integrator
+(MPC_XY_VEL_I_ACC) has taken up against the air on a long way is unwound in seconds. 0.59 m at 3.5 m/s after 50 m and
+0.45 m at 2.25 m/s after 60 m, in calm air (simulated)."""
+
+COMES_WITH_S = 4.0
+"""The speed with which a trajectory comes to its end: the largest of its last seconds."""
+
+
 class Flown(NamedTuple):
-    """One vehicle, as the flight has it: its control fence on earth, and how far it goes when setpoints cease."""
+    """One vehicle, as the flight has it: its control fence on earth, how far it goes when setpoints cease, and how far
+    it passes the end of a leg, per m/s."""
 
     fence: Fence
     reach: LossReach
+    overshoot_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +98,9 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
             for name in order.vehicles if order.kind is OrderKind.ENGAGE else ():
                 execution.outcome(OrderKind.ENGAGE, name, True, "")
             if order.kind is OrderKind.FLY:
+                passing = _passing(execution.step, loaded[execution.index], tubes, stage)
+                if passing is not None:
+                    return passing
                 flights = _begun(loaded[execution.index], stage, frame, now)
         if flights:
             time = next(iter(flights.values())).clock.at(now)
@@ -104,6 +119,22 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
     return None
 
 
+def _passes(metres: float) -> str:
+    return f"it would pass the end of its way by {metres:.2f} m"
+
+
+def _passing(step: FlightStep, loaded: Loaded, tubes: Tubes, stage: Stage) -> Stopped | None:
+    """The first vehicle that comes to the end of its trajectory too fast to keep its tube there; None: none does."""
+    for name, one in loaded.items():
+        end_s = one.trajectory.duration_s
+        last = (end_s - COMES_WITH_S / 20 * k for k in range(1, 21))
+        speed_mps = max((math.hypot(*one.trajectory.at(t).vel_enu_mps) for t in last if t > 0.0), default=0.0)
+        passes_m = stage.flown[name].overshoot_s * speed_mps * stage.speed_factor
+        if passes_m > tubes.tube_m(name, timed=step.timed):
+            return Stopped(step.name, name, _passes(passes_m))
+    return None
+
+
 def _begun(loaded: Loaded, stage: Stage, frame: EnuFrame, now: float) -> dict[str, TrajectoryFlight]:
     clock = common_clock(list(loaded.values()), stage.brake_mps2, stage.speed_factor)
     clock.start(now, now)
@@ -118,7 +149,7 @@ def _ahead(step: str, flights: Mapping[str, TrajectoryFlight], stage: Stage, now
         places[name] = reference.pos_enu_m
         if not reference.moves:
             continue
-        fence, reach = stage.flown[name]
+        fence, reach, _ = stage.flown[name]
         place, velocity = reference.pos_enu_m, reference.vel_enu_mps
         why = fence_ahead(fence, stage.origin, place, velocity, reach, less_m=SLACK_M)
         if why is not None:
@@ -129,8 +160,13 @@ def _ahead(step: str, flights: Mapping[str, TrajectoryFlight], stage: Stage, now
 # --- slower, where that helps -----------------------------------------------------------------------------------------
 
 
-def too_fast(loaded: Loaded, step: str, stage: Stage) -> Stopped | None:
-    """The first vehicle that flies towards its fence too fast in this step; None: none does."""
+def too_fast(loaded: Loaded, step: str, stage: Stage, tubes: Tubes) -> Stopped | None:
+    """The first vehicle that flies towards its fence, or the end of its leg, too fast in this step of straight legs;
+    None: none does."""
+    for name, one in loaded.items():
+        passes_m = stage.flown[name].overshoot_s * one.peaks.speed_mps.at_most * stage.speed_factor
+        if passes_m > tubes.free_m[name]:
+            return Stopped(step, name, _passes(passes_m))
     frame = EnuFrame(stage.origin)
     flights = _begun(loaded, stage, frame, 0.0)
     clock = next(iter(flights.values())).clock
@@ -143,8 +179,8 @@ def too_fast(loaded: Loaded, step: str, stage: Stage) -> Stopped | None:
     return None
 
 
-def slowed(step: FlightStep, limits: MotionLimits, stage: Stage) -> FlightStep | None:
-    """The step of straight legs at the first of `SLOWER` at which none flies towards its fence too fast; None: at none.
+def slowed(step: FlightStep, limits: MotionLimits, stage: Stage, tubes: Tubes) -> FlightStep | None:
+    """The step of straight legs at the first of `SLOWER` at which none is `too_fast`; None: at none.
     A certificate of straight legs holds at any speed."""
     for factor in SLOWER:
         less = replace(
@@ -161,7 +197,7 @@ def slowed(step: FlightStep, limits: MotionLimits, stage: Stage) -> FlightStep |
         }
         slower = replace(step, trajectories=ways)
         loaded = {name: LoadedTrajectory(way, step.name) for name, way in ways.items()}
-        if too_fast(loaded, step.name, stage) is None:
+        if too_fast(loaded, step.name, stage, tubes) is None:
             return slower
     return None
 
