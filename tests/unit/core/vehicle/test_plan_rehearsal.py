@@ -87,7 +87,7 @@ def test_a_leg_whose_end_would_be_passed_by_more_than_its_tube_is_flown_slower()
     assert too_fast(loaded([step])[0], "cross", where, wide_tubes) is None, "a wider tube has room for it"
     assert rehearse([step], loaded([step]), wide_tubes, where) is None
     stopped = rehearse([step], loaded([step]), narrow, where)
-    assert stopped is not None and stopped.text == found.text
+    assert stopped is not None and "pass the end of its way by 1.1" in stopped.text
     assert too_fast(loaded([step])[0], "cross", replace(where, speed_factor=0.3), narrow) is None
 
 
