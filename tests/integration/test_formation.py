@@ -220,6 +220,19 @@ async def test_the_flock_of_the_examples_flies_in_its_box_and_stays_when_it_ends
         assert all(math.hypot(*gcs.truth[int(name[1:])][-1].vel_mps) < 0.3 for name in names)
 
 
+async def test_a_new_shape_takes_over_from_a_programs_places(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
+        await gcs("formation.guide", places={"v1": {"pos_enu_m": [0.0, 20.0, 10.0]}}, valid_s=60.0)
+        await asyncio.sleep(3.0)
+        await gcs("formation.start", targets=["v1", "v2"], shape="column", spacing_m=9.0)
+        await at_places(gcs)
+        await asyncio.sleep(60.0)
+        flight = await status(gcs)
+        (a, b) = (member["place_enu_m"] for member in flight["members"])
+        assert flight["settled"] and flight["leader"] == "virtual" and math.dist(a, b) == pytest.approx(9.0, abs=0.1)
+
+
 async def test_a_programs_places_are_checked_and_a_leader_takes_over_from_it(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
@@ -244,6 +257,12 @@ async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
             await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=2.0)
         with pytest.raises(RefusedError, match="outside its control fence"):
             await gcs("formation.start", targets=["v1", "v2"], shape="line", at_enu_m=[119.0, 0.0, 10.0])
+        await gcs.fly("velocity", "v1")
+        await gcs.done("control.setpoint", targets="v1", vel_enu_mps=[0.0, 3.0, 0.0], valid_s=4.0)
+        await asyncio.sleep(3.0)
+        with pytest.raises(RefusedError, match=r"v1 flies with 3\.\d m/s"):
+            await gcs("formation.start", targets=["v1", "v2"], shape="line")
+        await asyncio.sleep(8.0)
         with pytest.raises(RefusedError, match="no follower"):
             await gcs("formation.start", targets=["v1", "v2"], leader="v1")
         await gcs("formation.start", targets=["v1", "v2"], shape="line")

@@ -50,6 +50,9 @@ VALID_S = 0.5
 SEEN_S = 1.5
 """A vehicle whose position is older is not seen: the guard holds it soon after (`position_stale_s`)."""
 
+STANDS_MPS = 1.0
+"""A vehicle that hovers in wind moves slower than this; one that brakes from this stands within its tube."""
+
 KIND = "formation"
 
 MOST_MEMBERS = 30
@@ -157,14 +160,9 @@ class Formation(Extension[FormationConfig]):
         now, origin = self.core.now(), self.core.fleet.origin
         if origin is None:
             raise RefusedError("the fleet has no origin yet: `skygcs-cli origin set` first")
-        # where all are
-        starts: dict[str, Vector] = {}
-        for actor in actors:
-            if (here := place(actor, now, fresh=True)) is None:
-                raise RefusedError(f"{actor.name}: its position is not known, or old")
-            starts[actor.name] = here
         flight = self.flight
         goes_on = flight is not None and flight.state is FormationState.FLYING
+        starts = self._starts(actors, now, moving=goes_on)
         # the leader and the places about it
         bounds = self._bounds(actors)
         leader = self._leader(wanted, starts, lead, bounds, now)
@@ -188,6 +186,7 @@ class Formation(Extension[FormationConfig]):
         allowed = self._allowed(actors, starts, origin)
         self._require_allowed(leader.places_at(leader.moving.pos_enu_m, leader.yaw_rad, leader.scale), allowed)
         if goes_on and flight is not None:
+            flight.follow_leader()
             flight.leader, flight.led_by = leader, None if lead is None else lead.name
             self._report(f"{wanted.shape}: new places", {})
             return
@@ -203,6 +202,20 @@ class Formation(Extension[FormationConfig]):
         for actor in actors:
             actor.program = self
         self._report(f"{wanted.shape} of {', '.join(starts)} begins", {})
+
+    def _starts(self, actors: Iterable[VehicleActor], now: float, *, moving: bool) -> dict[str, Vector]:
+        """Where all are. Raises RefusedError where that is not known, or where one flies on, unless they may be
+        ``moving``: its reference begins at rest."""
+        starts: dict[str, Vector] = {}
+        for actor in actors:
+            there = self._measured(actor, now)
+            if there is None:
+                raise RefusedError(f"{actor.name}: its position is not known, or old")
+            speed_mps = math.hypot(*there.vel_enu_mps)
+            if speed_mps > STANDS_MPS and not moving:
+                raise RefusedError(f"{actor.name} flies with {speed_mps:.1f} m/s: `skygcs-cli hold {actor.name}` first")
+            starts[actor.name] = there.pos_enu_m
+        return starts
 
     def _allowed(self, actors: Sequence[VehicleActor], starts: Mapping[str, Vector], origin: Origin) -> Allowed:
         """Within each one's control fence, also if its setpoints cease, and not too low."""
