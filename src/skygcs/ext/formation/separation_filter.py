@@ -204,6 +204,8 @@ class SeparationFilter:
 
         def tries() -> Iterator[tuple[int, Try]]:
             for n, velocity in enumerate(velocities):
+                if not all(map(math.isfinite, velocity)):  # no comparison would stop it
+                    continue
                 acc = self._towards(moving, velocity)
                 after = _after(moving, acc, dt_s)
                 yield n, Try(acc, after, self._way(moving, acc, after, dt_s))

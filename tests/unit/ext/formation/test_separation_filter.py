@@ -81,6 +81,17 @@ def test_no_pair_comes_nearer_than_is_promised(
             assert math.hypot(*member.moving.vel_enu_mps[:2]) <= BOUNDS.speed_mps * 20
 
 
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf, -math.inf, 1e300])
+def test_what_is_no_velocity_is_not_taken(nonsense: float) -> None:
+    filter_ = filter_of((0.0, 0.0, 10.0), (9.0, 0.0, 10.0))
+    for _ in range(20):
+        filter_.step({"v0": [(nonsense, 0.0, 0.0), (0.0, nonsense, nonsense), (0.0, 1.0, 0.0)]}, [], 0.1)
+    member = filter_.members["v0"]
+    assert all(map(math.isfinite, (*member.moving.pos_enu_m, *member.moving.vel_enu_mps, *member.acc_enu_mps2)))
+    assert math.hypot(*member.moving.vel_enu_mps[:2]) <= BOUNDS.acc_xy_mps2 * 2.0 + 1e-6
+    assert filter_.distance_m("v0", "v1") >= 4.0
+
+
 def fly(filter_: SeparationFilter, asked: dict[str, list[Vector]], seconds: float) -> None:
     for _ in range(round(seconds / 0.1)):
         filter_.step(asked, [], 0.1)
