@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def end_if_cancelled() -> None:
@@ -55,3 +57,20 @@ async def ended(task: asyncio.Task[Any]) -> None:
     await asyncio.wait({task})
     if not task.cancelled():
         task.exception()  # mark it as retrieved
+
+
+async def carried_through(work: Coroutine[Any, Any, T]) -> T:
+    """Wait for work that must come to its end, such as that of a process that was killed, and return its result. The
+    cancellations of the caller are raised once it has ended: in a ``finally`` a second one would cut it short."""
+    task = asyncio.create_task(work, name="work that is carried through")
+    cancelled = False
+    while not task.done():
+        try:
+            await asyncio.wait({task})
+        except asyncio.CancelledError:
+            cancelled = True
+    if cancelled:
+        if not task.cancelled():
+            task.exception()  # mark it as retrieved
+        raise asyncio.CancelledError
+    return task.result()

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 from typing import Any
 
+from skygcs.cancellation import carried_through
+
 
 async def start_process(*line: str, **options: Any) -> asyncio.subprocess.Process:
     """Start a process like `asyncio.create_subprocess_exec`. Cancelled: the process is killed and waited for. Raises
@@ -16,11 +18,12 @@ async def start_process(*line: str, **options: Any) -> asyncio.subprocess.Proces
         return await asyncio.shield(starting)
     except asyncio.CancelledError:
         with contextlib.suppress(OSError):
-            await _end(await starting)
+            await carried_through(_end(starting))
         raise
 
 
-async def _end(process: asyncio.subprocess.Process) -> None:
+async def _end(starting: asyncio.Task[asyncio.subprocess.Process]) -> None:
+    process = await starting
     with contextlib.suppress(ProcessLookupError):
         process.kill()
     if process.stdin is not None:

@@ -86,6 +86,22 @@ def fake_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
+async def test_a_process_is_waited_for_also_by_a_task_that_is_cancelled_again(fake_package: None) -> None:
+    """A second cancellation found it in its `finally`: the loop was closed on a process that nobody had waited for."""
+    heard = Heard()
+    config = MocapConfig.model_validate({"bodies": {"alpha": "a"}, "type": "vicon", "host": "dead"})
+    made = CaptureProcess(config, asyncio.get_running_loop(), heard.on_frame, heard.events.append)
+    running = asyncio.create_task(made.run())
+    await until(lambda: made.status()["pid"] is not None)
+    process = made._process
+    assert process is not None
+    for _ in range(3):
+        running.cancel()
+        await asyncio.sleep(0)
+    await asyncio.gather(running, return_exceptions=True)
+    assert process.returncode == -signal.SIGKILL
+
+
 async def test_a_recording_comes_through_and_ends(tmp_path: Path) -> None:
     file = tmp_path / "r.jsonl"
     file.write_bytes(b"".join(frame_lines(5.0 + 0.01 * n, {"a": BODY, "other": BODY})[0] for n in range(50)))

@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from skygcs.cancellation import end_if_cancelled, ended, together
+from skygcs.cancellation import carried_through, end_if_cancelled, ended, together
 from support.process import ROOT
 
 SWALLOWS = {
@@ -134,3 +134,35 @@ def _loses(node: ast.AST) -> str | None:
             last = node.body[-1]
             return None if isinstance(last, ast.Raise) and last.exc is None else "except CancelledError without raise"
     return None
+
+
+async def test_work_that_is_carried_through_ends_however_often_its_caller_is_cancelled() -> None:
+    done: list[str] = []
+
+    async def work() -> str:
+        await asyncio.sleep(0.2)
+        done.append("work")
+        return "its result"
+
+    async def caller() -> None:
+        try:
+            await asyncio.sleep(100.0)
+        finally:
+            await carried_through(work())
+
+    assert await carried_through(work()) == "its result"
+    task = asyncio.create_task(caller())
+    for _ in range(3):
+        await asyncio.sleep(0.02)
+        task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert done == ["work", "work"]
+
+
+async def test_a_failure_of_work_that_is_carried_through_is_raised() -> None:
+    async def fails() -> None:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        await carried_through(fails())

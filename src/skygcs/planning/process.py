@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
+from skygcs.cancellation import carried_through
 from skygcs.child_process import start_process
 from skygcs.errors import RefusedError, SkygcsError
 
@@ -215,6 +216,9 @@ class _Process:
     async def end(self) -> str:
         """Kill it and wait for it; the end of its errors."""
         self.stop()
+        return await carried_through(self._ended())
+
+    async def _ended(self) -> str:
         await self._process.wait()
         return await self._errors
 

@@ -13,6 +13,7 @@ import resource
 import sys
 from typing import Any
 
+from skygcs.cancellation import carried_through
 from skygcs.child_process import start_process
 from skygcs.errors import RefusedError, SkygcsError
 from skygcs.web.sign_in import Role
@@ -65,7 +66,7 @@ async def _run(name: str, params: dict[str, Any]) -> Any:
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
-            await process.wait()
+            await carried_through(process.wait())
     if process.returncode != 0:
         raise SkygcsError("the file could not be checked: it is too large, or not what its name says")
     answer = json.loads(output)

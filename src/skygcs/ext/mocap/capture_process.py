@@ -21,6 +21,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from skygcs.cancellation import carried_through
 from skygcs.child_process import start_process
 from skygcs.events import Event
 from skygcs.ext.mocap.config import MocapConfig
@@ -135,9 +136,7 @@ class CaptureProcess:
                         await process.wait()
         finally:
             self._kill()
-            await _drain(process.stdout)
-            code = await process.wait()
-            errors_text = await errors
+            code, errors_text = await carried_through(_end_of(process, errors))
         if self.state == "ended":
             return None
         if self.state == "failed" or self._why_killed:
@@ -181,6 +180,12 @@ class CaptureProcess:
         if process is not None and process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()  # it has nothing to put back, and may hang in a call that does not end
+
+
+async def _end_of(process: asyncio.subprocess.Process, errors: asyncio.Task[str]) -> tuple[int, str]:
+    """(exit code, its last error) of a process that ends: its pipes are read up to their ends, which closes them."""
+    await _drain(process.stdout)
+    return await process.wait(), await errors
 
 
 async def _drain(stream: asyncio.StreamReader | None) -> None:
