@@ -8,6 +8,7 @@ The fleet file needs a table [formation], and the vehicles have to be in the air
 """
 
 import asyncio
+import contextlib
 import math
 import sys
 
@@ -76,4 +77,5 @@ async def main(targets: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "all"))
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "all"))

@@ -1,4 +1,4 @@
-"""What the dry run passes is flown to its end; what it refuses says what leads on (`support.dry_runs`)."""
+"""A plan that the dry run passes is flown to its end; the command of a refusal leads on (`support.dry_runs`)."""
 
 from __future__ import annotations
 

@@ -14,17 +14,17 @@ from typing import Any
 import pytest
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M, separation_m
+from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
+from support.planned import least_distance
 from support.process import ROOT
 
 pytestmark = pytest.mark.looptime
 
 MARGIN_M = WINGSPAN_M + 2 * POSITION_ERROR_M
-RATIO = 2.0
 
 NAMES = ["v1", "v2", "v3", "v4"]
 KINDS = pytest.mark.parametrize("kind", [{"px4": 4}, {"px4": 0, "ardupilot": 4}], ids=["px4", "ardupilot"])
@@ -41,16 +41,6 @@ async def formed(tmp_path: Path, *, fly: dict[str, Any] | None = None, **kind: A
     acting = {"monitor": {"mode": "acting"}}
     async with flown(tmp_path, control=WIDE, tables=acting, prepared=prepared, **kind) as gcs:
         yield gcs
-
-
-def least_m(gcs: Flown, since: float, names: list[str] = NAMES) -> float:
-    """The least distance of two of them in truth, heights divided by the downwash ratio."""
-    looks = {name: {t.at: t.pos_m for t in gcs.truth[int(name[1:])] if t.at >= since} for name in names}
-    return min(
-        separation_m(*(p - q for p, q in zip(looks[a][at], looks[b][at], strict=True)), RATIO)
-        for a, b in itertools.combinations(names, 2)
-        for at in looks[a].keys() & looks[b].keys()
-    )
 
 
 async def status(gcs: Flown) -> dict[str, Any]:
@@ -92,7 +82,7 @@ async def test_a_formation_is_formed_moved_turned_scaled_and_stopped(tmp_path: P
         await gcs.until(lambda: gcs.daemon.extensions["formation"].status()["state"] == "stopped", 10.0)
         await asyncio.sleep(5.0)
         assert all(gcs.control(name)["state"] == "flying" for name in NAMES)
-        assert least_m(gcs, since) > MARGIN_M
+        assert least_distance(gcs, since)[0] > MARGIN_M
         assert not [t for t in gcs.told if t.kind == "separation" and t.data.get("level") in ("warning", "action")]
 
 
@@ -103,7 +93,7 @@ async def test_two_that_change_places_get_around_each_other(tmp_path: Path) -> N
         await at_places(gcs)
         await gcs("formation.turn", heading_deg=180.0)
         await at_places(gcs)
-        assert least_m(gcs, since, names) > MARGIN_M
+        assert least_distance(gcs, since)[0] > MARGIN_M
 
 
 async def test_a_formation_follows_a_vehicle(tmp_path: Path) -> None:
@@ -117,7 +107,7 @@ async def test_a_formation_follows_a_vehicle(tmp_path: Path) -> None:
         flight = await status(gcs)
         assert flight["state"] == "flying", flight
         assert flight["rms_m"] < 1.0, flight
-        assert least_m(gcs, since) > MARGIN_M
+        assert least_distance(gcs, since)[0] > MARGIN_M
         with pytest.raises(RefusedError, match="v1 leads"):
             await gcs("formation.move", to_enu_m=[0.0, 0.0, 12.0])
 
@@ -162,6 +152,19 @@ async def test_an_order_to_a_member_takes_it_out(tmp_path: Path) -> None:
         assert gcs.place("v1")[1] > 8.0
 
 
+async def test_a_stop_that_comes_while_it_is_being_begun_ends_that(tmp_path: Path) -> None:
+    async with formed(tmp_path, px4=2) as gcs:
+        beginning = asyncio.create_task(gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=20.0))
+        await asyncio.sleep(0.5)
+        await gcs("formation.stop")
+        with pytest.raises(RefusedError, match="stopped while it was being begun"):
+            await beginning
+        since = gcs.now
+        await asyncio.sleep(8.0)
+        assert (await status(gcs))["state"] == "none"
+        assert all(gcs.farthest_m(since, name) < 0.5 for name in ("v1", "v2"))
+
+
 async def test_a_velocity_ends_by_itself(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="current")
@@ -185,7 +188,7 @@ async def test_a_vehicle_in_the_way_is_flown_around(tmp_path: Path) -> None:
         await gcs("formation.move", to_enu_m=[2.5, 50.0, 10.0])
         await at_places(gcs, 120.0)
         assert gcs.place("v1")[1] > 45.0
-        assert least_m(gcs, since, NAMES[:3]) > MARGIN_M
+        assert least_distance(gcs, since)[0] > MARGIN_M
 
 
 class Program:
@@ -207,7 +210,7 @@ async def test_the_flock_of_the_examples_flies_in_its_box_and_stays_when_it_ends
             flying = await flock["guide"](Program(gcs), members)
             await asyncio.sleep(flock["PERIOD_S"])
             assert (await status(gcs))["leader"] == "program"
-        assert least_m(gcs, since, names) > MARGIN_M
+        assert least_distance(gcs, since)[0] > MARGIN_M
         for name in names:
             flown_m = [math.dist(a.pos_m, b.pos_m) for a, b in itertools.pairwise(gcs.truth[int(name[1:])])]
             assert math.fsum(flown_m) > 20.0

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from skygcs.core.plan.margins import MarginRule, Motion
 from skygcs.core.separation import ACCELERATION_MPS2, POSITION_ERROR_M, WINGSPAN_M, separation_m
 from skygcs.ext.formation.evasion import Evasion
 from skygcs.ext.formation.separation_filter import (
@@ -28,12 +29,10 @@ from skygcs.ext.formation.separation_filter import (
 
 DT_S = 0.1
 SUBSTEPS = 4
-RATIO = 2.0
+RULE = MarginRule()
+RATIO = RULE.downwash_ratio
 FOOTPRINT_M = WINGSPAN_M / 2 + POSITION_ERROR_M
 """One vehicle's part of the distance that may never be lost."""
-
-TRACKING_M, DELAY_S = 0.4, 0.32
-"""The defaults of `core.plan.margins.Uncertainty`, with the clock's error."""
 
 ARRIVED_M = 0.3
 WIND_MPS = 6.0
@@ -126,7 +125,7 @@ def encounter(seed: int, *, seconds: float, strangers: bool = True) -> Outcome:
     """Fly one: 2 to 20 references from random places to others, and a vehicle behind each."""
     rng = random.Random(seed)
     bounds = MotionBounds()
-    count, radius_m = rng.randint(2, 20), FOOTPRINT_M + TRACKING_M + DELAY_S * bounds.speed_mps
+    count, radius_m = rng.randint(2, 20), RULE.half_m("any", Motion(speed_mps=bounds.speed_mps))
     side_m = rng.uniform(2.0, 4.0) * 2 * radius_m * math.sqrt(count)
     starts = places(rng, count, side_m, 2 * radius_m + 2 * SLACK_M)
     goals = places(rng, len(starts), side_m, 2 * radius_m + 2 * SLACK_M)

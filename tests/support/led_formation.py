@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M, separation_m
+from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
 from support.flown import flown
+from support.planned import least_distance
 
-RATIO = 2.0
 FENCE = {"x_m": (-200.0, 200.0), "y_m": (-200.0, 200.0), "up_m": (0.0, 60.0)}
 SQUARE = ((60.0, 0.0, 20.0), (60.0, 60.0, 25.0), (0.0, 60.0, 20.0), (0.0, 0.0, 20.0))
 LOOK_S = 0.5
@@ -69,10 +68,5 @@ async def led_formation(
                         for member in state["members"]
                     ]
                 await asyncio.sleep(LOOK_S)
-        looks = {name: {t.at: t.pos_m for t in gcs.truth[int(name[1:])] if t.at >= began} for name in names}
-    least_m = min(
-        separation_m(*(p - q for p, q in zip(looks[a][at], looks[b][at], strict=True)), RATIO)
-        for a, b in itertools.combinations(names, 2)
-        for at in looks[a].keys() & looks[b].keys()
-    )
+        least_m, _, _ = least_distance(gcs, began)
     return Led(speed_mps, math.sqrt(math.fsum(squares) / len(squares)), least_m, WINGSPAN_M + 2 * POSITION_ERROR_M, "")

@@ -189,7 +189,7 @@ class Air:
             if not seen.states or seen.states[-1] != self.state:
                 seen.states.append(self.state)
             gone = lost()
-            self._look(seen, self.daemon.now() - began, gone)
+            self.look(seen, self.daemon.now() - began, gone)
             stopped_s = stopped_s + LOOK_S if self.state == "stopped" and gone is None else 0.0
             if stopped_s > RESUME_S:
                 stopped_s = 0.0
@@ -226,7 +226,8 @@ class Air:
                     break
             await self._begin()
 
-    def _look(self, seen: Watched, at_s: float, lost: str | None) -> None:
+    def look(self, seen: Watched, at_s: float, lost: str | None) -> None:
+        """Keep the least distance of two of which one flies, in truth."""
         places, flying = self.places(), self.flying()
         for (one, a), (other, b) in itertools.combinations(places.items(), 2):
             if one not in flying and other not in flying:

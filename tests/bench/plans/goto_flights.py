@@ -6,7 +6,6 @@ killed once: all come to rest at the ends of their legs.
 from __future__ import annotations
 
 import asyncio
-import itertools
 import math
 import random
 import tempfile
@@ -16,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.monitor.virtual import in_virtual_time
-from bench.plans.flights import FIELD, OVER, OWED_M, RULE, UP_M, Air, Watched, above, in_the_air
+from bench.plans.flights import FIELD, LOOK_S, OVER, OWED_M, UP_M, Air, Watched, above, in_the_air
 from skygcs.core.plan.fleet_plan import PhasedPlan
 from skygcs.core.plan.plan_json import plan_from_json
-from skygcs.core.separation import separation_m
 from support.planned import instant_planning
 
 AIR_KBPS = 64
@@ -62,7 +60,7 @@ def cases() -> list[Case]:
 
 
 async def plan_of(air: Air, name: str) -> PhasedPlan:
-    """What `plan make` makes of the task for the way it is flown, from where the vehicles are."""
+    """The plan that `plan make` makes from where the vehicles are, for the way in which it is flown."""
     instant_planning(air.daemon)
     starts = above(air)
     task: dict[str, Any] = {
@@ -138,10 +136,9 @@ async def _killed(case: Case, phase: int) -> dict[str, Any]:
             await asyncio.sleep(2.0)
             _silence(air)
             goals = _ends(plan, phase)
-            least_m = math.inf
-            for _ in range(round(RESTS_S / 0.2)):
-                least_m = min(least_m, _least(air))
-                await asyncio.sleep(0.2)
+            for _ in range(round(RESTS_S / LOOK_S)):
+                air.look(seen, air.daemon.now(), None)
+                await asyncio.sleep(LOOK_S)
             off_m = max(math.dist(air.places()[one], goal) for one, goal in goals.items())
             return {
                 "flight": f"ground killed in {name}",
@@ -149,8 +146,8 @@ async def _killed(case: Case, phase: int) -> dict[str, Any]:
                 "loss": case.loss,
                 "by": case.by,
                 "off_end_m": round(off_m, 2),
-                "measured_least_m": round(min(least_m, seen.least_m), 2),
-                "met": met and min(least_m, seen.least_m) >= OWED_M and off_m < 1.5,
+                "measured_least_m": round(seen.least_m, 2),
+                "met": met and seen.least_m >= OWED_M and off_m < 1.5,
             }
 
 
@@ -167,18 +164,6 @@ def _silence(air: Air) -> None:
     for link in air.links:
         assert link.radio is not None
         link.radio.cut_off = frozenset(range(1, len(link.vehicles) + 1))
-
-
-def _least(air: Air) -> float:
-    flying, places = air.flying(), air.places()
-    return min(
-        (
-            separation_m(*(p - q for p, q in zip(places[a], places[b], strict=True)), RULE.downwash_ratio)
-            for a, b in itertools.combinations(places, 2)
-            if a in flying or b in flying
-        ),
-        default=math.inf,
-    )
 
 
 async def _fly(case: Case, folder: Path) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ and the same fence with the guard's look-ahead as in the flight, with vehicles t
     references                       `TrajectoryFlight.reference`
     fence: look-ahead of velocity    `fence_ahead`, which the control loop asks at each of its ticks
     fence: the vehicle itself        its reference, with its tube around it
-    the end of a straight leg        passed by `Flown.overshoot_s` times the speed, which has to stay in the tube
+    the end of a way                 passed by `Flown.overshoot_s` times the speed, which has to stay in the tube
 
 Not rehearsed: wind, losses, pilots, orders and what a firmware does by itself. What stops a rehearsal stops the flight;
 an undisturbed flight is stopped by nothing that a rehearsal does not have.
@@ -42,7 +42,6 @@ LONGEST_S = 7_200.0
 
 SLOWER = (0.7, 0.5, 0.45, 0.35, 0.25, 0.17, 0.12)
 """Multiples of the speed that are tried for a step, or for a whole plan, that leads out of the fence too fast."""
-
 
 PX4_OVERSHOOT_S = 0.2
 """A PX4 passes the end of its way by so much times the speed it comes with: what its velocity integrator

@@ -14,9 +14,9 @@ class FormationConfig(Model):
     """[formation]: its presence adds the formation methods. It moves nothing by itself."""
 
     speed_mps: Annotated[float, Field(ge=0.2, le=15)] = 2.0
-    """Of the leader at most; its members fly a third faster to catch up."""
+    """The leader's largest speed. Members fly up to a third faster, to catch up."""
     climb_mps: Annotated[float, Field(ge=0.1, le=5)] = 0.8
-    """The same up and down."""
+    """The leader's largest speed up and down."""
     lowest_m: Annotated[float, Field(ge=0, le=1000)] = 3.0
     """Above the fleet's origin: nobody is sent lower, around another, than this or than it began."""
 

@@ -26,7 +26,7 @@ APPROACH_PER_S = 0.8
 """Speed towards a place per metre of distance, near it."""
 
 BRAKE_SHARE = 0.7
-"""Of the deceleration that a reference may have, so much is planned for its arrival."""
+"""A reference plans its arrival with this share of the deceleration that it may have: the rest corrects errors."""
 
 HEADINGS_RAD = tuple(math.radians(a) for a in (-25.0, 25.0, -50.0, 50.0, -80.0, 80.0, -115.0))
 """Turned aside by so much; to the right first, as aircraft give way (ICAO Annex 2, 3.2.2.2)."""

@@ -13,6 +13,7 @@ from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track, is_flying
 from skygcs.core.plan.formations import CURRENT, WantedFormation, middle_of
 from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
+from skygcs.core.plan.straight_flight import assigned
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.way_out import fence_ahead
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 PERIOD_S = 0.1
 
 VALID_S = 0.5
-"""Of a setpoint: five periods. A vehicle that gets no more of them stays where it comes to rest."""
+"""A setpoint is valid for five periods. A vehicle that gets no newer one stays where it comes to rest."""
 
 SEEN_S = 1.5
 """A vehicle whose position is older is not seen: the guard holds it soon after (`position_stale_s`)."""
@@ -76,6 +77,8 @@ class Formation(Extension[FormationConfig]):
         self._actors: dict[str, VehicleActor] = {}
         self._origin: Origin | None = None
         self._beginning = False
+        self._stops = 0
+        """Counts the orders to stop: one that comes while a formation is being begun ends that."""
         self._stepped_at = -math.inf
         self._reported: tuple[FormationState, str] | None = None
 
@@ -115,7 +118,10 @@ class Formation(Extension[FormationConfig]):
             actors = fleet.resolve(wanted.targets)
             lead = None if wanted.leader is None else fleet.find(wanted.leader)
             self._require_free(actors, lead)
+            stops = self._stops
             await self._take_control(actors)
+            if self._stops != stops:
+                raise RefusedError("it was stopped while it was being begun; vehicles under control hold")
             self._begin(actors, lead, wanted)
         finally:
             self._beginning = False
@@ -165,14 +171,14 @@ class Formation(Extension[FormationConfig]):
         starts = self._starts(actors, now, moving=goes_on)
         # the leader and the places about it
         bounds = self._bounds(actors)
-        leader = self._leader(wanted, starts, lead, bounds, now)
+        rule = margin_rule(actors)
+        ratio = rule.downwash_ratio
+        leader = self._leader(wanted, starts, lead, bounds, ratio, now)
         if goes_on and flight is not None and lead is None and flight.led_by is None and wanted.at_enu_m is None:
             leader.moving = flight.leader.moving
         # the distances
-        rule = margin_rule(actors)
         motion = Motion(speed_mps=bounds.speed_mps)
         shares = {name: _share(rule, name, motion) for name in starts}
-        ratio = rule.downwash_ratio
 
         def needed_m(a: str, b: str) -> float:
             wanted_m = shares[a].radius_m + shares[b].radius_m + 2 * SLACK_M
@@ -247,6 +253,7 @@ class Formation(Extension[FormationConfig]):
         starts: Mapping[str, Vector],
         lead: VehicleActor | None,
         bounds: MotionBounds,
+        ratio: float,
         now: float,
     ) -> Leader:
         """The leader at the begin: in the middle of all, where it is wanted, or where the vehicle is that leads."""
@@ -269,7 +276,7 @@ class Formation(Extension[FormationConfig]):
             points = list(shape.places(names, starts).values())
             if lead is not None:
                 points = _behind(points, wanted)
-            offsets = _assigned(names, starts, points, middle, heading)
+            offsets = _assigned(names, starts, points, middle, heading, ratio)
         return Leader(Moving(middle), heading, bounds, offsets)
 
     def _require_room(self, leader: Leader, needed_m: Callable[[str, str], float], ratio: float) -> None:
@@ -327,6 +334,8 @@ class Formation(Extension[FormationConfig]):
     def _led(self, flight: FormationFlight, now: float) -> Moving | None:
         """Where the vehicle is that leads; None: it is not seen, or none leads. One that lands ends the flight: the
         others must not follow it down."""
+        if flight.led_by is None:
+            return None
         actor = next((a for a in self.core.fleet.vehicles.values() if a.name == flight.led_by), None)
         if actor is None:
             return None
@@ -436,6 +445,7 @@ class Formation(Extension[FormationConfig]):
 
     def stop(self) -> dict[str, Any]:
         """Brake all; they stay under control, and hold."""
+        self._stops += 1
         if self.flight is not None:
             self.flight.stop("asked for")
         return self.status()
@@ -482,13 +492,16 @@ def _obstacle(track: Track, frame: EnuFrame, origin: Origin, now: float) -> Obst
 
 
 def _assigned(
-    names: Sequence[str], starts: Mapping[str, Vector], points: Sequence[Vector], middle: Vector, heading: float
+    names: Sequence[str],
+    starts: Mapping[str, Vector],
+    points: Sequence[Vector],
+    middle: Vector,
+    heading: float,
+    ratio: float,
 ) -> dict[str, Vector]:
     """A point of the shape for each vehicle, so that they cross each other little on their way."""
-    from skygcs.core.plan.straight_flight import assigned
-
     goals = [_plus(middle, turned(point, heading)) for point in points]
-    order = assigned([starts[name] for name in names], goals, 2.0)
+    order = assigned([starts[name] for name in names], goals, ratio)
     return {name: points[index] for name, index in zip(names, order, strict=True)}
 
 

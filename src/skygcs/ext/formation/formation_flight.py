@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 from skygcs.ext.formation.evasion import Evasion
 from skygcs.ext.formation.leader import Leader, standing
-from skygcs.ext.formation.separation_filter import Moving, Obstacle, SeparationFilter, Vector, moved
+from skygcs.ext.formation.separation_filter import LONGEST_STEP_S, Moving, Obstacle, SeparationFilter, Vector, moved
 
 OFF_S = 1.0
 """A member that is so long farther from its reference than its part of the distance allows stops the formation: a gust
@@ -82,7 +82,7 @@ class FormationFlight:
     least_m: tuple[float, str, str] | None = None
     """The least distance that two members were seen at, in the metric of the downwash ratio."""
     off_place_m: dict[str, float] = field(default_factory=dict)
-    """Of each member as it is measured, from its place; without what is not seen."""
+    """Distance of each member, as measured, from its place; without members that are not seen."""
     _wanted: dict[str, Moving] = field(default_factory=dict)
     """Where each member was to be in the last step."""
     _off_since: dict[str, float] = field(default_factory=dict)
@@ -150,6 +150,7 @@ class FormationFlight:
         """
         if self.state is FormationState.STOPPED:
             return {}
+        dt_s = min(dt_s, LONGEST_STEP_S)  # after a pause of the loop leader and places do not run ahead of all
         self._judge(seen, now)
         self._wanted = places = self._places(leader, dt_s, now)
         self.off_place_m = {
@@ -182,10 +183,6 @@ class FormationFlight:
                 away_m = math.dist(self.filter.metric(seen[a].pos_enu_m), self.filter.metric(seen[b].pos_enu_m))
                 if self.least_m is None or away_m < self.least_m[0]:
                     self.least_m = away_m, a, b
-
-    def backup(self, name: str, step_s: float, count: int) -> list[Vector]:
-        """Where a member will be now and every ``step_s``, if all brake now: the way that the filter keeps free."""
-        return self.filter.backup(name, step_s, count)
 
     def status(self, now: float) -> dict[str, Any]:
         """The flight as formation.status shows it."""

@@ -22,13 +22,13 @@ from skygcs.ext.formation.evasion import straight_to
 from skygcs.ext.formation.separation_filter import RESPONSE_S, REST, MotionBounds, Moving, Vector, minus
 
 ACCELERATION_SHARE = 0.5
-"""Of the members': the other half is for keeping their places."""
+"""The leader accelerates with this share of what members may: the rest is for keeping their places."""
 
 SPEED_SHARE = 0.75
-"""Of the members': one that is behind its place can catch up."""
+"""The leader flies with this share of the members' speed: a member that is behind its place can catch up."""
 
 SWING_SHARE = 0.6
-"""Of the leader's largest speed, for turns and changes of scale: at the outermost place."""
+"""Turns and changes of scale move the outermost place with at most this share of the leader's largest speed."""
 
 TURN_RADPS = math.radians(30.0)
 """A formation about its middle turns no faster than this, however small it is."""

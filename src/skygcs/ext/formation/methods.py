@@ -18,7 +18,7 @@ from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, TargetsParams
 
 LONGEST_FLY_S = 60.0
-"""Of a velocity: it ends by itself, as nobody may be there any more to end it."""
+"""A velocity ends by itself after this time: the client that sent it may be gone."""
 
 Place = Annotated[list[float], Field(min_length=3, max_length=3, description="[x, y, up] in the fleet's frame.")]
 

@@ -108,3 +108,12 @@ def test_a_programs_places_hold_until_then_and_then_all_stay() -> None:
     run.step(6.0)
     assert not run.formation.guided and run.formation.status(run.now)["settled"]
     assert run.formation.filter.members["a"].moving.pos_enu_m[0] < 7.0
+
+
+def test_after_a_pause_of_the_loop_the_leader_does_not_run_ahead() -> None:
+    formation = flight()
+    formation.leader.demand = Fly((1.5, 0.0, 0.0), 100.0)
+    seen = {name: member.moving for name, member in formation.filter.members.items()}
+    formation.step(seen, None, [], 20.0, 20.0)
+    assert formation.leader.moving.pos_enu_m[0] < 0.1
+    assert formation.leader.moving.vel_enu_mps[0] <= 1.5
