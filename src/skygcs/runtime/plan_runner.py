@@ -43,7 +43,7 @@ from skygcs.core.plan.flight_steps import FlightStep, from_where, plan_of, renam
 from skygcs.core.plan.guidance import AUTO, Choice, Guidance, choose
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
-from skygcs.core.trajectory import ClockState, MotionLimits, least_limits
+from skygcs.core.trajectory import ClockState, MotionLimits, least_limits, within_at_speed
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.plan_rehearsal import (
@@ -416,7 +416,7 @@ class PlanRunner:
             measured.places,
             measured.grounded,
             rule,
-            _limits(actors),
+            _limits(actors, request.speed_factor),
             request.speed_factor,
             by is Guidance.GOTO,
             grounds(actors, measured, frame),
@@ -584,7 +584,8 @@ class PlanRunner:
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
         by_goto = flight.guidance.by is Guidance.GOTO
         if by_goto and not in_place:  # from where they are on their legs, and not from the begin of these
-            rest[0] = from_where(rest[0], measured.places, execution.tubes.downwash_ratio, _limits(actors))
+            limits = _limits(actors, self._request.speed_factor)
+            rest[0] = from_where(rest[0], measured.places, execution.tubes.downwash_ratio, limits)
         situation = self._situation_of_rest(actors, measured, rest, in_place=in_place)
         stage = None
         if not by_goto:
@@ -626,7 +627,7 @@ class PlanRunner:
             rest[0].starts() if in_place else measured.places,
             frozenset(),
             rule,
-            _limits(actors),
+            _limits(actors, self._request.speed_factor),
             self._request.speed_factor,
             self._by is Guidance.GOTO,
         )
@@ -841,9 +842,9 @@ def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -
     return replace(space, standing={**standing, **measured.others})
 
 
-def _limits(actors: Sequence[VehicleActor]) -> MotionLimits:
-    """Within which ways and phases are flown: the least of the vehicles' own."""
-    return least_limits(actor.config.control.motion_limits() for actor in actors)
+def _limits(actors: Sequence[VehicleActor], speed_factor: float) -> MotionLimits:
+    """Within which ways and phases are timed: the least of the vehicles' own, for a flight so many times as fast."""
+    return within_at_speed(least_limits(actor.config.control.motion_limits() for actor in actors), speed_factor)
 
 
 def _returning(

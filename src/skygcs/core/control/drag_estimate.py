@@ -11,6 +11,13 @@ with PX4's gains (1.8, 0.4, 0.95) and the k of its SIH simulator (SIH_KDV / SIH_
 
 So the part of the acceleration that goes with the velocity is learned: per second, along the velocity and across it (to
 the left). A coefficient holds at any speed, and needs no change when the way turns.
+
+On a straight way at a constant speed that integral takes all of the drag within seconds, whatever is added to it; the
+distance that is left is one of timing, and says nothing of the drag. So an error teaches by the part of the velocity
+that the integral has not followed yet, its high-pass with the time constant of the integral (`BALANCED_S`). Learned
+from the whole velocity, the coefficient fell to its bound on each long way and the integral made up for it: vehicles
+passed the ends of such ways by 0.28 s of their speed. Timing that is known is taken off: setpoints are sent ahead by
+the autopilot's response, which is right where the way turns, and on a straight way the vehicle is ahead by it.
 """
 
 from __future__ import annotations
@@ -23,7 +30,7 @@ from typing import NamedTuple
 
 Vector = tuple[float, float, float]
 
-GAIN = 0.1
+GAIN = 0.12
 """Change of a coefficient in 1/s, per metre of error and second. With the drag of SIH the error is 0.13 m in the second
 lap of that circle, with delays of 0.1 to 0.6 s alike; with four times the gain it begins to swing (model of the loop
 above, 2 positions a second)."""
@@ -33,6 +40,13 @@ LEAST, MOST, ACROSS = -0.3, 1.5, 0.75
 
 MOST_MPS2 = 3.0
 """Largest acceleration that is added: MPC_ACC_HOR."""
+
+BALANCED_S = 5.0
+"""Time constant with which PX4's integral takes over a lasting acceleration: the slowest root of its loop,
+s³ + 1.8 s² + (0.4 + 1.8 · 0.95) s + 0.4 · 0.95, is -0.21 /s. With 3 to 8 s the errors are the same within a tenth."""
+
+TURNS_S = 8.0
+"""Inverse of the turn rate at which half of the response counts: 0.02 of it on that circle, all of it on a straight."""
 
 LEARNS_MPS = 0.5
 """Slower references teach nothing: the error there is wind and noise."""
@@ -54,13 +68,14 @@ class DragEstimate:
     along_per_s: float = 0.0
     across_per_s: float = 0.0
 
-    def learned(self, error_m: Sequence[float], velocity_mps: Sequence[float], for_s: float) -> DragEstimate:
-        """After an error (reference − position, east and north) at a reference with this velocity."""
-        u, v = velocity_mps[0], velocity_mps[1]
-        speed_mps = math.hypot(u, v)
+    def learned(
+        self, error_m: Sequence[float], unbalanced_mps: Sequence[float], speed_mps: float, for_s: float
+    ) -> DragEstimate:
+        """After an error (reference − position, east and north) in a flight with this speed, of whose velocity the
+        autopilot's integral has left so much unbalanced."""
         if speed_mps < LEARNS_MPS:
             return self
-        x, y = error_m[0], error_m[1]
+        (x, y), (u, v) = error_m[:2], unbalanced_mps
         scale = min(1.0, MOST_ERROR_M / max(1e-9, math.hypot(x, y))) * GAIN * min(for_s, LONGEST_S) / speed_mps
         along = self.along_per_s + scale * (x * u + y * v)
         across = self.across_per_s + scale * (y * u - x * v)
@@ -78,16 +93,24 @@ class DragEstimate:
 class _Note(NamedTuple):
     at: float
     place_m: Vector
+    """Place at which the vehicle is expected."""
     velocity_mps: Vector
+    balanced_mps: tuple[float, float]
+    """The part of the velocity, east and north, whose drag the autopilot's integral has taken over."""
 
 
 class DragObserver:
-    """Compares positions with the reference of their time; ``estimate`` is what was learned."""
+    """Compares positions with the reference of their time; ``estimate`` is what was learned.
 
-    def __init__(self) -> None:
+    ``response_s``: the part of the lead of setpoints that makes up for the autopilot's response."""
+
+    def __init__(self, response_s: float = 0.0) -> None:
         self.estimate = DragEstimate()
+        self._response_s = response_s
         self._notes: deque[_Note] = deque(maxlen=NOTES)
         self._measured_at = -math.inf
+        self._balanced_mps = (0.0, 0.0)
+        self._balanced_at = 0.0
 
     def pause(self) -> None:
         """The reference stands, or jumps: what was learned stays."""
@@ -95,8 +118,21 @@ class DragObserver:
 
     def note(self, place_m: Vector, velocity_mps: Vector, now: float) -> None:
         """The reference as it is now."""
-        if not self._notes or now - self._notes[-1].at >= NOTE_S:
-            self._notes.append(_Note(now, place_m, velocity_mps))
+        last = self._notes[-1] if self._notes else None
+        if last is not None and now - last.at < NOTE_S:
+            return
+        # what the integral has followed: the velocity, or its going back during a pause, in which the vehicle stood
+        lasting = (0.0, 0.0) if last is None else velocity_mps[:2]
+        share = -math.expm1(-max(0.0, now - self._balanced_at) / BALANCED_S)
+        east, north = self._balanced_mps
+        self._balanced_mps = east + (lasting[0] - east) * share, north + (lasting[1] - north) * share
+        self._balanced_at = now
+        # where the vehicle is to be expected: ahead by the response, less where the way turns
+        turn_radps = 0.0 if last is None else _turned_rad(last.velocity_mps, velocity_mps) / (now - last.at)
+        ahead_s = self._response_s / (1.0 + (TURNS_S * turn_radps) ** 2)
+        (x, y, z), (u, v, w) = place_m, velocity_mps
+        expected_m = x + u * ahead_s, y + v * ahead_s, z + w * ahead_s
+        self._notes.append(_Note(now, expected_m, velocity_mps, self._balanced_mps))
 
     def observe(self, place_m: Sequence[float], measured_at: float) -> None:
         """A position, with the time at which it was measured; one that was seen already teaches nothing."""
@@ -106,5 +142,13 @@ class DragObserver:
         ahead_s = measured_at - then.at
         error_m = [p + v * ahead_s - q for p, v, q in zip(then.place_m, then.velocity_mps, place_m, strict=True)]
         since_s = measured_at - max(self._measured_at, self._notes[0].at)
-        self.estimate = self.estimate.learned(error_m, then.velocity_mps, since_s)
+        (east, north, _), (by_east, by_north) = then.velocity_mps, then.balanced_mps
+        speed_mps = max(math.hypot(east, north), math.hypot(by_east, by_north))
+        self.estimate = self.estimate.learned(error_m, (east - by_east, north - by_north), speed_mps, since_s)
         self._measured_at = measured_at
+
+
+def _turned_rad(before: Vector, after: Vector) -> float:
+    """Angle between two level velocities, to the left; 0 where one of them is none."""
+    cross, dot = before[0] * after[1] - before[1] * after[0], before[0] * after[0] + before[1] * after[1]
+    return math.atan2(cross, dot)

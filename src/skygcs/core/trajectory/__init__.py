@@ -7,6 +7,7 @@ from skygcs.core.trajectory.motion_limits import (
     least_limits,
     motion_peaks,
     require_within,
+    within_at_speed,
 )
 from skygcs.core.trajectory.piecewise import (
     Joint,
@@ -47,4 +48,5 @@ __all__ = [
     "require_within",
     "rest_to_rest",
     "straight_lines",
+    "within_at_speed",
 ]

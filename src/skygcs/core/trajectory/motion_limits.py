@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 from skygcs.core.trajectory.bernstein import UNIT_ROUNDOFF, derivative, error_bound, from_power, halves, product
@@ -56,6 +56,14 @@ class MotionLimits:
             value = getattr(self, name)
             if not 1e-3 <= value <= largest:  # also for NaN
                 raise TrajectoryError(f"the limit {name} of {value:g} is not between 0.001 and {largest:g}")
+
+
+def within_at_speed(limits: MotionLimits, speed_factor: float) -> MotionLimits:
+    """Return limits for a trajectory that a faster clock flies ``speed_factor`` times as fast, within ``limits`` of
+    acceleration and jerk as it is flown then: they grow with the square and the cube of the factor. A slower clock
+    changes nothing."""
+    f = max(1.0, speed_factor)
+    return replace(limits, acceleration_mps2=limits.acceleration_mps2 / f**2, jerk_mps3=limits.jerk_mps3 / f**3)
 
 
 def least_limits(limits: Iterable[MotionLimits]) -> MotionLimits:

@@ -32,7 +32,7 @@ from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
-from skygcs.core.vehicle.offboard_entry import boosts_thrust
+from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S, boosts_thrust
 from skygcs.core.vehicle.offboard_tick import IDLE, Message, Tick, TickInput
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -57,7 +57,7 @@ class SetpointGenerator:
         """Velocity control's, after the last tick; a new one while it does not predict."""
         self.tracing = False
         """True if ticks carry a row for the trace."""
-        self.drag = DragObserver()
+        self.drag = DragObserver(PX4_RESPONSE_S)
         """Position control's, of a PX4."""
         self._vehicle = vehicle
         self._estimate_view = estimate_view
@@ -66,7 +66,7 @@ class SetpointGenerator:
     def begin(self) -> None:
         """A new flight by setpoints."""
         self.forget()
-        self.drag = DragObserver()
+        self.drag = DragObserver(PX4_RESPONSE_S)
         self._estimator_origin.begin()
 
     def forget(self, memory: Memory = NOTHING) -> None:
