@@ -212,19 +212,20 @@ def _fly(fleet: MixedField, row: dict[str, Any], make: Any, speed: float, by: st
 
 
 def _compare(fleet: MixedField, row: dict[str, Any], certificate: Certificate, since: float) -> None:
-    """What was measured with what was certified: vehicles that stay within their tubes about references that are a
-    margin apart stay `KNOWN_M` apart by their own positions."""
+    """What was measured with what was certified: how far apart two vehicles stay, by their own positions, that stay
+    within their tubes about references that come as near as this (`Approach.flown_at_least_m`)."""
     closest = certificate.closest
-    assert closest is not None
+    assert closest is not None and closest.flown_at_least_m is not None
     least = {pair: least_m for pair, least_m in _least(fleet, since).items()}
     nearest = min(least, key=lambda pair: least[pair])
-    row["certified_least_m"] = round(closest.distance_m, 2)
+    row["references_least_m"] = round(closest.distance_m, 2)
+    row["certified_least_m"] = round(closest.flown_at_least_m, 2)
     row["certified_margin_m"] = round(closest.margin_m, 2)
     row["certified_pair"] = list(closest.vehicles)
     row["measured_least_m"] = round(least[nearest], 2)
     row["measured_pair"] = list(nearest)
     row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
-    assert least[nearest] >= KNOWN_M, row
+    assert least[nearest] >= closest.flown_at_least_m >= KNOWN_M, row
 
 
 def _least(fleet: MixedField, since: float) -> Mapping[tuple[str, str], float]:

@@ -324,8 +324,10 @@ class FlightOrders:
         if kind in (OrderKind.TAKEOFF, OrderKind.ENGAGE):
             flight.being_taken.add(name)
         match kind:
+            case OrderKind.MODE:
+                outcome = await self._to_takeoff_mode(actor)
             case OrderKind.ARM:
-                outcome = await self._arm(actor)
+                outcome = await actor.arm(wait_s=ARM_WAIT_S)
             case OrderKind.DISARM:
                 outcome = await actor.disarm()
             case OrderKind.TAKEOFF:
@@ -344,16 +346,13 @@ class FlightOrders:
         mode = flight.unexpected_mode(name)
         self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message, mode))
 
-    async def _arm(self, actor: VehicleActor) -> Outcome:
-        """In the mode of the take-off that follows: after a landing an ArduCopter is in LAND and a PX4 in AUTO.LAND, in
-        which they do not arm."""
+    async def _to_takeoff_mode(self, actor: VehicleActor) -> Outcome:
+        """In which it arms: after a landing an ArduCopter is in LAND and a PX4 in AUTO.LAND, in which they do not."""
         vehicle = actor.vehicle
         mode = TAKEOFF_MODES.get(vehicle.family)
-        if mode is not None and not vehicle.armed and vehicle.mode != mode:
-            outcome = await actor.set_mode(mode)
-            if not outcome.ok:
-                return outcome
-        return await actor.arm(wait_s=ARM_WAIT_S)
+        if mode is None or vehicle.armed or vehicle.mode == mode:
+            return Outcome(True, "accepted", f"it is in {vehicle.mode}")
+        return await actor.set_mode(mode)
 
     async def _take_off(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
         """To where the first step has it."""

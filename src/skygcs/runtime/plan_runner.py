@@ -765,7 +765,7 @@ def _prepared_and_loaded(situation: Situation, rest: list[FlightStep] | None, st
     for step in prepared.steps:
         ways = _loaded(step)
         tubes = prepared.tubes
-        if stage is not None and tubes is not None and not step.timed and too_fast(ways, step.name, stage, tubes):
+        if stage is not None and tubes is not None and not step.timed and too_fast(step, ways, stage, tubes):
             slower = slowed(step, situation.limits, stage, tubes)
             step, ways = (step, ways) if slower is None else (slower, _loaded(slower))
         steps.append(step)

@@ -2,8 +2,8 @@
 
     state        what is done                                        what ends it
     ----------   -------------------------------------------------   --------------------------------------------------
-    arming       vehicles on the ground arm; nobody moves            all armed → takeoff; one is not, is lost or
-                                                                     forgotten → aborted (disarm)
+    arming       vehicles on the ground change to the mode of the    all armed → takeoff; one is not, is lost or
+                 take-off; all in it, they arm; nobody moves         forgotten → aborted (disarm)
     takeoff      they climb vertically, each to its layer            all there → engaging; one is not, is lost or
                                                                      forgotten → stopped, who still stands is disarmed
     engaging     each is taken under control (by goto: sent to its   all there → to_starts, returning or flying
@@ -126,6 +126,8 @@ STATE_OF = {
 class OrderKind(StrEnum):
     """Orders that the runtime is to carry out; ``vehicles`` of the order say with which."""
 
+    MODE = "mode"
+    """Change to the mode of the take-off."""
     ARM = "arm"
     DISARM = "disarm"
     TAKEOFF = "takeoff"
@@ -262,6 +264,8 @@ class Execution:
         self.waits_for: tuple[str, ...] = self.names
         self.pairs: tuple[Pair, ...] = ()
         self.changes: list[Change] = []
+        self._ready: set[str] = set()
+        """In the mode of their take-off, at the begin."""
         self._done: set[str] = set()
         """Vehicles whose order of this state has ended well."""
         self._armed: set[str] = set()
@@ -355,8 +359,11 @@ class Execution:
     def begin(self) -> list[Order]:
         """Return what is ordered first."""
         if self.state is PlanState.ARMING:
+            # modes first: of 14 vehicles on one slow radio the first would be armed seconds before the last, and a PX4
+            # that has not taken off 10 s later disarms (COM_DISARM_PRFLT)
             self._report(f"arming {_named(self.grounded)}")
-            return [Order(OrderKind.ARM, self.grounded)]
+            self.waits_for = self.grounded
+            return [Order(OrderKind.MODE, self.grounded)]
         return self._engage()
 
     def pause(self) -> list[Order]:
@@ -439,6 +446,8 @@ class Execution:
         self._unexpected_modes.pop(name, None)
         if unexpected_mode is not None:
             self._unexpected_modes[name] = unexpected_mode
+        if kind is OrderKind.MODE:
+            return self._on_mode(name, ok, text)
         if kind is OrderKind.ARM:
             return self._on_armed(name, ok, text)
         if kind is OrderKind.TAKEOFF:
@@ -508,6 +517,19 @@ class Execution:
             self._enter(PlanState.ABORTED, f"nobody takes off: {moved[1]}", moved[0])
             return self._disarm()
         return []
+
+    def _on_mode(self, name: str, ok: bool, text: str) -> list[Order]:
+        if self.state is not PlanState.ARMING or self._ready == set(self.grounded):
+            return []
+        if not ok:
+            self._enter(PlanState.ABORTED, f"nobody takes off: {name} does not change its mode: {text}", name)
+            return []
+        self._ready.add(name)
+        self.waits_for = tuple(n for n in self.grounded if n not in self._ready)
+        if self.waits_for:
+            return []
+        self.waits_for = self.grounded
+        return [Order(OrderKind.ARM, self.grounded)]
 
     def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
         if self.state is not PlanState.ARMING:  # it came too late

@@ -112,6 +112,7 @@ class Told:
 
     def to_control(self) -> None:
         if self.state is PlanState.ARMING:
+            self.done(OrderKind.MODE)
             self.done(OrderKind.ARM)
             for name in NAMES:
                 self.see(name, armed=True, takeoff="reached")
@@ -139,7 +140,10 @@ class Told:
 
 def test_the_whole_way_from_the_ground_to_the_goals() -> None:
     told = Told()
-    assert told.state is PlanState.ARMING and told.orders == [Order(OrderKind.ARM, NAMES)]
+    assert told.state is PlanState.ARMING and told.orders == [Order(OrderKind.MODE, NAMES)]
+    told.done(OrderKind.MODE, "alpha")
+    assert told.execution.waits_for == ("bravo",), "nobody arms before all are in the mode of their take-off"
+    assert told.done(OrderKind.MODE, "bravo") == [Order(OrderKind.ARM, NAMES)]
     told.done(OrderKind.ARM, "alpha")
     assert told.state is PlanState.ARMING and told.execution.waits_for == ("bravo",)
     told.done(OrderKind.ARM, "bravo")
@@ -176,6 +180,15 @@ def test_one_that_does_not_arm_keeps_all_on_the_ground_and_who_armed_is_disarmed
     assert told.state is PlanState.ABORTED and orders == [Order(OrderKind.DISARM, ("alpha",))]
     assert "bravo does not arm: denied" in told.execution.reason
     assert OrderKind.TAKEOFF not in told.kinds()
+
+
+def test_one_that_does_not_change_its_mode_keeps_all_on_the_ground_and_nobody_arms() -> None:
+    told = Told()
+    told.done(OrderKind.MODE, "alpha")
+    assert told.done(OrderKind.MODE, "bravo", ok=False, text="denied") == []
+    assert told.state is PlanState.ABORTED and "bravo does not change its mode: denied" in told.execution.reason
+    assert told.done(OrderKind.MODE, "bravo") == [], "it comes too late"
+    assert OrderKind.ARM not in told.kinds()
 
 
 def test_an_arming_that_comes_after_the_abort_is_undone() -> None:
@@ -407,6 +420,8 @@ class Judged(Told):
             if order.kind in MOVING and order.kind is not OrderKind.LAND:
                 assert not self.aborted, order
             match order.kind:
+                case OrderKind.ARM:
+                    assert self.confirmed[OrderKind.MODE] >= set(self.grounded)
                 case OrderKind.TAKEOFF:
                     assert self.confirmed[OrderKind.ARM] >= set(self.grounded)
                 case OrderKind.FLY:

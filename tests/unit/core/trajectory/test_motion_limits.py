@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks, require_within
+from skygcs.core.trajectory import (
+    MotionLimits,
+    Piece,
+    Trajectory,
+    motion_peaks,
+    path_within,
+    require_within,
+    within_at_speed,
+)
 from skygcs.core.trajectory.bernstein import derivative, error_bound, from_power, halves, product, to_power
 from skygcs.errors import TrajectoryError
 from support.examples import examples
@@ -98,3 +106,15 @@ def test_limits_name_what_where_and_how_much() -> None:
 def test_a_limit_that_is_none_is_refused(value: float) -> None:
     with pytest.raises(TrajectoryError, match="speed_mps"):
         MotionLimits(speed_mps=value)
+
+
+@given(st.floats(0.2, 4.0), st.floats(2.0, 200.0), st.floats(0.5, 4.0), st.floats(1.0, 8.0))
+@settings(max_examples=examples(60), deadline=None)
+def test_a_way_that_is_timed_for_a_faster_clock_is_flown_within_the_limits(
+    factor: float, length_m: float, acceleration: float, jerk: float
+) -> None:
+    limits = MotionLimits(acceleration_mps2=acceleration, jerk_mps3=jerk)
+    peaks = motion_peaks(path_within(((0.0, 0.0, 10.0), (length_m, 0.0, 10.0)), within_at_speed(limits, factor)))
+    assert peaks.speed_mps.at_most <= limits.speed_mps * 1.001
+    assert peaks.acceleration_mps2.at_most * factor**2 <= acceleration * 1.01
+    assert peaks.jerk_mps3.at_most * factor**3 <= jerk * 1.01

@@ -62,7 +62,7 @@ def test_a_climb_within_the_fence_that_leads_out_of_it_when_setpoints_cease_is_f
 def test_straight_legs_are_slowed_down_until_they_pass_and_then_the_whole_does() -> None:
     steps = climb()
     where = stage(3.0)
-    assert too_fast(loaded(steps)[0], "climb", where, tubes()) is not None
+    assert too_fast(steps[0], loaded(steps)[0], where, tubes()) is not None
     slower = slowed(steps[0], LIMITS, where, tubes())
     assert slower is not None and slower.places() == steps[0].places()
     assert slower.duration_s > steps[0].duration_s
@@ -78,17 +78,17 @@ def test_a_leg_whose_end_would_be_passed_by_more_than_its_tube_is_flown_slower()
     px4 = Flown(wide, LossReach(1.0, PX4_BRAKING), PX4_OVERSHOOT_S)
     where = Stage(ORIGIN, {"a": px4, "b": px4}, 1.0, 1.0)
     narrow = Tubes(*({"a": 0.4, "b": 0.4},) * 3, 2.0)
-    found = too_fast(loaded([step])[0], "cross", where, narrow)
-    assert found is not None and found.vehicle == "a" and "pass the end of its way by 1.20 m" in found.text
+    found = too_fast(step, loaded([step])[0], where, narrow)
+    assert found is not None and found.vehicle == "a" and "pass the end of its way by 1.1" in found.text
     slower = slowed(step, fast, where, narrow)
     assert slower is not None and slower.places() == step.places()
-    assert too_fast(loaded([slower])[0], "cross", where, narrow) is None
+    assert too_fast(slower, loaded([slower])[0], where, narrow) is None
     wide_tubes = Tubes(*({"a": 1.5, "b": 1.5},) * 3, 2.0)
-    assert too_fast(loaded([step])[0], "cross", where, wide_tubes) is None, "a wider tube has room for it"
+    assert too_fast(step, loaded([step])[0], where, wide_tubes) is None, "a wider tube has room for it"
     assert rehearse([step], loaded([step]), wide_tubes, where) is None
     stopped = rehearse([step], loaded([step]), narrow, where)
     assert stopped is not None and "pass the end of its way by 1.1" in stopped.text
-    assert too_fast(loaded([step])[0], "cross", replace(where, speed_factor=0.3), narrow) is None
+    assert too_fast(step, loaded([step])[0], replace(where, speed_factor=0.3), narrow) is None
 
 
 def test_a_timed_plan_passes_at_a_speed_that_is_named_or_at_none() -> None:
