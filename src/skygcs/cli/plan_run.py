@@ -46,6 +46,7 @@ class GuidanceName(StrEnum):
     GOTO = "goto"
     SETPOINTS = "setpoints"
     ONBOARD = "onboard"
+    MISSION = "mission"
 
 
 Force = Annotated[bool, typer.Option("--force", help="Although checks refuse it that can be insisted on.")]
@@ -71,7 +72,10 @@ def run_plan(
     mode: Annotated[ControlModeName, typer.Option("--mode", help="The control mode.")] = ControlModeName.POSITION,
     by: Annotated[
         GuidanceName,
-        typer.Option("--by", help="goto: one order for each leg; setpoints: a stream; onboard: companions."),
+        typer.Option(
+            "--by",
+            help="goto: one order for each leg; setpoints: a stream; onboard: companions or missions; mission.",
+        ),
     ] = GuidanceName.AUTO,
     speed: Annotated[
         float, typer.Option("--speed", metavar="FACTOR", help="Multiple of the planned speed.", parser=finite)

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from skygcs.core.plan.file_reading import MAX_VEHICLES
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
-from skygcs.core.plan.guidance import Choice, Guidance, by_goto
+from skygcs.core.plan.guidance import Choice, by_goto
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import MAX_BOXES, MAX_CORNERS
 from skygcs.core.trajectory import MotionLimits
@@ -142,7 +142,7 @@ class PlanMakeParams(CertifyParams):
     )
     starts: PlacesByVehicle | None = Field(None, description="Initial positions. null: where the vehicles are now.")
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
-    by: Literal["auto", "goto", "setpoints", "onboard"] = Field(
+    by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
         description="The way in which it shall be flown (plan.run): by goto it is phased, with legs level or vertical, "
         "and margins contain what autopilots fly by themselves. auto: as plan.run would choose.",
@@ -197,7 +197,7 @@ class PlanAnswer(Result):
     reasons: list[str] = Field([], description="Why nothing was certified: pair, time and place.")
     standing: dict[str, list[float]] = Field({}, description="Vehicles of the fleet that counted as obstacles.")
     unknown: list[str] = Field([], description="Vehicles of the fleet that did not: nobody knows where they are.")
-    by: str | None = Field(None, description="The way in which it is to be flown: goto, setpoints or onboard.")
+    by: str | None = Field(None, description="The way in which it is to be flown: goto, setpoints, onboard or mission.")
     why: str | None = Field(None, description="Why it is that way.")
 
 
@@ -237,8 +237,8 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
         request = paths_request(paths, facts.rule(), limits, facts.space(paths), within_limits=params.within_limits)
     else:
         starts, goals, exchangeable = facts.task(params)
-        by_goto = facts.choose_way(starts, params.by, timed=params.kind == "timed")
-        kind = "phased" if by_goto and params.kind == "auto" else params.kind
+        in_phases = facts.choose_way(starts, params.by, timed=params.kind == "timed")
+        kind = "phased" if in_phases and params.kind == "auto" else params.kind
         request = make_request(
             starts,
             goals,
@@ -362,16 +362,16 @@ class _Facts:
         ratio, margin = self._params.downwash_ratio, self._params.margin_m
         actors = self._services.fleet.vehicles.values()
         rule = fleet_margins.margin_rule(actors, margin_m=margin, downwash_ratio=ratio)
-        if self._way is None or self._way.by is not Guidance.GOTO:
+        if self._way is None or not self._way.by.own_way:
             return rule
         return by_goto(rule, {actor.name: actor.vehicle.family for actor in self._taking_part})
 
     def choose_way(self, names: Iterable[str], by: str, *, timed: bool) -> bool:
-        """Choose the way in which these are to fly a plan; whether by goto. Raises RefusedError."""
+        """Choose the way in which these are to fly a plan; True if it takes phases. Raises RefusedError."""
         self._taking_part = [one_vehicle(self._services, name) for name in names]
         runner = self._services.fleet.plans.runner
         self._way = runner.chosen_way(self._taking_part, "position", by, timed=timed).choice
-        return self._way.by is Guidance.GOTO
+        return self._way.by.own_way
 
     def limits_of(self) -> dict[str, JsonObject]:
         """The limits of each vehicle of the fleet; those that the request gives count before."""

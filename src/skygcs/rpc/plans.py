@@ -61,10 +61,12 @@ class PlanFlightParams(MethodParams):
         None, description="The margin of each pair, in place of its terms."
     )
     force: bool = Field(False, description="Although checks refuse it that can be insisted on.")
-    by: Literal["auto", "goto", "setpoints", "onboard"] = Field(
+    by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
         description="goto: an order for each leg, flown by the autopilot itself (phased plans); setpoints: a stream; "
-        "onboard: by companions. auto: setpoints where every link carries them, else goto; the report says why.",
+        "onboard: by companions, or as missions where no vehicle has one; mission: each has its whole way on board, "
+        "and flies it without the ground (phased plans that need no barriers). auto: setpoints where every link "
+        "carries them, else goto; the report says why.",
     )
 
 
@@ -95,7 +97,7 @@ class PlanReport(Result):
     """Findings before a flight."""
 
     ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
-    by: Literal["goto", "setpoints", "onboard"] = Field(description="The way in which it is flown.")
+    by: Literal["goto", "setpoints", "onboard", "mission"] = Field(description="The way in which it is flown.")
     why: str = Field(description="Why it is that way.")
     findings: list[dict[str, Any]] = Field(
         description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, command (what "
@@ -136,7 +138,7 @@ class PlanStatus(Result):
     step: int
     steps: int
     reason: str = Field(description="What the last change of the state was.")
-    by: str | None = Field(description="goto, setpoints or onboard.")
+    by: str | None = Field(description="goto, setpoints, onboard or mission.")
     mode: str | None = Field(description="The control mode; null by goto.")
     speed: float | None
     clock: dict[str, Any] | None = Field(

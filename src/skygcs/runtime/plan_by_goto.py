@@ -69,7 +69,7 @@ class GotoGuidance:
         if not vehicle.armed:
             return Left(Why.PILOT, "it is disarmed")
         still = state in (ClockState.PAUSING, ClockState.PAUSED)
-        if vehicle.mode not in (STANDS_IN if still else FLIES_IN):
+        if vehicle.mode not in (STANDS_IN if still else self._modes(name)):
             return Left(Why.PILOT, f"it was switched to {vehicle.mode}")
         return None
 
@@ -81,13 +81,20 @@ class GotoGuidance:
 
     def fly(self, flight: PlanFlight) -> str | None:
         """Order the first legs."""
-        execution = flight.execution
-        starts, goals = execution.step.starts(), execution.step.places()
-        moving = {name: goal for name, goal in goals.items() if math.dist(goal, starts[name]) > LEAST_LEG_M}
+        tubes = flight.execution.tubes
         self._refused.clear()
-        self._legs = GotoLegs(moving, execution.tubes.free_m, execution.tubes.downwash_ratio)
+        self._legs = GotoLegs(self._goals(flight), tubes.free_m, tubes.downwash_ratio)
         self._order_due(flight, self._legs)
         return None
+
+    def _goals(self, flight: PlanFlight) -> dict[str, Vector]:
+        """The vehicles that move in the step under way, and where they go."""
+        starts, goals = flight.execution.step.starts(), flight.execution.step.places()
+        return {name: goal for name, goal in goals.items() if math.dist(goal, starts[name]) > LEAST_LEG_M}
+
+    def _modes(self, name: str) -> frozenset[str]:
+        """Modes in which it flies its leg."""
+        return FLIES_IN
 
     def look(self, flight: PlanFlight, now: float) -> None:
         """Order again what was not heard or has not worked."""
@@ -127,13 +134,17 @@ class GotoGuidance:
         stopped = legs is not self._legs or legs.state not in (ClockState.RUNNING, ClockState.FINISHED)
         if stopped or flight.left_of(name, self._loop.time()) is not None:  # its pilot's: the next look says so
             return
-        outcome = await self._goto(flight, name, legs.goal_m(name))
+        outcome = await self._order(flight, name, legs.goal_m(name))
         unheard = outcome.result in UNHEARD or outcome.result in ("temporarily_rejected", "timeout")
         if not outcome.ok and not unheard and outcome.result != "cancelled":
             self._refused[name] = outcome.message
         legs.ended(name, ok=outcome.ok, unheard=unheard, now=self._loop.time())
         if not outcome.ok and actor.order_number != self._numbers.get(name):
             self._refused.pop(name, None)  # a newer order took its place: that is why
+
+    async def _order(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
+        """Order its leg, to its outcome."""
+        return await self._goto(flight, name, place_m)
 
     async def _goto(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
         """One order to fly to a place, to its outcome; the monitor knows of it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -32,6 +33,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.flight_note import lost_place
+from skygcs.core.vehicle.mission_loss import mission_loss
 from skygcs.core.vehicle.plan_in_fence import CHECK, Reach, fence_finding, sampled
 from skygcs.core.vehicle.plan_rehearsal import SLOWER, Stopped
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
@@ -148,7 +150,7 @@ def margin_rule(
     actors = list(actors)
     taking_part = [actor.name for actor in actors]
     rule = fleet_margins.margin_rule([*actors, *others], margin_m=margin_m)
-    if by is Guidance.GOTO:
+    if by.own_way:
         rule = by_goto(rule, {actor.name: actor.vehicle.family for actor in actors})
     sources = {
         name: {
@@ -220,13 +222,15 @@ def link_findings(
     instead = remedies.make_phased() if timed else remedies.by_goto()
     for actor in actors:
         name = actor.name
-        if choice.by is not Guidance.GOTO:
+        if not choice.by.own_way:
             level = Level.OK if offboard_entry.loss_note(actor.vehicle, now) is None else Level.WARNING
             found.append(Finding(name, "if skygcs dies", level, offboard_entry.loss_text(actor.vehicle, now)))
         if choice.by is Guidance.GOTO:
             found.append(Finding(name, "link", Level.OK, "by goto: one order for each leg"))
             text = "it flies its leg to the end, which is certified as a place to stay, and holds there"
             found.append(Finding(name, "if skygcs dies", Level.OK, text))
+        elif choice.by is Guidance.MISSION:
+            found.append(Finding(name, "link", Level.OK, "by its mission: nothing is sent on the way"))
         elif isinstance(actor.offboard, OffboardEngagement):
             why = narrow.get(name)
             text = f"it carries {control_mode} setpoints"
@@ -236,6 +240,23 @@ def link_findings(
             down = actor.offboard.down_reason()
             fine = Finding(name, "link", Level.OK, "its companion flies it")
             found.append(fine if down is None else refused(name, "link", down, remedies.bring_up(name)))
+    return found
+
+
+async def mission_loss_findings(actors: Sequence[VehicleActor]) -> list[Finding]:
+    """Check whether each flies its mission to the end without the ground; reads the parameters that decide it."""
+    await asyncio.gather(*(actor.read_loss(on_mission=True) for actor in actors))
+    found = []
+    for actor in actors:
+        name, loss = actor.name, mission_loss(actor.vehicle)
+        if loss.goes_on:
+            found.append(Finding(name, "if skygcs dies", Level.OK, loss.text))
+        elif loss.goes_on is None:
+            remedy = remedies.insist("look at what it does without a ground station")
+            found.append(refused(name, "if skygcs dies", loss.text, remedy, insist=True))
+        else:
+            remedy = remedies.set_parameter(name, loss.param, loss.value)
+            found.append(refused(name, "if skygcs dies", loss.text, remedy, insist=True))
     return found
 
 
@@ -405,12 +426,13 @@ def _within_bounds(lock: FlightLock, name: str, one: LoadedTrajectory, speed_fac
 
 
 def reach_findings(steps: Sequence[FlightStep], actors: Sequence[VehicleActor]) -> list[Finding]:
-    """Return the legs, flown by goto, that are longer than a goto may be: one of each vehicle."""
+    """Return the legs, flown by autopilots, that are longer than a goto may be: one of each vehicle."""
     found: dict[str, Finding] = {}
     for step in steps:
         for actor in actors:
             way = step.trajectories[actor.name]
-            leg_m = math.dist(way.start_enu_m, way.end_enu_m)
+            places = step.corners.get(actor.name) or (way.start_enu_m, way.end_enu_m)
+            leg_m = max(math.dist(a, b) for a, b in itertools.pairwise(places))
             if leg_m > actor.config.goto_limit_m and actor.name not in found:
                 text = f"{step.name}: a leg of {leg_m:.0f} m; a goto may be {actor.config.goto_limit_m:g} m long"
                 remedy = remedies.again(f"set vehicles.{actor.name}.goto_limit_m in the fleet file")

@@ -200,7 +200,7 @@ class PlanFlight:
         vehicle = actor.vehicle
         if not self.known(actor):
             return Left(Why.LOST, "it was forgotten, and no order reaches it any more")
-        if not vehicle.connected:
+        if not vehicle.connected and not (self.guidance.by is Guidance.MISSION and name in self.engaged):
             return Left(Why.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
         if name not in self.engaged:
             return self._taken_before(name, actor, now)

@@ -63,6 +63,7 @@ from skygcs.number_text import rounded
 from skygcs.planning.process import PlanningProcesses
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.plan_by_goto import GotoGuidance
+from skygcs.runtime.plan_by_mission import MissionGuidance
 from skygcs.runtime.plan_by_setpoints import SetpointGuidance
 from skygcs.runtime.plan_checks import (
     Measured,
@@ -77,6 +78,7 @@ from skygcs.runtime.plan_checks import (
     made_elsewhere,
     margin_rule,
     measure,
+    mission_loss_findings,
     not_streamed,
     preflight_findings,
     reach_findings,
@@ -98,6 +100,12 @@ BELOW_GROUND_M = 2.0
 
 LAST_ENDS_S = 15.0
 """An order to hold is repeated for some 10 s at most."""
+
+MISSION_LEFT = (
+    "they are not on their missions' ways any more: `skygcs-cli plan abort`, then `skygcs-cli plan run FILE` from "
+    "where they are"
+)
+"""A mission is certified from where it began."""
 
 PAUSE_WAIT_S = 30.0
 """The longest stop: 5 m/s with 1 m/s² takes five seconds."""
@@ -350,8 +358,9 @@ class PlanRunner:
         self._orders.carry_out(self.flight, execution.begin())
 
     def _guidance(self, by: Guidance) -> FlightGuidance:
-        if by is Guidance.GOTO:
-            return GotoGuidance(self._fleet.monitor, self._loop, self._orders.start)
+        if by.own_way:
+            make = GotoGuidance if by is Guidance.GOTO else MissionGuidance
+            return make(self._fleet.monitor, self._loop, self._orders.start)
         return SetpointGuidance(self._trajectories, self._loop, by)
 
     def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
@@ -397,6 +406,8 @@ class PlanRunner:
         findings = checked.findings
         findings += [state_finding(actor, [actor.name for actor in actors], now) for actor in actors]
         findings += way.findings
+        if by is Guidance.MISSION:
+            findings += await mission_loss_findings(actors)
         if not refusals(findings, force=request.force):
             standing = measure(actors, [], frame, now).grounded
             findings += await preflight_findings(actors, standing, self._fleet.preflight)
@@ -418,24 +429,22 @@ class PlanRunner:
             rule,
             _limits(actors, request.speed_factor),
             request.speed_factor,
-            by is Guidance.GOTO,
+            by,
             grounds(actors, measured, frame),
         )
-        stage = None if by is Guidance.GOTO else _stage(checked, request.speed_factor)
+        stage = None if by.own_way else _stage(checked, request.speed_factor)
         prepared, checked.loaded, stopped = await self._prepared(situation, None, stage)
         checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
         findings += certificate_findings(prepared)
         findings += bounds_findings(checked.steps, checked.loaded, checked.lock, request.speed_factor)
         findings += rehearsal_findings(stopped, timed=timed)
-        if by is Guidance.GOTO:
+        if by.own_way:
             findings += reach_findings(checked.steps, actors)
         findings += await fence_findings(actors, prepared, frame, measured)
         flight_s = climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
         findings += battery_findings(actors, flight_s, self._record)
         if prepared.tubes is not None and prepared.steps:
-            checked.execution = Execution(
-                prepared.steps, measured.grounded, prepared.tubes, measured.places, by_goto=by is Guidance.GOTO
-            )
+            checked.execution = Execution(prepared.steps, measured.grounded, prepared.tubes, measured.places, by=by)
         return checked
 
     async def _write_heights(self, checked: _Checked) -> None:
@@ -581,14 +590,19 @@ class PlanRunner:
         lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
         if lacking or len(measured.places) < len(actors):
             return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking
+        if flight.guidance.by is Guidance.MISSION:
+            if not in_place or execution.left:
+                return False, f"refused: {MISSION_LEFT}", [MISSION_LEFT]
+            self._orders.carry_out(flight, execution.go_on())
+            return True, "going on with their missions", []
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
-        by_goto = flight.guidance.by is Guidance.GOTO
-        if by_goto and not in_place:  # from where they are on their legs, and not from the begin of these
+        by = flight.guidance.by
+        if by is Guidance.GOTO and not in_place:  # from where they are on their legs, and not from the begin of these
             limits = _limits(actors, self._request.speed_factor)
             rest[0] = from_where(rest[0], measured.places, execution.tubes.downwash_ratio, limits)
         situation = self._situation_of_rest(actors, measured, rest, in_place=in_place)
         stage = None
-        if not by_goto:
+        if by is not Guidance.GOTO:
             stage = _stage_of(flight.lock, actors, self._request.speed_factor)
         prepared, loaded, stopped = await self._prepared(situation, rest, stage)
         if stopped is not None:
@@ -604,7 +618,7 @@ class PlanRunner:
             return True, "going on: all are at their places", []
         # a new flight from here
         flight.guidance.end(flight)
-        again = Execution(prepared.steps, (), prepared.tubes, prepared.steps[0].starts(), by_goto=by_goto)
+        again = Execution(prepared.steps, (), prepared.tubes, prepared.steps[0].starts(), by=by)
         lock = flight.lock.of(frozenset(staying))
         guidance = self._guidance(flight.guidance.by)
         later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, lock, guidance, self._knows)
@@ -629,7 +643,7 @@ class PlanRunner:
             rule,
             _limits(actors, self._request.speed_factor),
             self._request.speed_factor,
-            self._by is Guidance.GOTO,
+            self._by,
         )
 
     async def _certify_landing(self, flight: PlanFlight) -> None:

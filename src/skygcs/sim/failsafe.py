@@ -27,6 +27,13 @@ PILOT_GOES_ON = 16
 a mode that is flown by a pilot."""
 
 
+COPTER_MISSION_GOES_ON = 2
+"""Bit of FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_AUTO)."""
+
+PX4_MISSION_GOES_ON = 1
+"""Bit of COM_DLL_EXCEPT (failsafe.cpp, DatalinkLossExceptionBits::Mission)."""
+
+
 def watch(v: VehicleState, now: float) -> None:
     """One tick's look at everything."""
     firmware, alarms = v.firmware, v.failsafes
@@ -67,8 +74,11 @@ def _watch_gcs(v: VehicleState, now: float) -> None:
     if lost and reaction is not Reaction.NONE and v.armed:
         options = v.params.get("FS_OPTIONS")
         if options is None:
-            if not rule.lands:
+            ignored = rule.mission and int(v.params["COM_DLL_EXCEPT"]) & PX4_MISSION_GOES_ON
+            if not rule.lands and not ignored:
                 _react(v, reaction, "GCS lost", now, delayed=True)
+        elif not v.landed and rule.mission and int(options) & COPTER_MISSION_GOES_ON:
+            v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Auto Mode")
         elif not v.landed and int(options) & PILOT_GOES_ON and not rule.autopilot:
             v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Pilot Control")
         else:

@@ -86,7 +86,7 @@ class Certificate:
 
     certified: bool
     kind: str
-    """timed or phased."""
+    """timed, phased, or free: phased without barriers."""
     vehicles: int
     downwash_ratio: float
     closest: Approach | None

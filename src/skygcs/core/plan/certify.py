@@ -2,7 +2,7 @@
 
 Nothing is sampled: timed plans by Bernstein forms (`closest_approach`), phased plans by the exact distance of straight
 corridors (`segment_distance`), walls by convex hulls (`space_check`). In a phased plan a vehicle may be anywhere on its
-leg at any time, so nothing about its timing enters.
+leg at any time, so nothing about its timing enters. Without barriers (``barriers=False``) it may be on any of its legs.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ def certify(
     *,
     limits: MotionLimits | Mapping[str, MotionLimits] | None = None,
     progress: Progress | None = None,
+    barriers: bool = True,
 ) -> Certificate:
-    """Judge the plan; ``limits``: the speeds and accelerations of a timed plan as well, of all vehicles or by name.
+    """Judge the plan; ``limits``: the speeds and accelerations of a timed plan as well, of all vehicles or by name;
+    ``barriers``: in a phased plan nobody begins a phase before all have ended the one before.
 
     Raises TrajectoryError where a trajectory jumps, RefusedError for names that are there twice.
     """
@@ -49,7 +51,7 @@ def certify(
         raise RefusedError(f"{min(both)} takes part in the plan and is said to stand")
     if isinstance(plan, TimedPlan):
         return _certify_timed(plan, rule, space, limits, progress)
-    return _certify_phased(plan, rule, space, progress)
+    return _certify_phased(plan, rule, space, progress, barriers=barriers)
 
 
 # --- timed ------------------------------------------------------------------------------------------------------------
@@ -155,22 +157,33 @@ def _problem(names: Sequence[str], half: Sequence[float], breach: Breach, phase:
 # --- phased -----------------------------------------------------------------------------------------------------------
 
 
-def _certify_phased(plan: PhasedPlan, rule: MarginRule, space: FlightSpace, progress: Progress | None) -> Certificate:
+Legs = Mapping[str, tuple[Vector, Vector]]
+
+
+def _certify_phased(
+    plan: PhasedPlan, rule: MarginRule, space: FlightSpace, progress: Progress | None, *, barriers: bool
+) -> Certificate:
     names = [*plan.starts, *space.standing]
     half = [rule.half_m(name) for name in names]
+    standing = {name: (place, place) for name, place in space.standing.items()}
+    phases = [(phase, {**legs, **standing}) for phase, legs in plan.legs()]
     worst: Approach | None = None
     too_close: list[Approach] = []
     problems: list[SpaceProblem] = []
-    for number, (phase, legs) in enumerate(plan.legs()):
+    # all pairs: in the same phase, and without barriers one vehicle in this phase and the other in any earlier one
+    for number, (phase, legs) in enumerate(phases):
         if progress is not None:
-            progress(number, len(plan.phases))
-        flown = dict(legs) | {name: (place, place) for name, place in space.standing.items()}
-        least_m = np.inf if worst is None else worst.clearance_m
-        for approach in _approaches(phase, names, flown, half, rule, len(plan.starts), least_m):
-            if worst is None or approach.clearance_m < worst.clearance_m:
-                worst = approach
-            if approach.clearance_m < SLACK_M and len(too_close) < MAX_NAMED:
-                too_close.append(approach)
+            progress(number, len(phases))
+        met: list[tuple[str, Legs, Legs]] = [(phase, legs, legs)]
+        for earlier, others in phases[:number] if not barriers else ():
+            met += [(f"{earlier} and {phase}", others, legs), (f"{earlier} and {phase}", legs, others)]
+        for text, of_first, of_second in met:
+            least_m = np.inf if worst is None else worst.clearance_m
+            for approach in _approaches(text, names, (of_first, of_second), half, rule, len(plan.starts), least_m):
+                if worst is None or approach.clearance_m < worst.clearance_m:
+                    worst = approach
+                if approach.clearance_m < SLACK_M and len(too_close) < MAX_NAMED:
+                    too_close.append(approach)
         if space.has_walls and len(problems) < MAX_NAMED:
             curves = [_line(*legs[name]) for name in plan.starts]
             problems += [
@@ -178,7 +191,7 @@ def _certify_phased(plan: PhasedPlan, rule: MarginRule, space: FlightSpace, prog
             ]
     return Certificate(
         not too_close and not problems,
-        "phased",
+        "phased" if barriers else "free",
         len(plan.starts),
         rule.downwash_ratio,
         worst,
@@ -190,31 +203,36 @@ def _certify_phased(plan: PhasedPlan, rule: MarginRule, space: FlightSpace, prog
 def _approaches(
     phase: str,
     names: Sequence[str],
-    legs: Mapping[str, tuple[Vector, Vector]],
+    legs: tuple[Legs, Legs],
     half: Sequence[float],
     rule: MarginRule,
     moving: int,
     least_m: float,
 ) -> list[Approach]:
-    """The pair with the least clearance, if that is below ``least_m``, and all pairs within the margin."""
+    """The pair with the least clearance, if that is below ``least_m``, and all pairs within the margin. ``legs``: of
+    the first vehicle of each pair, and of the second."""
     first, second = np.triu_indices(len(names), 1)
     keep = first < moving  # two that stand are not compared
     first, second = first[keep], second[keep]
     if not len(first):
         return []
-    begins = scaled([legs[name][0] for name in names], rule.downwash_ratio)
-    ends = scaled([legs[name][1] for name in names], rule.downwash_ratio)
+    begins, other_begins = (scaled([part[name][0] for name in names], rule.downwash_ratio) for part in legs)
+    ends, other_ends = (scaled([part[name][1] for name in names], rule.downwash_ratio) for part in legs)
     margins = np.asarray(half)
     # by their balls and their begins most pairs cannot be the nearest one
-    middles, radii = (begins + ends) / 2.0, np.sqrt(((ends - begins) ** 2).sum(axis=1)) / 2.0 + margins
-    at_least = np.sqrt(((middles[first] - middles[second]) ** 2).sum(axis=1)) - radii[first] - radii[second]
-    at_begin = np.sqrt(((begins[first] - begins[second]) ** 2).sum(axis=1)) - margins[first] - margins[second]
+    (middles, radii), (other_middles, other_radii) = (
+        ((a + b) / 2.0, np.sqrt(((b - a) ** 2).sum(axis=1)) / 2.0 + margins)
+        for a, b in ((begins, ends), (other_begins, other_ends))
+    )
+    at_least = np.sqrt(((middles[first] - other_middles[second]) ** 2).sum(axis=1))
+    at_least -= radii[first] + other_radii[second]
+    at_begin = np.sqrt(((begins[first] - other_begins[second]) ** 2).sum(axis=1)) - margins[first] - margins[second]
     near = at_least - SLACK_M < max(2.0 * SLACK_M, min(least_m, float(at_begin.min())))
     first, second = first[near], second[near]
     if not len(first):
         return []
     # the others by the exact distance
-    distance, part_1, part_2 = segment_segment(begins[first], ends[first], begins[second], ends[second])
+    distance, part_1, part_2 = segment_segment(begins[first], ends[first], other_begins[second], other_ends[second])
     clearance = distance - margins[first] - margins[second]
     order = np.argsort(clearance)
     found = []
@@ -227,7 +245,7 @@ def _approaches(
                 float(distance[index]) - SLACK_M,
                 float(margins[first[index]] + margins[second[index]]),
                 {name: rule.terms(name) for name in (one, other)},
-                (_on(legs[one], float(part_1[index])), _on(legs[other], float(part_2[index]))),
+                (_on(legs[0][one], float(part_1[index])), _on(legs[1][other], float(part_2[index]))),
                 phase=phase,
                 sources={name: rule.sources(name) for name in (one, other)},
             )

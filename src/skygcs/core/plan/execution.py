@@ -34,9 +34,9 @@ In a step that flies (to_starts, returning, flying) and while it is paused:
     does not follow any more: guard, pilot, an order, lost           at once
     has not come to its place at the barrier                         for `BARRIER_S`
 
-By goto (`core.plan.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are shown as one.
-A vehicle may then be silent for `GOTO_SILENT_S`, and is in trouble as well when it has denied its leg (`Left`) or has
-not come to its place in the leg's time and `LEG_S`.
+By goto and by missions (`core.plan.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are
+shown as one. A vehicle may then be silent for `SILENT_S`, and is in trouble as well when it has denied its leg (`Left`)
+or has not come to its place in the leg's time and `LEG_S`.
 
 Trouble stops the clock of all; nothing but an order goes on from there. A barrier opens when every vehicle was measured
 within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle does not follow.
@@ -52,6 +52,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from skygcs.core.plan.flight_steps import FlightStep, StepKind, distance_to_leg, scaled
+from skygcs.core.plan.guidance import Guidance
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
@@ -70,6 +71,9 @@ GOTO_SILENT_S = 5.0
 """By goto a vehicle that is not heard flies on to the end of its leg, which is certified; it is elsewhere only if its
 own failsafe takes it, of which ArduCopter's begins 5 s after the last heartbeat of a ground station (FS_GCS_TIMEOUT).
 """
+
+SILENT_S = {Guidance.GOTO: GOTO_SILENT_S, Guidance.MISSION: math.inf}
+"""By a mission a vehicle that is not heard goes on, and keeps from the others wherever it and they are."""
 
 LEG_S = 60.0
 """By goto: how much longer than planned a leg may take. Four orders that are lost, each repeated for 10 s, fit in."""
@@ -246,16 +250,16 @@ class Execution:
         tubes: Tubes,
         measured: Mapping[str, Vector],
         *,
-        by_goto: bool = False,
+        by: Guidance = Guidance.SETPOINTS,
     ) -> None:
         """``grounded``: vehicles that have to take off, to where the first step has them; ``measured``: the places that
-        were certified, where each is now; ``by_goto``: autopilots fly the legs themselves."""
+        were certified, where each is now."""
         self.steps = list(steps)
         self.tubes = tubes
         self.names = tuple(steps[0].trajectories)
         self.measured = dict(measured)
-        self.by_goto = by_goto
-        self._silent_s = GOTO_SILENT_S if by_goto else POSITION_SILENT_S
+        self.by = by
+        self._silent_s = SILENT_S.get(by, POSITION_SILENT_S)
         self.grounded = tuple(name for name in self.names if name in grounded)
         self.state = PlanState.ARMING if self.grounded else PlanState.ENGAGING
         self.index = 0
@@ -582,7 +586,7 @@ class Execution:
         return [] if waits else self._engage()
 
     def _engage(self) -> list[Order]:
-        what = "sending {} to their places" if self.by_goto else "taking {} under control"
+        what = "sending {} to their places" if self.by.own_way else "taking {} under control"
         self._enter(PlanState.ENGAGING, what.format(_named(self.names)))
         self.waits_for = self.names
         return [Order(OrderKind.ENGAGE, self.names)]
@@ -611,7 +615,7 @@ class Execution:
         self._started = True
         self.waits_for = ()
         step = self.step
-        times = "" if self.by_goto else f": {step.duration_s:.0f} s for {len(self.names)} vehicles"
+        times = "" if self.by is Guidance.GOTO else f": {step.duration_s:.0f} s for {len(self.names)} vehicles"
         self._enter(STATE_OF[step.kind], f"{step.name}{times}")
         return [Order(OrderKind.FLY, self.names)]
 
@@ -628,7 +632,7 @@ class Execution:
             return []
         if clock is not ClockState.FINISHED:
             self._watch.barrier_since = None
-            return self._leg_trouble(now, sights) if self.by_goto else []
+            return self._leg_trouble(now, sights) if self.by.own_way else []
         if not self._all_at(now, self.step.places(), sights):
             return self._barrier_trouble(now, sights)
         if self.index + 1 < len(self.steps):
@@ -637,7 +641,7 @@ class Execution:
         self._started = False
         self.waits_for = ()
         self._enter(PlanState.FINISHED, "all are at their goals and hold")
-        return [] if self.by_goto else self._hold(self.names)
+        return [] if self.by is Guidance.GOTO else self._hold(self.names)
 
     def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Sight]) -> list[Order]:
         """Paused or stopped: report who leaves meanwhile."""
@@ -661,6 +665,8 @@ class Execution:
                 self.left[name] = sight.left
                 return name, f"{name} left: {sight.left.text}", sights
             if sight.place_m is None or sight.age_s > self._silent_s:
+                if self._silent_s == math.inf:
+                    continue
                 return name, f"{name} is silent: no position for {sight.age_s:.1f} s", sights
             off_m, tube_m = self.seen_off_m(name, sight, now, trajectory_s), self.tube_m(name)
             if off_m <= tube_m:
@@ -691,7 +697,7 @@ class Execution:
         return not waits
 
     def _leg_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
-        """By goto, one may never hear its order."""
+        """One may never hear its order."""
         if self._watch.step_since is None:
             self._watch.step_since = now
         took_s = now - self._watch.step_since

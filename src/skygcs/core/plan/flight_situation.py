@@ -11,6 +11,7 @@ from skygcs.core.plan.certificate import Certificate
 from skygcs.core.plan.execution import Tubes
 from skygcs.core.plan.fleet_plan import FlightSpace, Plan
 from skygcs.core.plan.flight_steps import FlightStep
+from skygcs.core.plan.guidance import Guidance
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
@@ -31,8 +32,7 @@ class Situation:
     limits: MotionLimits
     """Within which ways and phases are flown."""
     speed_factor: float = 1.0
-    by_goto: bool = False
-    """Autopilots fly the legs by themselves: they have to be level or vertical."""
+    by: Guidance = Guidance.SETPOINTS
     ground_m: Mapping[str, float] = field(default_factory=dict)
     """How high the ground is under each vehicle, as far as that is known."""
 

@@ -5,15 +5,17 @@
     way there    climb, cross and descend from where it stands to its start          timing-free, with measured places
     way back     straight to where it has to be on its way, after a stop             timing-free, with measured places
     plan         the phases of a phased plan, or the trajectories of a timed one     as the plan is
+    mission      all of that in one, where nobody waits for anybody                  free: without barriers
 
 A vehicle that has nothing to do in a step stands. The next step begins when all were measured at their places.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, Plan, TimedPlan
@@ -34,12 +36,13 @@ class StepKind(StrEnum):
 @dataclass(frozen=True, slots=True)
 class FlightStep:
     """One step. ``trajectories`` has every vehicle; ``timed``: it has to be at a place at a time, else only on its
-    straight way."""
+    straight way. ``corners``: the places of ways of several legs, from the first to the last."""
 
     name: str
     kind: StepKind
     trajectories: Mapping[str, Trajectory]
     timed: bool = False
+    corners: Mapping[str, tuple[Vector, ...]] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
@@ -60,8 +63,9 @@ class FlightStep:
         place = scaled(place_m, downwash_ratio)
         if self.timed:
             return math.dist(place, scaled(trajectory.at(trajectory_s).pos_enu_m, downwash_ratio))
-        begin, end = trajectory.start_enu_m, trajectory.end_enu_m
-        return distance_to_leg(place, scaled(begin, downwash_ratio), scaled(end, downwash_ratio))
+        places = self.corners.get(name) or (trajectory.start_enu_m, trajectory.end_enu_m)
+        corners = [scaled(corner, downwash_ratio) for corner in places]
+        return min(distance_to_leg(place, begin, end) for begin, end in itertools.pairwise(corners))
 
 
 def steps_of(plan: Plan, limits: MotionLimits) -> list[FlightStep]:
@@ -82,6 +86,25 @@ def phased_steps(plan: PhasedPlan, kind: StepKind, limits: MotionLimits) -> list
         standing = {v: hover(leg[1], took_s) for v, leg in legs.items() if v not in ways}
         found.append(FlightStep(name, kind, {v: ways.get(v) or standing[v] for v in legs}))
     return found
+
+
+def joined(plans: Sequence[PhasedPlan]) -> PhasedPlan:
+    """The phases of all these plans, one after the other: each begins where the one before ended."""
+    return PhasedPlan(plans[0].starts, tuple(phase for plan in plans for phase in plan.phases))
+
+
+def free_step(plan: PhasedPlan, limits: MotionLimits) -> FlightStep:
+    """The whole plan as one step in which nobody waits for anybody; certified by `certify` without barriers."""
+    corners: dict[str, tuple[Vector, ...]] = {name: (start,) for name, start in plan.starts.items()}
+    for _, legs in plan.legs():
+        for name, (begin, end) in legs.items():
+            if math.dist(begin, end) > SAME_PLACE_M:
+                corners[name] += (end,)
+    ways = {name: path_within(places, limits) for name, places in corners.items() if len(places) > 1}
+    took_s = max((way.duration_s for way in ways.values()), default=1.0)
+    flown = {name: ways.get(name) or hover(places[-1], took_s) for name, places in corners.items()}
+    several = {name: places for name, places in corners.items() if len(places) > 1}
+    return FlightStep("mission", StepKind.PLAN, flown, corners=several)
 
 
 def starts_of(plan: Plan) -> dict[str, Vector]:

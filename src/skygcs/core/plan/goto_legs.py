@@ -84,6 +84,11 @@ class GotoLegs:
     def goal_m(self, name: str) -> Vector:
         return self._legs[name].goal_m
 
+    def flies(self, name: str) -> bool:
+        """True if it has accepted its order, and flies its leg by it."""
+        leg = self._legs.get(name)
+        return leg is not None and leg.state is LegState.FLIES
+
     def due(self) -> list[str]:
         """The vehicles to which an order is to be given now; each counts as ordered from here on."""
         if self._state not in (ClockState.RUNNING, ClockState.FINISHED):

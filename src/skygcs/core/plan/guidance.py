@@ -6,9 +6,12 @@
                 its own straight way                                      certified as a place to stay
     setpoints   a stream of positions, velocities or attitudes  all       its autopilot holds where the stream ends
     onboard     the trajectories, to its companion              all       its companion goes on
+    mission     all its legs at once, as a mission; nobody      phased,   its autopilot goes on
+                waits for anybody                               free
 
-``auto`` takes setpoints where every link carries them, else goto for a phased plan. `GOTO_TUBE_M` is how far an
-autopilot's own way was from the straight leg.
+``auto`` takes setpoints where every link carries them, else goto for a phased plan. ``onboard`` takes missions where
+no vehicle has a companion. Free: certified without barriers. `GOTO_TUBE_M` is how far an autopilot's own way was from
+the straight leg.
 """
 
 from __future__ import annotations
@@ -32,6 +35,12 @@ class Guidance(StrEnum):
     GOTO = "goto"
     SETPOINTS = "setpoints"
     ONBOARD = "onboard"
+    MISSION = "mission"
+
+    @property
+    def own_way(self) -> bool:
+        """True if autopilots fly the legs by themselves, without a clock: these are level or vertical."""
+        return self in (Guidance.GOTO, Guidance.MISSION)
 
 
 AUTO = "auto"
@@ -56,19 +65,20 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
     the vehicles whose links do not carry setpoints, and why. Raises RefusedError, with the command that helps, where
     the asked way cannot be flown at all."""
     without = [name for name, has in own_companion.items() if not has]
-    if by == Guidance.ONBOARD:
+    if by == Guidance.ONBOARD and len(without) < len(own_companion):
         if without:
             raise RefusedError(
                 f"{_named(without)} {'has' if len(without) == 1 else 'have'} no companion that flies it "
                 f'(control.at = "companion"): `{(remedies.by_setpoints() if timed else remedies.by_goto()).command}`'
             )
         return Choice(Guidance.ONBOARD, "as asked for; the companions have the trajectories")
-    if by == Guidance.GOTO:
+    if by in (Guidance.GOTO, Guidance.ONBOARD, Guidance.MISSION):
         if timed:
-            raise RefusedError(
-                f"a timed plan is not flown by goto, which has no times: `{remedies.make_phased().command}`"
-            )
-        return Choice(Guidance.GOTO, "as asked for")
+            what = "goto, which has no times" if by == Guidance.GOTO else "missions, which have no times"
+            raise RefusedError(f"a timed plan is not flown by {what}: `{remedies.make_phased().command}`")
+        if by == Guidance.GOTO:
+            return Choice(Guidance.GOTO, "as asked for")
+        return Choice(Guidance.MISSION, "as asked for; the autopilots have the whole way as their mission")
     if by == Guidance.SETPOINTS:
         return Choice(Guidance.SETPOINTS, "as asked for")
     if own_companion and not without:

@@ -23,12 +23,14 @@ from skygcs.core.plan.flight_situation import Prepared, Situation
 from skygcs.core.plan.flight_steps import (
     FlightStep,
     StepKind,
+    free_step,
+    joined,
     phased_steps,
     plan_of,
     starts_of,
     steps_of,
 )
-from skygcs.core.plan.guidance import level_or_vertical
+from skygcs.core.plan.guidance import Guidance, level_or_vertical
 from skygcs.core.plan.layered_flight import LIFT_M, layered
 from skygcs.core.plan.margins import JUMPS, TIMING, MarginRule, Uncertainty
 from skygcs.core.trajectory import hover
@@ -62,7 +64,7 @@ def prepare(situation: Situation) -> Prepared:
     """The flight from where the vehicles stand to the end of the plan; with `problems` it must not be flown."""
     problems = _Problems()
     plan = _from_the_air(situation)
-    if situation.by_goto and isinstance(plan, PhasedPlan):
+    if situation.by.own_way and isinstance(plan, PhasedPlan):
         plan = level_or_vertical(plan)
     ground_m = _ground_m(situation)
     _check_heights(plan, situation, ground_m, problems)
@@ -74,6 +76,8 @@ def prepare(situation: Situation) -> Prepared:
         certificate = certify(plan, rule, situation.space)
         own = steps_of(plan, situation.limits)
         way = way_between(situation, starts_of(plan))
+        if situation.by is Guidance.MISSION and certificate.certified and way.plan is not None:
+            return _mission(situation, plan, way, rule)
     except SkygcsError as error:
         return Prepared((), None, None, None, (str(error),), (None,))
     if not certificate.certified:
@@ -90,6 +94,35 @@ def prepare(situation: Situation) -> Prepared:
         tuple(problems.lines),
         tuple(problems.vehicles),
     )
+
+
+def _mission(situation: Situation, plan: Plan, way: Way, rule: MarginRule) -> Prepared:
+    """The way there and the plan as one step, in which nobody waits for anybody. Raises TrajectoryError."""
+    assert isinstance(plan, PhasedPlan) and way.plan is not None
+    there = _from_top(way.plan, situation.grounded)
+    whole = joined((there, plan))
+    certificate = certify(whole, rule, _without_floor(situation.space, whole.starts), barriers=False)
+    problems = _Problems()
+    if not certificate.certified:
+        problems.of("as missions, without barriers", certificate)
+    return Prepared(
+        (free_step(whole, situation.limits),),
+        tubes_of(rule, plan),
+        way.certificate,
+        certificate,
+        tuple(problems.lines),
+        tuple(problems.vehicles),
+    )
+
+
+def _from_top(plan: PhasedPlan, grounded: frozenset[str]) -> PhasedPlan:
+    """The way there without its first phase for those on the ground, whose take-off that is."""
+    if not grounded or not plan.phases:
+        return plan
+    first, *others = plan.phases
+    starts = {name: first.goals.get(name, start) if name in grounded else start for name, start in plan.starts.items()}
+    left = {name: goal for name, goal in first.goals.items() if name not in grounded}
+    return PhasedPlan(starts, (Phase(first.name, left), *others) if left else tuple(others))
 
 
 def prepare_return(situation: Situation, rest: Sequence[FlightStep]) -> Prepared:
@@ -135,7 +168,7 @@ def way_between(situation: Situation, goals: Places, *, straight: bool = False) 
     starts = {name: situation.measured[name] for name in goals}
     above = {name: (s[0], s[1], goals[name][2]) for name, s in starts.items()}
     tries: list[PhasedPlan] = []
-    if straight and not situation.grounded and not situation.by_goto:
+    if straight and not situation.grounded and not situation.by.own_way:
         tries.append(PhasedPlan(starts, (Phase("way back", dict(goals)),)))
     tries.append(PhasedPlan(starts, (Phase("climb", above), Phase("to the starts", dict(goals)))))
     space = _without_floor(situation.space, starts)

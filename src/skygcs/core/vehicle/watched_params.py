@@ -8,6 +8,7 @@ import struct
 WATCHED = frozenset(
     {
         "ATC_ANGLE_BOOST",
+        "COM_DLL_EXCEPT",
         "COM_OBL_RC_ACT",
         "COM_OF_LOSS_T",
         "COM_RC_IN_MODE",
@@ -18,6 +19,7 @@ WATCHED = frozenset(
         "MOT_THST_EXPO",
         "MOT_THST_HOVER",
         "MPC_THR_HOVER",
+        "NAV_DLL_ACT",
         "Q_ENABLE",
         "Q_GUIDED_MODE",
         "THR_MDL_FAC",

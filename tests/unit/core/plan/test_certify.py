@@ -49,6 +49,64 @@ def test_random_plans_agree_with_the_independent_checker() -> None:
         assert not judged.violation and not judged.loose, (seed, judged)
 
 
+# --- without barriers -------------------------------------------------------------------------------------------------
+
+corners = st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(4, 20))
+
+
+@given(
+    st.lists(corners, min_size=3, max_size=3),
+    st.lists(st.lists(corners | st.none(), min_size=3, max_size=3), min_size=1, max_size=3),
+)
+@settings(max_examples=examples(40), deadline=None)
+def test_without_barriers_a_vehicle_may_be_anywhere_on_its_way_while_another_is(
+    starts: list[tuple[float, float, float]], goals: list[list[tuple[float, float, float] | None]]
+) -> None:
+    """Against points on all ways, each beside each other, in the same metric."""
+    names = ("a", "b", "c")
+    phases = tuple(
+        Phase(f"p{i}", {n: goal for n, goal in zip(names, phase, strict=True) if goal is not None})
+        for i, phase in enumerate(goals)
+    )
+    plan = PhasedPlan(dict(zip(names, starts, strict=True)), phases)
+    found = certify(plan, RULE, barriers=False)
+    step_m, ways = 0.25, {}
+    for name in names:
+        points = []
+        for _, legs in plan.legs():
+            begin, end = (np.array(place) / (1.0, 1.0, RULE.downwash_ratio) for place in legs[name])
+            parts = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(end - begin) / step_m))
+            points.append(begin + parts[:, None] * (end - begin))
+        ways[name] = np.concatenate(points)
+    least_m = min(
+        float(np.sqrt(((ways[a][:, None] - ways[b][None]) ** 2).sum(axis=2)).min())
+        for a, b in itertools.combinations(names, 2)
+    )
+    assert found.closest is not None and found.kind == "free"
+    assert found.closest.distance_m - 1e-6 <= least_m <= found.closest.distance_m + step_m
+    assert found.certified == (found.closest.distance_m >= RULE.half_m("a") * 2 - 1e-9)
+    assert certify(plan, RULE).certified or not found.certified, "what needs no barriers holds with them"
+
+
+def test_a_swap_in_layers_needs_its_barriers_and_its_phases_are_named() -> None:
+    a, b = (0.0, 0.0, 10.0), (9.0, 0.0, 10.0)
+    plan = PhasedPlan(
+        {"a": a, "b": b},
+        (
+            Phase("climb", {"b": (9.0, 0.0, 17.0)}),
+            Phase("cross", {"a": b, "b": (0.0, 0.0, 17.0)}),
+            Phase("descend", {"b": a}),
+        ),
+    )
+    assert certify(plan, RULE).certified
+    free = certify(plan, RULE, barriers=False)
+    assert not free.certified and {approach.phase for approach in free.too_close} == {
+        "climb and descend",
+        "climb and cross",
+        "cross and descend",
+    }
+
+
 # --- margins ----------------------------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,8 @@ from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.flight_steps import (
     StepKind,
     distance_to_leg,
+    free_step,
+    joined,
     phased_steps,
     plan_of,
     remainder,
@@ -87,3 +89,27 @@ def test_the_distance_to_a_leg_is_the_least_of_its_points(p: tuple, a: tuple, b:
     sampled = min(math.dist(p, point) for point in points)
     assert distance_to_leg(p, a, b) == pytest.approx(sampled, abs=1e-6 + math.dist(a, b) / 200)
     assert distance_to_leg(p, a, b) <= sampled + 1e-9
+
+
+def test_a_plan_without_barriers_is_one_step_along_all_its_corners() -> None:
+    starts = {"a": (0.0, 0.0, 5.0), "b": (9.0, 0.0, 5.0), "c": (20.0, 0.0, 5.0)}
+    there = PhasedPlan(starts, (Phase("climb", {"a": (0.0, 0.0, 10.0)}),))
+    plan = PhasedPlan(
+        {"a": (0.0, 0.0, 10.0), "b": (9.0, 0.0, 5.0), "c": (20.0, 0.0, 5.0)},
+        (Phase("go", {"a": (0.0, 8.0, 10.0), "b": (9.0, 8.0, 5.0)}), Phase("on", {"a": (-6.0, 8.0, 10.0)})),
+    )
+    step = free_step(joined((there, plan)), LIMITS)
+    assert step.corners == {
+        "a": ((0.0, 0.0, 5.0), (0.0, 0.0, 10.0), (0.0, 8.0, 10.0), (-6.0, 8.0, 10.0)),
+        "b": ((9.0, 0.0, 5.0), (9.0, 8.0, 5.0)),
+    }
+    assert not step.timed and step.starts() == starts
+    assert step.places() == {name: pytest.approx(leg[1]) for name, leg in plan.legs()[-1][1].items()}
+    for place, off_m in (
+        ((0.0, 0.0, 7.0), 0.0),
+        ((0.5, 4.0, 10.0), 0.5),
+        ((-3.0, 8.0, 11.0), 0.5),
+        ((-3.0, 4.0, 10.0), 3.0),
+    ):
+        assert step.off_m("a", place, 0.0, 2.0) == pytest.approx(off_m), place
+    assert step.off_m("c", (20.0, 0.7, 5.0), 0.0, 2.0) == pytest.approx(0.7)

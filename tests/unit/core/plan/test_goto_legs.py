@@ -82,6 +82,10 @@ CHOICES = [
     ("onboard", True, ["a"], [], "plan run FILE --by setpoints"),
     ("onboard", False, ["a"], [], "plan run FILE --by goto"),
     ("onboard", False, ["a", "b"], [], "onboard"),
+    ("onboard", False, [], [], "mission"),
+    ("onboard", True, [], [], "plan make FILE --fleet --kind phased"),
+    ("mission", False, ["a", "b"], [], "mission"),
+    ("mission", True, [], [], "plan make FILE --fleet --kind phased"),
 ]
 
 

@@ -1,0 +1,170 @@
+"""Plans on board as missions: nobody waits for anybody, and losing the ground loses nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.plan.fleet_plan import PhasedPlan
+from skygcs.core.vehicle.mission_orders import MISSION_MODES
+from skygcs.errors import RefusedError
+from support.flown import SETPOINTS, Flown, flown
+from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, refused, run, state, timed
+
+pytestmark = pytest.mark.looptime
+
+OVER = ("finished", "stopped", "aborted")
+NAV_WAYPOINT = 16
+
+
+def parallel(gcs: Flown) -> PhasedPlan:
+    """Each to the north, up, and to the side; nobody's way is near another's."""
+    names = [f"v{sim.sysid}" for sim in gcs.sims]
+    homes = {name: gcs.place_of_home(name) for name in names}
+    north = {name: (x, y + 25.0, UP_M) for name, (x, y, _) in homes.items()}
+    aside = {
+        name: (x + (4.0 if i else -4.0), y + 25.0, UP_M + 4.0) for i, (name, (x, y, _)) in enumerate(homes.items())
+    }
+    return phased(
+        homes, ("climb", {n: (x, y, UP_M) for n, (x, y, _) in homes.items()}), ("north", north), ("aside", aside)
+    )
+
+
+def swap(gcs: Flown) -> PhasedPlan:
+    """Two vehicles to each other's place, in layers: they need the barriers."""
+    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
+    return phased(
+        {"v1": a, "v2": b},
+        ("climb", {"v1": (*a[:2], UP_M), "v2": (*b[:2], UP_M + 6.0)}),
+        ("cross", {"v1": (*b[:2], UP_M), "v2": (*a[:2], UP_M + 6.0)}),
+        ("descend", {"v2": (*a[:2], UP_M)}),
+    )
+
+
+async def begun(gcs: Flown, **params: Any) -> PhasedPlan:
+    """The plan while all are on their ways to the north."""
+    plan = parallel(gcs)
+    await run(gcs, plan, by="onboard", **params)
+    await gcs.until(lambda: state(gcs) == "flying", 180.0)
+    for sim in gcs.sims:
+        home = gcs.place_of_home(f"v{sim.sysid}")
+        await gcs.until(lambda sim=sim, home=home: gcs.place(f"v{sim.sysid}")[1] > home[1] + 5.0, 40.0)
+    return plan
+
+
+def at_goals(gcs: Flown, plan: PhasedPlan) -> bool:
+    return all(math.dist(gcs.place(name), leg[1]) < 1.0 for name, leg in plan.legs()[-1][1].items())
+
+
+async def test_each_flies_its_whole_way_by_itself_and_is_sent_nothing_on_it(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        began = gcs.now
+        plan = await begun(gcs)
+        since = gcs.now
+        modes = {gcs.daemon.fleet.vehicles[key].vehicle.mode for key in gcs.daemon.fleet.vehicles}
+        assert modes == MISSION_MODES
+        status = gcs.daemon.fleet.plans.status()
+        assert status["by"] == "mission" and status["phase"] == "mission"
+        await gcs.until(lambda: state(gcs) in OVER, 240.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert at_goals(gcs, plan)
+        assert least_distance(gcs, began)[0] > MARGIN_M
+        assert not [s for s in gcs.sent if s.name in SETPOINTS]
+        orders = [s for s in gcs.commands(since, "v1") + gcs.commands(since, "v2") if s.values["command"] != 512]
+        assert {s.values["command"] for s in orders} <= {176, 17, 192}, "to hold, at the end"
+        await asyncio.sleep(5.0)
+        assert all(gcs.is_safe(f"v{sim.sysid}") for sim in gcs.sims)
+
+
+@pytest.mark.parametrize("silent_s", [20.0, 400.0])
+async def test_losing_the_ground_loses_nothing(tmp_path: Path, silent_s: float) -> None:
+    """For a while, or for good: both come to their goals in the time that it takes."""
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        for sim in gcs.sims:
+            sim.params.set("FS_OPTIONS" if sim.sysid == 2 else "NAV_DLL_ACT", 18.0 if sim.sysid == 2 else 0.0)
+        plan = await begun(gcs)
+        began = gcs.now
+        gcs.cut = True
+        await asyncio.sleep(silent_s)
+        if silent_s > 60.0:
+            assert at_goals(gcs, plan)
+            return
+        assert state(gcs) == "flying", plan_events(gcs, began)
+        gcs.cut = False
+        await gcs.until(lambda: state(gcs) in OVER, 120.0)
+        assert state(gcs) == "finished" and at_goals(gcs, plan), plan_events(gcs)
+        assert least_distance(gcs, began)[0] > MARGIN_M
+
+
+async def test_a_plan_that_needs_its_barriers_is_refused_with_the_pair(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await load(gcs, swap(gcs))
+        report = await gcs("plan.check", by="mission", margin_m=MARGIN_M, force=True)
+        assert not report["ok"]
+        text = " ".join(refused(report))
+        assert (
+            "as missions, without barriers" in text and "cross and descend" in text and "v1 and v2 come within" in text
+        )
+        report = await gcs("plan.check", by="goto", margin_m=MARGIN_M, force=True)
+        assert report["ok"], refused(report)
+
+
+async def test_a_timed_plan_is_refused_with_the_command_that_makes_phases(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
+        here = {name: gcs.place(name) for name in ("v1", "v2")}
+        await load(gcs, timed(here, {name: (x, y + 10.0, up) for name, (x, y, up) in here.items()}))
+        with pytest.raises(RefusedError, match="missions, which have no times: `skygcs-cli plan make FILE"):
+            await gcs("plan.check", by="onboard")
+
+
+async def test_a_vehicle_that_breaks_its_mission_off_without_the_ground_is_refused_until_it_does_not(
+    tmp_path: Path,
+) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        for sim in gcs.sims:
+            for param, value in {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}.items():
+                sim.params.set(param, value)
+        await load(gcs, parallel(gcs))
+        for param, value in (("COM_DLL_EXCEPT", 1.0), ("FS_OPTIONS", 18.0)):
+            report = await gcs("plan.check", by="mission", margin_m=MARGIN_M)
+            found = [f for f in report["findings"] if f["check"] == "if skygcs dies" and f["severity"] == "refused"]
+            command = found[0]["command"]
+            assert command == f"skygcs-cli param set {found[0]['vehicle']} {param} {value:g}", found
+            _, _, _, name, *_ = command.split()
+            outcome = await gcs("params.set", targets=name, params={param: value})
+            assert outcome
+        report = await gcs("plan.check", by="mission", margin_m=MARGIN_M)
+        assert not [f for f in report["findings"] if f["check"] == "if skygcs dies" and f["severity"] == "refused"]
+
+
+async def test_a_pause_holds_all_and_they_go_on_where_they_are(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        plan = await begun(gcs)
+        await gcs("plan.pause")
+        await asyncio.sleep(10.0)
+        there = {name: gcs.place(name) for name in ("v1", "v2")}
+        await asyncio.sleep(10.0)
+        assert all(math.dist(gcs.place(name), place) < 0.5 for name, place in there.items())
+        uploads = len([s for s in gcs.sent if s.name == "MISSION_COUNT"])
+        answer = await gcs("plan.resume")
+        assert answer["ok"], answer
+        await gcs.until(lambda: state(gcs) in OVER, 120.0)
+        assert state(gcs) == "finished" and at_goals(gcs, plan), plan_events(gcs)
+        assert len([s for s in gcs.sent if s.name == "MISSION_COUNT"]) == uploads
+
+
+async def test_a_pilot_stops_the_others_and_it_is_not_resumed(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await begun(gcs)
+        since = gcs.now
+        gcs.other_sets_mode(5, sysid=2)  # LOITER
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        assert "v2 left: it was switched to LOITER" in " ".join(plan_events(gcs, since))
+        await asyncio.sleep(10.0)
+        assert not gcs.commands(since + 2.0, "v2") and gcs.is_safe("v1")
+        answer = await gcs("plan.resume", force=True)
+        assert not answer["ok"] and "plan abort" in answer["message"], answer

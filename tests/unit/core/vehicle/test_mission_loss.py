@@ -1,0 +1,68 @@
+"""Missions without a ground station: judged by the parameters that decide it (failsafe.cpp, events.cpp)."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.mission_loss import ask_mission_loss, mission_loss
+from skygcs.core.vehicle.vehicle import Vehicle
+from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
+
+NOW, GUIDED, INT32 = 100.0, 4, 6
+FLIGHTS = [
+    # autopilot, action and exceptions as they were read, does it go on, value to be set
+    (PX4, 0, None, True, None),
+    (PX4, 0, 0, True, None),
+    (PX4, 2, 1, True, None),
+    (PX4, 2, 7, True, None),
+    (PX4, 2, 6, False, ("COM_DLL_EXCEPT", 7.0)),
+    (PX4, 1, 0, False, ("COM_DLL_EXCEPT", 1.0)),
+    (PX4, None, 0, None, None),
+    (PX4, 2, None, None, None),
+    (ARDUPILOT, 0, None, True, None),
+    (ARDUPILOT, 1, 18, True, None),
+    (ARDUPILOT, 5, 2, True, None),
+    (ARDUPILOT, 1, 16, False, ("FS_OPTIONS", 18.0)),
+    (ARDUPILOT, 2, 1, False, ("FS_OPTIONS", 3.0)),
+    (ARDUPILOT, None, None, None, None),
+]
+NAMES = {PX4: ("NAV_DLL_ACT", "COM_DLL_EXCEPT"), ARDUPILOT: ("FS_GCS_ENABLE", "FS_OPTIONS")}
+
+
+def vehicle_with(autopilot: int, values: tuple[int | None, int | None]) -> Vehicle:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect())), Voice(1)
+    vehicle.on_frame(voice.beat(autopilot, PX4_LOITER if autopilot == PX4 else GUIDED), NOW)
+    for name, value in zip(NAMES[autopilot], values, strict=True):
+        if value is not None:
+            wire = float(value) if autopilot == ARDUPILOT else struct.unpack("<f", struct.pack("<i", value))[0]
+            vehicle.on_frame(voice.say(mav.MAVLink_param_value_message(name.encode(), wire, INT32, 1, 0)), NOW)
+    return vehicle
+
+
+@pytest.mark.parametrize(("autopilot", "action", "exceptions", "goes_on", "remedy"), FLIGHTS)
+def test_a_mission_goes_on_where_the_firmware_lets_it(
+    autopilot: int,
+    action: int | None,
+    exceptions: int | None,
+    goes_on: bool | None,
+    remedy: tuple[str, float] | None,
+) -> None:
+    vehicle = vehicle_with(autopilot, (action, exceptions))
+    found = mission_loss(vehicle)
+    assert found.goes_on is goes_on
+    assert (found.param, found.value) == (remedy or ("", 0.0))
+    if remedy is not None:
+        cured = tuple(int(remedy[1]) if name == remedy[0] else action for name in NAMES[autopilot])
+        assert mission_loss(vehicle_with(autopilot, (cured[0], cured[1]))).goes_on is True
+    unknown = [name for name, v in zip(NAMES[autopilot], (action, exceptions), strict=True) if v is None]
+    assert [s.message[1]["param_id"] for s in ask_mission_loss(vehicle, NOW).steps if s.message] == unknown
+
+
+def test_of_another_firmware_nothing_is_known() -> None:
+    vehicle = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect()))
+    vehicle.on_frame(Voice(1).beat(mav.MAV_AUTOPILOT_GENERIC, 0), NOW)
+    assert mission_loss(vehicle).goes_on is None and not ask_mission_loss(vehicle, NOW).steps
