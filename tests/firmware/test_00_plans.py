@@ -12,7 +12,7 @@ import pytest
 
 from skygcs.core.plan.certificate import Certificate
 from skygcs.core.plan.certify import certify
-from skygcs.core.plan.fleet_plan import FlightSpace, Plan, TimedPlan
+from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.layered_flight import layered
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.plan.straight_flight import straight_trajectories
@@ -155,6 +155,78 @@ def test_a_mixed_fleet_flies_as_a_formation(fleet: MixedField, row: dict[str, An
     row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
     assert least[nearest] >= KNOWN_M, row
     row["finished"] = True
+
+
+GOES_ON = {
+    "px4": {"NAV_DLL_ACT": 2, "COM_DLL_EXCEPT": 1},
+    "ardupilot": {"FS_GCS_ENABLE": 1, "FS_OPTIONS": 18},
+}
+"""Return when no ground station is heard, but not on a mission."""
+
+
+def abreast(fleet: MixedField) -> PhasedPlan:
+    """All to the north, up and on, each on its own line: nobody needs to wait for anybody."""
+    starts = stands(fleet)
+    north = {name: (x, y + 15.0, up) for name, (x, y, up) in starts.items()}
+    up = {name: (x, y, UP_M + 4.0) for name, (x, y, _) in north.items()}
+    on = {name: (x, y + 12.0, z) for name, (x, y, z) in up.items()}
+    return PhasedPlan(starts, (Phase("north", north), Phase("up", up), Phase("on", on)))
+
+
+def test_a_mixed_fleet_flies_missions_and_losing_the_ground_loses_nothing(
+    fleet: MixedField, row: dict[str, Any]
+) -> None:
+    """The daemon is killed on the way: all come to their goals in its absence, each leg rested at its end."""
+    plan, began = abreast(fleet), time.monotonic()
+    before = {name: _param_values(fleet, name) for name in fleet.names}
+    for name in fleet.names:
+        _set_params(fleet, name, GOES_ON[_family(name)])
+    fleet.daemon.call("plan.load", plan=content(plan), name="abreast")
+    answer = fleet.daemon.call("plan.run", by="onboard", set_return_heights=True, force=True)
+    assert answer["started"], [f for f in answer["report"]["findings"] if f["severity"] == "refused"]
+    assert answer["report"]["by"] == "mission"
+    certificate = answer["report"]["certificate"]
+    fleet.wait(lambda: fleet.daemon.call("plan.status")["state"] in ("flying", "stopped"), 200, "they fly")
+    fleet.wait(lambda: all(_now(fleet, name)[1] > 5.0 for name in fleet.names), 60, "all are on their ways")
+    killed = time.monotonic()
+    fleet.daemon.kill()
+    goals = plan.legs()[-1][1]
+
+    def there() -> bool:
+        return all(_apart_m(_now(fleet, name), goals[name][1]) < 2.0 for name in fleet.names)
+
+    row["there after s"] = fleet.wait(there, 120, "all are at their goals")
+    time.sleep(20.0)  # twice COM_DL_LOSS_T; FS_GCS_TIMEOUT is 5 s
+    row["modes without the ground"] = {name: sorted(set(fleet.truth(name).modes_since(killed))) for name in fleet.names}
+    assert there(), row
+    least = _least(fleet, killed)
+    row["measured_least_m"] = round(min(least.values()), 2)
+    row["certified_least_m"] = round(certificate["closest"]["flown_at_least_m"], 2)
+    row["references_least_m"] = round(certificate["closest"]["distance_m"], 2)
+    row["seconds"] = [round(killed - began, 1), round(time.monotonic() - began, 1)]
+    assert row["measured_least_m"] >= row["certified_least_m"] > 0.0, row
+    fleet.daemon.start()
+    fleet.wait(lambda: fleet.daemon.known() == len(fleet.names), 30, "all are heard again")
+    for name, values in before.items():
+        _set_params(fleet, name, values)
+    row["finished"] = True
+
+
+def _family(name: str) -> str:
+    return "px4" if name.startswith("px") else "ardupilot"
+
+
+def _param_values(fleet: MixedField, name: str) -> dict[str, float]:
+    found = fleet.daemon.call("params.get", targets=name, names=list(GOES_ON[_family(name)]))
+    return {param: value["value"] for param, value in found["outcomes"][name].items()}
+
+
+def _set_params(fleet: MixedField, name: str, values: Mapping[str, float]) -> None:
+    fleet.daemon.call("params.set", targets=name, params=dict(values), force=True)
+
+
+def _now(fleet: MixedField, name: str) -> Vector:
+    return _place(fleet.truth(name).track[-1])
 
 
 def _settled(fleet: MixedField) -> float:
