@@ -33,7 +33,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.flight_note import lost_place
-from skygcs.core.vehicle.mission_loss import mission_loss
+from skygcs.core.vehicle.mission_orders import mission_loss
 from skygcs.core.vehicle.plan_in_fence import CHECK, Reach, fence_finding, sampled
 from skygcs.core.vehicle.plan_rehearsal import SLOWER, Stopped
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory

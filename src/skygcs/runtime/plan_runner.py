@@ -62,8 +62,7 @@ from skygcs.events import Event
 from skygcs.number_text import rounded
 from skygcs.planning.process import PlanningProcesses
 from skygcs.runtime.flight_locks import FlightLocks
-from skygcs.runtime.plan_by_goto import GotoGuidance
-from skygcs.runtime.plan_by_mission import MissionGuidance
+from skygcs.runtime.plan_by_goto import GotoGuidance, MissionGuidance
 from skygcs.runtime.plan_by_setpoints import SetpointGuidance
 from skygcs.runtime.plan_checks import (
     Measured,

@@ -40,7 +40,7 @@ from skygcs.core.vehicle.flight_lock import (
 )
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
-from skygcs.core.vehicle.mission_loss import ask_mission_loss
+from skygcs.core.vehicle.mission_orders import ask_mission_loss
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
 from skygcs.core.vehicle.order_plan import Plan

@@ -2,13 +2,22 @@
 
 Items have the numbers of their plan, from 1. To pause is to hold (`orders.hold`): both autopilots go on with the
 current item when its mission mode is set again.
+
+    PX4 1.16 (failsafe.cpp)        ArduCopter 4.6 (events.cpp, failsafe_gcs_on_event)   without a ground station
+    ----------------------------   --------------------------------------------------   ------------------------
+    NAV_DLL_ACT 0                  FS_GCS_ENABLE 0                                      flown to the end
+    COM_DLL_EXCEPT with bit 0      FS_OPTIONS with bit 1                                flown to the end
+    anything else                  anything else                                        broken off
+
+At the end it holds. A PX4 that hears no transmitter either, and is allowed not to (COM_RCL_EXCEPT with bit 0, or
+COM_RC_IN_MODE 4), returns there if NAV_DLL_ACT is 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
@@ -20,6 +29,7 @@ from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wir
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.offboard_entry import ask_parameter
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -237,3 +247,80 @@ def _mission_mode(vehicle: Vehicle) -> int:
         return modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
     except KeyError:
         raise RefusedError("skygcs knows the mission mode of PX4 and ArduPilot only; set its mode yourself") from None
+
+
+# --- missions by which a vehicle flies its way of a plan by itself ----------------------------------------------------
+
+HOLD_S = 1.0
+"""Both firmwares cut a corner where they do not have to stop. They stop at a waypoint with a time to hold: PX4 leaves
+out the next setpoint for it (mission.cpp, brake_for_hold, 1.16), ArduCopter the next destination (mode_auto.cpp,
+set_next_wp, 4.6). ArduCopter counts whole seconds."""
+
+WITHIN_M = 0.5
+"""A PX4 begins to hold within it; by default 2 m from the corner and more (NAV_ACC_RAD), and the hold would be over
+before it is there. ArduCopter takes no notice: it holds where its own path has ended."""
+
+
+def mission_along(places: Sequence[tuple[float, float, float]]) -> MissionPlan:
+    """A mission along straight ways through these places, that rests at each corner. Latitude and longitude in degrees,
+    height above mean sea level in metres. The vehicle stands at the first place, which is no item unless it is the
+    only one."""
+    items = tuple(
+        MissionItem.from_params(
+            mav_cmd.NAV_WAYPOINT, GLOBAL, (HOLD_S, WITHIN_M, 0.0, None, lat_deg, lon_deg, alt_amsl_m), True
+        )
+        for lat_deg, lon_deg, alt_amsl_m in (places[1:] or places)
+    )
+    return MissionPlan(items)
+
+
+# --- without a ground station -----------------------------------------------------------------------------------------
+
+LOSS_PARAMETERS = {
+    "px4": ("NAV_DLL_ACT", "COM_DLL_EXCEPT"),
+    "ardupilot": ("FS_GCS_ENABLE", "FS_OPTIONS"),
+}
+"""By firmware: what it does without a ground station at all, and where it takes no notice of that."""
+
+MISSION_BIT = {"px4": 1, "ardupilot": 2}
+"""Value in the second of them: not on a mission."""
+
+
+class MissionLoss(NamedTuple):
+    """``goes_on``: to the end of its mission; None: not known. ``param``, ``value``: what makes it go on."""
+
+    goes_on: bool | None
+    text: str
+    param: str = ""
+    value: float = 0.0
+
+
+def ask_mission_loss(vehicle: Vehicle, now: float) -> Plan:
+    """Read the parameters that are not known."""
+    wanted = [name for name in LOSS_PARAMETERS.get(vehicle.family, ()) if vehicle.param(name) is None]
+    return Plan(
+        "parameters", tuple(ask_parameter(name, after=now, optional=True) for name in wanted), "parameters read"
+    )
+
+
+def mission_loss(vehicle: Vehicle) -> MissionLoss:
+    """Judge by the parameters that were read."""
+    if vehicle.family not in LOSS_PARAMETERS:
+        return MissionLoss(None, "what its firmware does without a ground station is not known")
+    action_name, except_name = LOSS_PARAMETERS[vehicle.family]
+    action, exceptions = vehicle.param(action_name), vehicle.param(except_name)
+    if action == 0:
+        back = ", or returns from there if it hears no transmitter either" if vehicle.family == "px4" else ""
+        return MissionLoss(True, f"it flies its mission to the end and holds there{back} ({action_name} 0)")
+    bit = MISSION_BIT[vehicle.family]
+    if exceptions is not None and int(exceptions) & bit:
+        return MissionLoss(True, f"it flies its mission to the end and holds there ({except_name} {exceptions:g})")
+    if action is None or exceptions is None:
+        unknown = action_name if action is None else except_name
+        return MissionLoss(None, f"its {unknown} is not known, which decides what it does without a ground station")
+    return MissionLoss(
+        False,
+        f"without a ground station it breaks its mission off ({action_name} {action:g}, {except_name} {exceptions:g})",
+        except_name,
+        float(int(exceptions) | bit),
+    )

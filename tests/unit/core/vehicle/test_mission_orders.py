@@ -1,14 +1,18 @@
-"""Missions without a ground station: judged by the parameters that decide it (failsafe.cpp, events.cpp)."""
+"""The mission of a vehicle that flies its way of a plan by itself, and what it does without a ground station, judged
+by the parameters that decide it (failsafe.cpp, events.cpp)."""
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mission.item import GLOBAL
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.mission_loss import ask_mission_loss, mission_loss
+from skygcs.core.vehicle.mission_orders import HOLD_S, WITHIN_M, ask_mission_loss, mission_along, mission_loss
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
 
@@ -66,3 +70,20 @@ def test_of_another_firmware_nothing_is_known() -> None:
     vehicle = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect()))
     vehicle.on_frame(Voice(1).beat(mav.MAV_AUTOPILOT_GENERIC, 0), NOW)
     assert mission_loss(vehicle).goes_on is None and not ask_mission_loss(vehicle, NOW).steps
+
+
+PLACES = [(43.78, -79.46, 190.0), (43.7801, -79.46, 190.0), (43.7801, -79.4601, 195.5)]
+
+
+def test_it_rests_at_every_corner_but_the_one_where_it_stands() -> None:
+    items = mission_along(PLACES).mission
+    assert [item.position for item in items] == [(43.7801, -79.46), (43.7801, -79.4601)]
+    for item, (_, _, alt_amsl_m) in zip(items, PLACES[1:], strict=True):
+        assert (item.command, item.frame, item.z) == (mav_cmd.NAV_WAYPOINT, GLOBAL, alt_amsl_m)
+        assert item.params[:2] == (HOLD_S, WITHIN_M) and item.autocontinue
+        assert math.isnan(item.values()["param4"]), "the firmware turns the nose as it is set up to"
+
+
+def test_one_that_stays_holds_its_place_by_a_mission_of_one_item() -> None:
+    (item,) = mission_along(PLACES[:1]).mission
+    assert item.position == PLACES[0][:2] and item.z == PLACES[0][2]
