@@ -33,7 +33,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.flight_note import lost_place
-from skygcs.core.vehicle.mission_orders import mission_loss
+from skygcs.core.vehicle.mission_orders import mission_settings
 from skygcs.core.vehicle.plan_in_fence import CHECK, Reach, fence_finding, sampled
 from skygcs.core.vehicle.plan_rehearsal import SLOWER, Stopped
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
@@ -243,20 +243,20 @@ def link_findings(
     return found
 
 
-async def mission_loss_findings(actors: Sequence[VehicleActor]) -> list[Finding]:
-    """Check whether each flies its mission to the end without the ground; reads the parameters that decide it."""
-    await asyncio.gather(*(actor.read_loss(on_mission=True) for actor in actors))
+async def mission_findings(actors: Sequence[VehicleActor]) -> list[Finding]:
+    """Check whether the firmwares fly missions as a plan needs it; reads the parameters that decide it."""
+    await asyncio.gather(*(actor.read_mission_settings() for actor in actors))
     found = []
     for actor in actors:
-        name, loss = actor.name, mission_loss(actor.vehicle)
-        if loss.goes_on:
-            found.append(Finding(name, "if skygcs dies", Level.OK, loss.text))
-        elif loss.goes_on is None:
-            remedy = remedies.insist("look at what it does without a ground station")
-            found.append(refused(name, "if skygcs dies", loss.text, remedy, insist=True))
-        else:
-            remedy = remedies.set_parameter(name, loss.param, loss.value)
-            found.append(refused(name, "if skygcs dies", loss.text, remedy, insist=True))
+        for setting in mission_settings(actor.vehicle):
+            name, check = actor.name, setting.check
+            if setting.fits:
+                found.append(Finding(name, check, Level.OK, setting.text))
+            elif setting.fits is None:
+                found.append(refused(name, check, setting.text, remedies.insist("look at it"), insist=True))
+            else:
+                remedy = remedies.set_parameter(name, setting.param, setting.value)
+                found.append(refused(name, check, setting.text, remedy, insist=True))
     return found
 
 

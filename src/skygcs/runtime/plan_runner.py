@@ -77,7 +77,7 @@ from skygcs.runtime.plan_checks import (
     made_elsewhere,
     margin_rule,
     measure,
-    mission_loss_findings,
+    mission_findings,
     not_streamed,
     preflight_findings,
     reach_findings,
@@ -406,7 +406,7 @@ class PlanRunner:
         findings += [state_finding(actor, [actor.name for actor in actors], now) for actor in actors]
         findings += way.findings
         if by is Guidance.MISSION:
-            findings += await mission_loss_findings(actors)
+            findings += await mission_findings(actors)
         if not refusals(findings, force=request.force):
             standing = measure(actors, [], frame, now).grounded
             findings += await preflight_findings(actors, standing, self._fleet.preflight)

@@ -40,7 +40,6 @@ from skygcs.core.vehicle.flight_lock import (
 )
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
-from skygcs.core.vehicle.mission_orders import ask_mission_loss
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
 from skygcs.core.vehicle.order_plan import Plan
@@ -761,10 +760,15 @@ class VehicleActor:
         ended = "control goes on" if self.offboard.flying else "control is off"
         return replace(outcome, message=f"{ended}; {outcome.message}")
 
-    async def read_loss(self, *, on_mission: bool = False) -> None:
+    async def read_loss(self) -> None:
         """Read the parameters that decide what it does when this station dies, those that nobody has read yet."""
-        ask = ask_mission_loss if on_mission else ask_loss_parameters
-        plan = ask(self.vehicle, self._loop.time())
+        await self._read_params(ask_loss_parameters(self.vehicle, self._loop.time()))
+
+    async def read_mission_settings(self) -> None:
+        """Read the parameters of `mission_orders.mission_settings` that nobody has read yet."""
+        await self._read_params(mission_orders.ask_mission_settings(self.vehicle, self._loop.time()))
+
+    async def _read_params(self, plan: Plan) -> None:
         if plan.steps and self.vehicle.connected and not self.vehicle.replayed:
             await self._orders.attempt_in_control(lambda now: plan)
 

@@ -274,7 +274,7 @@ def mission_along(places: Sequence[tuple[float, float, float]]) -> MissionPlan:
     return MissionPlan(items)
 
 
-# --- without a ground station -----------------------------------------------------------------------------------------
+# --- settings of the firmware -----------------------------------------------------------------------------------------
 
 LOSS_PARAMETERS = {
     "px4": ("NAV_DLL_ACT", "COM_DLL_EXCEPT"),
@@ -285,42 +285,68 @@ LOSS_PARAMETERS = {
 MISSION_BIT = {"px4": 1, "ardupilot": 2}
 """Value in the second of them: not on a mission."""
 
+RESTART = "MIS_RESTART"
+"""ArduPilot's: 0 goes on with the current item, 1 begins anew whenever AUTO is entered (AP_Mission,
+start_or_resume)."""
 
-class MissionLoss(NamedTuple):
-    """``goes_on``: to the end of its mission; None: not known. ``param``, ``value``: what makes it go on."""
+ALONE, RESUMED = "if skygcs dies", "mission"
+"""Checks of `mission_settings`."""
 
-    goes_on: bool | None
+
+class MissionSetting(NamedTuple):
+    """``fits``: None: not known. ``param``, ``value``: the setting that does."""
+
+    check: str
+    fits: bool | None
     text: str
     param: str = ""
     value: float = 0.0
 
 
-def ask_mission_loss(vehicle: Vehicle, now: float) -> Plan:
-    """Read the parameters that are not known."""
-    wanted = [name for name in LOSS_PARAMETERS.get(vehicle.family, ()) if vehicle.param(name) is None]
+def ask_mission_settings(vehicle: Vehicle, now: float) -> Plan:
+    """Read the parameters of `mission_settings` that are not known."""
+    names = LOSS_PARAMETERS.get(vehicle.family, ()) + ((RESTART,) if vehicle.family == "ardupilot" else ())
+    wanted = [name for name in names if vehicle.param(name) is None]
     return Plan(
         "parameters", tuple(ask_parameter(name, after=now, optional=True) for name in wanted), "parameters read"
     )
 
 
-def mission_loss(vehicle: Vehicle) -> MissionLoss:
-    """Judge by the parameters that were read."""
+def mission_settings(vehicle: Vehicle) -> list[MissionSetting]:
+    """Judge whether its mission is flown to the end without the ground, and goes on after a stop where it was."""
+    found = [_alone(vehicle)]
+    if vehicle.family == "ardupilot":
+        found.append(_resumed(vehicle.param(RESTART)))
+    return found
+
+
+def _alone(vehicle: Vehicle) -> MissionSetting:
     if vehicle.family not in LOSS_PARAMETERS:
-        return MissionLoss(None, "what its firmware does without a ground station is not known")
+        return MissionSetting(ALONE, None, "what its firmware does without a ground station is not known")
     action_name, except_name = LOSS_PARAMETERS[vehicle.family]
     action, exceptions = vehicle.param(action_name), vehicle.param(except_name)
     if action == 0:
         back = ", or returns from there if it hears no transmitter either" if vehicle.family == "px4" else ""
-        return MissionLoss(True, f"it flies its mission to the end and holds there{back} ({action_name} 0)")
+        text = f"it flies its mission to the end and holds there{back} ({action_name} 0)"
+        return MissionSetting(ALONE, True, text)
     bit = MISSION_BIT[vehicle.family]
     if exceptions is not None and int(exceptions) & bit:
-        return MissionLoss(True, f"it flies its mission to the end and holds there ({except_name} {exceptions:g})")
+        text = f"it flies its mission to the end and holds there ({except_name} {exceptions:g})"
+        return MissionSetting(ALONE, True, text)
     if action is None or exceptions is None:
         unknown = action_name if action is None else except_name
-        return MissionLoss(None, f"its {unknown} is not known, which decides what it does without a ground station")
-    return MissionLoss(
-        False,
-        f"without a ground station it breaks its mission off ({action_name} {action:g}, {except_name} {exceptions:g})",
-        except_name,
-        float(int(exceptions) | bit),
+        text = f"its {unknown} is not known, which decides what it does without a ground station"
+        return MissionSetting(ALONE, None, text)
+    text = (
+        f"without a ground station it breaks its mission off ({action_name} {action:g}, {except_name} {exceptions:g})"
     )
+    return MissionSetting(ALONE, False, text, except_name, float(int(exceptions) | bit))
+
+
+def _resumed(restart: float | None) -> MissionSetting:
+    if restart is None:
+        return MissionSetting(RESUMED, None, f"its {RESTART} is not known: 1 begins anew after a stop")
+    if restart != 0:
+        text = f"its {RESTART} is {restart:g}: after a stop its mission begins anew, and not on its way"
+        return MissionSetting(RESUMED, False, text, RESTART, 0.0)
+    return MissionSetting(RESUMED, True, f"it goes on after a stop ({RESTART} 0)")

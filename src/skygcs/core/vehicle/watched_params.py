@@ -16,6 +16,7 @@ WATCHED = frozenset(
         "FS_OPTIONS",
         "GUID_OPTIONS",
         "GUID_TIMEOUT",
+        "MIS_RESTART",
         "MOT_THST_EXPO",
         "MOT_THST_HOVER",
         "MPC_THR_HOVER",

@@ -12,7 +12,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import GLOBAL
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.mission_orders import HOLD_S, WITHIN_M, ask_mission_loss, mission_along, mission_loss
+from skygcs.core.vehicle.mission_orders import (
+    ALONE,
+    HOLD_S,
+    RESUMED,
+    WITHIN_M,
+    MissionSetting,
+    ask_mission_settings,
+    mission_along,
+    mission_settings,
+)
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
 
@@ -37,14 +46,27 @@ FLIGHTS = [
 NAMES = {PX4: ("NAV_DLL_ACT", "COM_DLL_EXCEPT"), ARDUPILOT: ("FS_GCS_ENABLE", "FS_OPTIONS")}
 
 
-def vehicle_with(autopilot: int, values: tuple[int | None, int | None]) -> Vehicle:
+def vehicle_with(autopilot: int, values: tuple[int | None, int | None], restart: int | None = None) -> Vehicle:
     vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect())), Voice(1)
     vehicle.on_frame(voice.beat(autopilot, PX4_LOITER if autopilot == PX4 else GUIDED), NOW)
-    for name, value in zip(NAMES[autopilot], values, strict=True):
+    for name, value in zip((*NAMES[autopilot], "MIS_RESTART"), (*values, restart), strict=True):
         if value is not None:
             wire = float(value) if autopilot == ARDUPILOT else struct.unpack("<f", struct.pack("<i", value))[0]
             vehicle.on_frame(voice.say(mav.MAVLink_param_value_message(name.encode(), wire, INT32, 1, 0)), NOW)
     return vehicle
+
+
+def alone(vehicle: Vehicle) -> MissionSetting:
+    return next(found for found in mission_settings(vehicle) if found.check == ALONE)
+
+
+@pytest.mark.parametrize(("restart", "fits"), [(None, None), (0, True), (1, False)])
+def test_a_mission_that_begins_anew_after_a_stop_is_found(restart: int | None, fits: bool | None) -> None:
+    vehicle = vehicle_with(ARDUPILOT, (0, None), restart)
+    (found,) = [found for found in mission_settings(vehicle) if found.check == RESUMED]
+    assert found.fits is fits and (found.param, found.value) == (("MIS_RESTART", 0.0) if fits is False else ("", 0.0))
+    px4 = vehicle_with(PX4, (0, None))
+    assert [found.check for found in mission_settings(px4)] == [ALONE]
 
 
 @pytest.mark.parametrize(("autopilot", "action", "exceptions", "goes_on", "remedy"), FLIGHTS)
@@ -56,20 +78,21 @@ def test_a_mission_goes_on_where_the_firmware_lets_it(
     remedy: tuple[str, float] | None,
 ) -> None:
     vehicle = vehicle_with(autopilot, (action, exceptions))
-    found = mission_loss(vehicle)
-    assert found.goes_on is goes_on
+    found = alone(vehicle)
+    assert found.fits is goes_on
     assert (found.param, found.value) == (remedy or ("", 0.0))
     if remedy is not None:
         cured = tuple(int(remedy[1]) if name == remedy[0] else action for name in NAMES[autopilot])
-        assert mission_loss(vehicle_with(autopilot, (cured[0], cured[1]))).goes_on is True
+        assert alone(vehicle_with(autopilot, (cured[0], cured[1]))).fits is True
     unknown = [name for name, v in zip(NAMES[autopilot], (action, exceptions), strict=True) if v is None]
-    assert [s.message[1]["param_id"] for s in ask_mission_loss(vehicle, NOW).steps if s.message] == unknown
+    asked = [step.message[1]["param_id"] for step in ask_mission_settings(vehicle, NOW).steps if step.message]
+    assert asked == unknown + (["MIS_RESTART"] if autopilot == ARDUPILOT else [])
 
 
 def test_of_another_firmware_nothing_is_known() -> None:
     vehicle = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect()))
     vehicle.on_frame(Voice(1).beat(mav.MAV_AUTOPILOT_GENERIC, 0), NOW)
-    assert mission_loss(vehicle).goes_on is None and not ask_mission_loss(vehicle, NOW).steps
+    assert alone(vehicle).fits is None and not ask_mission_settings(vehicle, NOW).steps
 
 
 PLACES = [(43.78, -79.46, 190.0), (43.7801, -79.46, 190.0), (43.7801, -79.4601, 195.5)]
