@@ -112,51 +112,6 @@ def test_a_mixed_fleet_swaps_by_goto_and_back(fleet: MixedField, row: dict[str, 
     row["finished"] = True
 
 
-def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
-    fleet: MixedField, row: dict[str, Any]
-) -> None:
-    for make, speed in ((crossing, 1.0), (swap, 0.5)):
-        row[make.__name__] = {}
-        _fly(fleet, row[make.__name__], make, speed, by="setpoints")
-    _land(fleet)
-    row["finished"] = True
-
-
-def test_a_mixed_fleet_flies_as_a_formation(fleet: MixedField, row: dict[str, Any]) -> None:
-    """About a point, which moves while the formation turns and grows; then behind one of them."""
-    fleet.daemon.call("vehicles.takeoff", targets="all", height_m=UP_M)
-    fleet.wait(lambda: all(fleet.truth(n).track[-1][3] > UP_M - 1.5 for n in fleet.names), 60, "all have taken off")
-    time.sleep(5.0)
-    began = time.monotonic()
-    fleet.daemon.call("formation.start", targets="all", shape="v", spacing_m=11.0)
-    _settled(fleet)
-    moves = began, time.monotonic()
-    for method, params in (
-        ("formation.move", {"to_enu_m": [25.0, 25.0, 20.0]}),
-        ("formation.turn", {"heading_deg": 90.0}),
-        ("formation.scale", {"factor": 1.2}),
-    ):
-        fleet.daemon.call(method, **params)
-    row["rms_m"] = _settled(fleet)
-    fleet.daemon.call("formation.stop")
-    fleet.wait(lambda: fleet.daemon.call("formation.status")["state"] == "stopped", 20, "the formation stands")
-    leader, *followers = fleet.names[::-1]
-    fleet.daemon.call(
-        "formation.start", targets=followers, shape="line", spacing_m=11.0, heading_deg=90.0, leader=leader
-    )
-    _settled(fleet)
-    fleet.daemon.call("vehicles.goto", targets=leader, enu_m=[10.0, 45.0, 15.0])
-    time.sleep(3.0)
-    row["rms_behind_m"] = _settled(fleet)
-    row["seconds"] = [round(at - began, 1) for at in (*moves, time.monotonic())]
-    least = _least(fleet, began)
-    nearest = min(least, key=lambda pair: least[pair])
-    row["measured_least_m"], row["measured_pair"] = round(least[nearest], 2), list(nearest)
-    row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
-    assert least[nearest] >= KNOWN_M, row
-    row["finished"] = True
-
-
 GOES_ON = {
     "px4": {"NAV_DLL_ACT": 2, "COM_DLL_EXCEPT": 1},
     "ardupilot": {"FS_GCS_ENABLE": 1, "FS_OPTIONS": 18},
@@ -209,6 +164,51 @@ def test_a_mixed_fleet_flies_missions_and_losing_the_ground_loses_nothing(
     fleet.wait(lambda: fleet.daemon.known() == len(fleet.names), 30, "all are heard again")
     for name, values in before.items():
         _set_params(fleet, name, values)
+    row["finished"] = True
+
+
+def test_a_mixed_fleet_flies_a_plan_from_the_ground_and_one_from_the_air(
+    fleet: MixedField, row: dict[str, Any]
+) -> None:
+    for make, speed in ((crossing, 1.0), (swap, 0.5)):
+        row[make.__name__] = {}
+        _fly(fleet, row[make.__name__], make, speed, by="setpoints")
+    _land(fleet)
+    row["finished"] = True
+
+
+def test_a_mixed_fleet_flies_as_a_formation(fleet: MixedField, row: dict[str, Any]) -> None:
+    """About a point, which moves while the formation turns and grows; then behind one of them."""
+    fleet.daemon.call("vehicles.takeoff", targets="all", height_m=UP_M)
+    fleet.wait(lambda: all(fleet.truth(n).track[-1][3] > UP_M - 1.5 for n in fleet.names), 60, "all have taken off")
+    time.sleep(5.0)
+    began = time.monotonic()
+    fleet.daemon.call("formation.start", targets="all", shape="v", spacing_m=11.0)
+    _settled(fleet)
+    moves = began, time.monotonic()
+    for method, params in (
+        ("formation.move", {"to_enu_m": [25.0, 25.0, 20.0]}),
+        ("formation.turn", {"heading_deg": 90.0}),
+        ("formation.scale", {"factor": 1.2}),
+    ):
+        fleet.daemon.call(method, **params)
+    row["rms_m"] = _settled(fleet)
+    fleet.daemon.call("formation.stop")
+    fleet.wait(lambda: fleet.daemon.call("formation.status")["state"] == "stopped", 20, "the formation stands")
+    leader, *followers = fleet.names[::-1]
+    fleet.daemon.call(
+        "formation.start", targets=followers, shape="line", spacing_m=11.0, heading_deg=90.0, leader=leader
+    )
+    _settled(fleet)
+    fleet.daemon.call("vehicles.goto", targets=leader, enu_m=[10.0, 45.0, 15.0])
+    time.sleep(3.0)
+    row["rms_behind_m"] = _settled(fleet)
+    row["seconds"] = [round(at - began, 1) for at in (*moves, time.monotonic())]
+    least = _least(fleet, began)
+    nearest = min(least, key=lambda pair: least[pair])
+    row["measured_least_m"], row["measured_pair"] = round(least[nearest], 2), list(nearest)
+    row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
+    assert least[nearest] >= KNOWN_M, row
     row["finished"] = True
 
 
