@@ -113,7 +113,7 @@ def test_a_mixed_fleet_swaps_by_goto_and_back(fleet: MixedField, row: dict[str, 
 
 
 GOES_ON = {
-    "px4": {"NAV_DLL_ACT": 2, "COM_DLL_EXCEPT": 1},
+    "px4": {"NAV_DLL_ACT": 2, "COM_DLL_EXCEPT": 3},
     "ardupilot": {"FS_GCS_ENABLE": 1, "FS_OPTIONS": 18},
 }
 """Return when no ground station is heard, but not on a mission."""

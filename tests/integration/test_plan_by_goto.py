@@ -156,7 +156,7 @@ async def test_ways_that_cannot_be_flown_are_refused_with_the_command_that_helps
         await load(gcs, timed(starts, {name: (x, y + 12.0, z) for name, (x, y, z) in starts.items()}))
         with pytest.raises(Exception, match="skygcs-cli plan make FILE --fleet --kind phased"):
             await gcs("plan.check", by="goto")
-        with pytest.raises(Exception, match=r"no companion.*skygcs-cli plan run FILE --by setpoints"):
+        with pytest.raises(Exception, match=r"no vehicle has a companion.*skygcs-cli plan run FILE --by setpoints"):
             await gcs("plan.check", by="onboard")
         found = await gcs("plan.check", margin_m=MARGIN_M)
         assert (found["by"], found["why"]) == ("setpoints", "every link carries them")

@@ -18,17 +18,16 @@ from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_e
 pytestmark = pytest.mark.looptime
 
 OVER = ("finished", "stopped", "aborted")
-NAV_WAYPOINT = 16
+BREAKS_OFF = {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}
+GOES_ON = {"FS_OPTIONS": 18.0, "COM_DLL_EXCEPT": 3.0}
 
 
 def parallel(gcs: Flown) -> PhasedPlan:
     """Each to the north, up, and to the side; nobody's way is near another's."""
     names = [f"v{sim.sysid}" for sim in gcs.sims]
     homes = {name: gcs.place_of_home(name) for name in names}
-    north = {name: (x, y + 25.0, UP_M) for name, (x, y, _) in homes.items()}
-    aside = {
-        name: (x + (4.0 if i else -4.0), y + 25.0, UP_M + 4.0) for i, (name, (x, y, _)) in enumerate(homes.items())
-    }
+    north = {name: (x, y + 25.0 + 15.0 * i, UP_M) for i, (name, (x, y, _)) in enumerate(homes.items())}
+    aside = {name: (x + (4.0 if i else -4.0), y, UP_M + 4.0) for i, (name, (x, y, _)) in enumerate(north.items())}
     return phased(
         homes, ("climb", {n: (x, y, UP_M) for n, (x, y, _) in homes.items()}), ("north", north), ("aside", aside)
     )
@@ -85,7 +84,8 @@ async def test_losing_the_ground_loses_nothing(tmp_path: Path, silent_s: float) 
     """For a while, or for good: both come to their goals in the time that it takes."""
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         for sim in gcs.sims:
-            sim.params.set("FS_OPTIONS" if sim.sysid == 2 else "NAV_DLL_ACT", 18.0 if sim.sysid == 2 else 0.0)
+            for param, value in (BREAKS_OFF | GOES_ON).items():
+                sim.params.set(param, value)
         plan = await begun(gcs)
         began = gcs.now
         gcs.cut = True
@@ -118,7 +118,7 @@ async def test_a_timed_plan_is_refused_with_the_command_that_makes_phases(tmp_pa
         here = {name: gcs.place(name) for name in ("v1", "v2")}
         await load(gcs, timed(here, {name: (x, y + 10.0, up) for name, (x, y, up) in here.items()}))
         with pytest.raises(RefusedError, match="missions, which have no times: `skygcs-cli plan make FILE"):
-            await gcs("plan.check", by="onboard")
+            await gcs("plan.check", by="mission")
 
 
 async def test_a_vehicle_that_breaks_its_mission_off_without_the_ground_is_refused_until_it_does_not(
@@ -126,10 +126,10 @@ async def test_a_vehicle_that_breaks_its_mission_off_without_the_ground_is_refus
 ) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         for sim in gcs.sims:
-            for param, value in {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}.items():
+            for param, value in BREAKS_OFF.items():
                 sim.params.set(param, value)
         await load(gcs, parallel(gcs))
-        for param, value in (("COM_DLL_EXCEPT", 1.0), ("FS_OPTIONS", 18.0)):
+        for param, value in (("COM_DLL_EXCEPT", 3.0), ("FS_OPTIONS", 18.0)):
             report = await gcs("plan.check", by="mission", margin_m=MARGIN_M)
             found = [f for f in report["findings"] if f["check"] == "if skygcs dies" and f["severity"] == "refused"]
             command = found[0]["command"]

@@ -71,7 +71,7 @@ class GotoGuidance:
         if not vehicle.armed:
             return Left(Why.PILOT, "it is disarmed")
         still = state in (ClockState.PAUSING, ClockState.PAUSED)
-        if vehicle.mode not in (STANDS_IN if still else self._modes(name)):
+        if vehicle.mode not in (STANDS_IN if still else self._modes(flight, name)):
             return Left(Why.PILOT, f"it was switched to {vehicle.mode}")
         return None
 
@@ -94,7 +94,7 @@ class GotoGuidance:
         starts, goals = flight.execution.step.starts(), flight.execution.step.places()
         return {name: goal for name, goal in goals.items() if math.dist(goal, starts[name]) > LEAST_LEG_M}
 
-    def _modes(self, name: str) -> frozenset[str]:
+    def _modes(self, flight: PlanFlight, name: str) -> frozenset[str]:
         """Modes in which it flies its leg."""
         return FLIES_IN
 
@@ -205,10 +205,12 @@ class MissionGuidance(GotoGuidance):
         """Also of those that stay where they are: on a mission their firmware takes no notice of a lost ground."""
         return flight.execution.step.places()
 
-    def _modes(self, name: str) -> frozenset[str]:
-        """Until it has accepted, it holds as it was left."""
-        flies = self._legs is not None and self._legs.flies(name)
-        return MISSION_MODES if flies else MISSION_MODES | STANDS_IN
+    def _modes(self, flight: PlanFlight, name: str) -> frozenset[str]:
+        """Until it has accepted, it holds as it was left; at the end of its mission a PX4 changes to AUTO.LOITER."""
+        legs, sight = self._legs, flight.sights.get(name)
+        if legs is None or not legs.flies(name) or sight is None or sight.place_m is None or sight.age_s > FRESH_S:
+            return MISSION_MODES | STANDS_IN
+        return MISSION_MODES | STANDS_IN if legs.there(name, sight.place_m) else MISSION_MODES
 
     async def _order(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
         """From the first item on; what has begun goes on where it is."""

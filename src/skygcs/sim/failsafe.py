@@ -6,11 +6,12 @@ loses its estimate after a while; without a transmitter no pilot takes over.
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, inf
 
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import Reaction
 from skygcs.sim.fence_shapes import within
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from skygcs.sim.vehicle_state import VehicleState
 
 FENCE_HEIGHT = 1
@@ -27,11 +28,12 @@ PILOT_GOES_ON = 16
 a mode that is flown by a pilot."""
 
 
-COPTER_MISSION_GOES_ON = 2
+AUTO_GOES_ON = 2
 """Bit of FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_AUTO)."""
 
-PX4_MISSION_GOES_ON = 1
-"""Bit of COM_DLL_EXCEPT (failsafe.cpp, DatalinkLossExceptionBits::Mission)."""
+PX4_GOES_ON = {Px4Mode.MISSION: 1, Px4Mode.LOITER: 2, Px4Mode.TAKEOFF: 2, Px4Mode.OFFBOARD: 4}
+"""Bits of COM_DLL_EXCEPT (failsafe.cpp, DatalinkLossExceptionBits). Looked at all the time: with the mode, what is
+ignored ends."""
 
 
 def watch(v: VehicleState, now: float) -> None:
@@ -68,16 +70,14 @@ def _watch_gcs(v: VehicleState, now: float) -> None:
     firmware, alarms = v.firmware, v.failsafes
     reactions = firmware.gcs.simulated
     reaction = reactions.of(v.params[reactions.param])
-    before = alarms.gcs.raised
-    lost = alarms.gcs_lost(now, v.params[firmware.gcs_timeout.simulated])
-    rule = v.mode_rule
+    before, rule, options = alarms.gcs.raised, v.mode_rule, v.params.get("FS_OPTIONS")
+    ignored = options is None and int(v.params["COM_DLL_EXCEPT"]) & PX4_GOES_ON.get(Px4Mode(rule.number), 0) != 0
+    lost = alarms.gcs_lost(now, inf if ignored else v.params[firmware.gcs_timeout.simulated])
     if lost and reaction is not Reaction.NONE and v.armed:
-        options = v.params.get("FS_OPTIONS")
         if options is None:
-            ignored = rule.mission and int(v.params["COM_DLL_EXCEPT"]) & PX4_MISSION_GOES_ON
-            if not rule.lands and not ignored:
+            if not rule.lands:
                 _react(v, reaction, "GCS lost", now, delayed=True)
-        elif not v.landed and rule.mission and int(options) & COPTER_MISSION_GOES_ON:
+        elif not v.landed and int(options) & AUTO_GOES_ON and rule.number == CopterMode.AUTO:
             v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Auto Mode")
         elif not v.landed and int(options) & PILOT_GOES_ON and not rule.autopilot:
             v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Pilot Control")

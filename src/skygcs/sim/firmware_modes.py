@@ -83,8 +83,6 @@ class ModeRule:
     """HEARTBEAT.base_mode has MAV_MODE_FLAG_GUIDED_ENABLED (and PX4's AUTO_ENABLED)."""
     lands: bool = False
     """is_landing(), or PX4's modes in which a lost ground station is ignored."""
-    mission: bool = False
-    """A lost ground station means nothing in it, if ArduCopter's FS_OPTIONS or PX4's COM_DLL_EXCEPT says so."""
     by_command: bool = True
     """DO_SET_MODE enters it while disarmed."""
 
@@ -97,7 +95,6 @@ def _copter(mode: CopterMode, words: str) -> ModeRule:
         autopilot="autopilot" in words,
         guided="guided" in words,
         lands="lands" in words,
-        mission="mission" in words,
         by_command="never" not in words,
     )
 
@@ -110,7 +107,6 @@ def _px4(mode: Px4Mode, words: str) -> ModeRule:
         sticks="sticks" in words,
         guided=mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF,
         lands="lands" in words,
-        mission="mission" in words,
         by_command="never" not in words,
     )
 
@@ -121,7 +117,7 @@ COPTER_RULES: Final = {
         _copter(CopterMode.STABILIZE, "arms"),
         _copter(CopterMode.ACRO, "arms"),
         _copter(CopterMode.ALT_HOLD, "arms"),
-        _copter(CopterMode.AUTO, "position autopilot guided mission"),
+        _copter(CopterMode.AUTO, "position autopilot guided"),
         _copter(CopterMode.GUIDED, "arms position autopilot guided"),
         _copter(CopterMode.LOITER, "arms position guided"),
         _copter(CopterMode.RTL, "position autopilot guided"),
@@ -157,7 +153,7 @@ PX4_RULES: Final = {
         _px4(Px4Mode.ORBIT, "position never"),
         _px4(Px4Mode.TAKEOFF, "arms position"),
         _px4(Px4Mode.LOITER, "arms position"),
-        _px4(Px4Mode.MISSION, "arms position mission"),
+        _px4(Px4Mode.MISSION, "arms position"),
         _px4(Px4Mode.RTL, "position"),
         _px4(Px4Mode.LAND, "lands"),
         _px4(Px4Mode.FOLLOW_TARGET, "position"),

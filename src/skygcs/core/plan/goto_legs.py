@@ -89,6 +89,10 @@ class GotoLegs:
         leg = self._legs.get(name)
         return leg is not None and leg.state is LegState.FLIES
 
+    def there(self, name: str, place_m: Vector) -> bool:
+        """True if this is its place, or near enough."""
+        return self._off_m(self._legs[name], place_m) <= self._within_m[name]
+
     def due(self) -> list[str]:
         """The vehicles to which an order is to be given now; each counts as ordered from here on."""
         if self._state not in (ClockState.RUNNING, ClockState.FINISHED):
@@ -123,7 +127,7 @@ class GotoLegs:
             if leg.state is not LegState.FLIES or place_m is None:
                 done = False
                 continue
-            there = self._off_m(leg, place_m) <= self._within_m[name]
+            there = self.there(name, place_m)
             if there or speed_mps > STANDS_MPS:
                 leg.since = now
                 done = done and there

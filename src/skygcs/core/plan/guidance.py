@@ -74,6 +74,11 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
         return Choice(Guidance.ONBOARD, "as asked for; the companions have the trajectories")
     if by in (Guidance.GOTO, Guidance.ONBOARD, Guidance.MISSION):
         if timed:
+            if by == Guidance.ONBOARD:
+                raise RefusedError(
+                    "no vehicle has a companion that flies it, and missions, which have no times, do not fly a timed "
+                    f"plan: `{remedies.by_setpoints().command}`"
+                )
             what = "goto, which has no times" if by == Guidance.GOTO else "missions, which have no times"
             raise RefusedError(f"a timed plan is not flown by {what}: `{remedies.make_phased().command}`")
         if by == Guidance.GOTO:

@@ -6,11 +6,11 @@ current item when its mission mode is set again.
     PX4 1.16 (failsafe.cpp)        ArduCopter 4.6 (events.cpp, failsafe_gcs_on_event)   without a ground station
     ----------------------------   --------------------------------------------------   ------------------------
     NAV_DLL_ACT 0                  FS_GCS_ENABLE 0                                      flown to the end
-    COM_DLL_EXCEPT with bit 0      FS_OPTIONS with bit 1                                flown to the end
+    COM_DLL_EXCEPT with bits 0, 1  FS_OPTIONS with bit 1                                flown to the end
     anything else                  anything else                                        broken off
 
-At the end it holds. A PX4 that hears no transmitter either, and is allowed not to (COM_RCL_EXCEPT with bit 0, or
-COM_RC_IN_MODE 4), returns there if NAV_DLL_ACT is 0.
+At the end it holds: a PX4 changes to AUTO.LOITER for that. One that hears no transmitter either may return from there
+(NAV_RCL_ACT, unless COM_RCL_EXCEPT has bit 1).
 """
 
 from __future__ import annotations
@@ -282,8 +282,9 @@ LOSS_PARAMETERS = {
 }
 """By firmware: what it does without a ground station at all, and where it takes no notice of that."""
 
-MISSION_BIT = {"px4": 1, "ardupilot": 2}
-"""Value in the second of them: not on a mission."""
+GOES_ON_BITS = {"px4": 3, "ardupilot": 2}
+"""Bits of the second of them: not on a mission. A PX4 changes to AUTO.LOITER at its end (Commander.cpp,
+checkForMissionUpdate), which has a bit of its own."""
 
 RESTART = "MIS_RESTART"
 """ArduPilot's: 0 goes on with the current item, 1 begins anew whenever AUTO is entered (AP_Mission,
@@ -329,18 +330,17 @@ def _alone(vehicle: Vehicle) -> MissionSetting:
         back = ", or returns from there if it hears no transmitter either" if vehicle.family == "px4" else ""
         text = f"it flies its mission to the end and holds there{back} ({action_name} 0)"
         return MissionSetting(ALONE, True, text)
-    bit = MISSION_BIT[vehicle.family]
-    if exceptions is not None and int(exceptions) & bit:
+    bits = GOES_ON_BITS[vehicle.family]
+    if exceptions is not None and int(exceptions) & bits == bits:
         text = f"it flies its mission to the end and holds there ({except_name} {exceptions:g})"
         return MissionSetting(ALONE, True, text)
     if action is None or exceptions is None:
         unknown = action_name if action is None else except_name
         text = f"its {unknown} is not known, which decides what it does without a ground station"
         return MissionSetting(ALONE, None, text)
-    text = (
-        f"without a ground station it breaks its mission off ({action_name} {action:g}, {except_name} {exceptions:g})"
-    )
-    return MissionSetting(ALONE, False, text, except_name, float(int(exceptions) | bit))
+    values = f"{action_name} {action:g}, {except_name} {exceptions:g}"
+    text = f"without a ground station it breaks its mission off, or does not hold at its end ({values})"
+    return MissionSetting(ALONE, False, text, except_name, float(int(exceptions) | bits))
 
 
 def _resumed(restart: float | None) -> MissionSetting:

@@ -83,7 +83,7 @@ CHOICES = [
     ("onboard", False, ["a"], [], "plan run FILE --by goto"),
     ("onboard", False, ["a", "b"], [], "onboard"),
     ("onboard", False, [], [], "mission"),
-    ("onboard", True, [], [], "plan make FILE --fleet --kind phased"),
+    ("onboard", True, [], [], "plan run FILE --by setpoints"),
     ("mission", False, ["a", "b"], [], "mission"),
     ("mission", True, [], [], "plan make FILE --fleet --kind phased"),
 ]

@@ -30,10 +30,11 @@ FLIGHTS = [
     # autopilot, action and exceptions as they were read, does it go on, value to be set
     (PX4, 0, None, True, None),
     (PX4, 0, 0, True, None),
-    (PX4, 2, 1, True, None),
+    (PX4, 2, 3, True, None),
     (PX4, 2, 7, True, None),
+    (PX4, 2, 1, False, ("COM_DLL_EXCEPT", 3.0)),
     (PX4, 2, 6, False, ("COM_DLL_EXCEPT", 7.0)),
-    (PX4, 1, 0, False, ("COM_DLL_EXCEPT", 1.0)),
+    (PX4, 1, 0, False, ("COM_DLL_EXCEPT", 3.0)),
     (PX4, None, 0, None, None),
     (PX4, 2, None, None, None),
     (ARDUPILOT, 0, None, True, None),
