@@ -205,7 +205,7 @@ class CorrectionTally:
 
     read_bytes: int = 0
     counts: Counter[str] = field(default_factory=Counter)
-    """As corrections.send answers: messages, bytes, refused, too_long, bad_crc, skipped_bytes."""
+    """Counts by kind, as the answer of corrections.send: messages, bytes, refused, too_long, bad_crc, skipped_bytes."""
     types: Counter[str] = field(default_factory=Counter)
 
     def as_dict(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ SETTLE_S = 0.3
 """After the connection is closed, for what the daemon undoes then and for the next heartbeat; a person waits for it."""
 
 STATES_S = 2.0
-"""For the states of the vehicles; a daemon answers within milliseconds."""
+"""Seconds to wait for the states of the vehicles; a daemon answers within milliseconds."""
 
 SHOWN = 12
 """Vehicles whose states are listed."""

@@ -49,7 +49,7 @@ _ERRORS = (
 )
 _CLASSES = ("MemoryBIO", "SSLContext", "SSLObject", "SSLSocket")
 _NUMBERS = {"SSL_ERROR_WANT_READ": 2, "SSL_ERROR_WANT_WRITE": 3, "SSL_ERROR_SYSCALL": 5}
-"""As in OpenSSL's ssl.h; uvloop keeps them as C integers."""
+"""Values of OpenSSL's ssl.h; uvloop keeps them as C integers."""
 
 
 def needs_tls(arguments: list[str]) -> bool:

@@ -16,13 +16,14 @@ from skygcs.core.token_bucket import TokenBucket
 from skygcs.terminal_text import visible
 
 LINES_PER_S, BURST_LINES = 0.2, 20.0
-"""Of one kind: 20 at once, then one in five seconds. That of 250 vehicles has their names in its text, and is many."""
+"""Bounds for each kind of line: 20 at once, then one in five seconds. A line whose text has a vehicle's name is of
+another kind for each of 250 vehicles."""
 
 MAX_KINDS = 512
 """Beyond, the kind that was heard of least recently is forgotten."""
 
 MAX_CHARS = 4000
-"""Of one line of a library: a traceback of 40 lines."""
+"""Longest line of a library in characters: a traceback of 40 lines."""
 
 
 class LogLimit:

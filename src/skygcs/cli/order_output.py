@@ -28,7 +28,7 @@ class OrderOutput:
         self.vehicles: Sequence[str] = ()
         """The vehicles that the order goes to, as far as is known."""
         self.outcomes: dict[str, Mapping[str, Any]] = {}
-        """What has come."""
+        """Outcomes that have come so far, by vehicle."""
         self._lines = OutcomeLines(screen_width(sys.stdout))
 
     def begin(self, vehicles: Sequence[str]) -> None:

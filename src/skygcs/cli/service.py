@@ -44,7 +44,7 @@ SystemCallFilter=@system-service
 SystemCallFilter=~@privileged @resources
 SystemCallErrorNumber=EPERM
 """
-"""Of both kinds of units: what needs no privileges."""
+"""Lines of both kinds of units: they need no privileges."""
 
 SYSTEM_ONLY = """\
 # control ticks go before other programs of this machine

@@ -272,7 +272,7 @@ ANGLES = ("roll_deg", "pitch_deg", YAW)
 RATES = ("roll_rate", "pitch_rate", "yaw_rate")
 QUATERNION = ("qw", "qx", "qy", "qz")
 KEYS = (*VECTORS, YAW, YAW_RATE, "att", "rates", THRUST, VEHICLE)
-"""Of a JSON line."""
+"""Keys that a JSON line may have."""
 
 COLUMNS = (
     *(column for _, columns in VECTORS.values() for column in columns),

@@ -37,7 +37,8 @@ SIM_DIALECT = "ardupilotmega"
 LEAST_SPEEDUP, MAX_SPEEDUP = 0.01, 100.0
 
 SHORTEST_TICK_S = 0.005
-"""Of real time: with a speedup the vehicles take several of their ticks at one of ours."""
+"""Least real time between two ticks: with a speedup the vehicles take several of their ticks in one of the
+program's."""
 
 
 def run_sim(

@@ -36,7 +36,7 @@ MAX_BACKLOG_BYTES = 65536
 READ_BYTES = 65536
 
 DRIVER_BYTES = 4096
-"""Of a serial port's driver: more is not taken from the writer until the slow line has passed some on."""
+"""Buffer of a serial port's driver: more is not taken from the writer until the slow line has passed some on."""
 
 
 class SimClock:
