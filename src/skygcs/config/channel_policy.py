@@ -10,7 +10,7 @@ from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
 from skygcs.core.routing.link_choice import DEFAULT_COST, SCARCE_COST
 
 STATION_COST = 1000
-"""Of a link to a ground station, which may return a vehicle's frames: any other link to the vehicle is better."""
+"""Cost of a link to a ground station, which may return a vehicle's frames: any other link to the vehicle is better."""
 
 
 def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:

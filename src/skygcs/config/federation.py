@@ -16,7 +16,7 @@ from skygcs.config.tables import KeyPath, Model, Problem
 FederationRole = Literal["site", "operator", "observer"]
 
 DEFAULT_HUB_PORT = 4222
-"""Of nats-server."""
+"""Port of nats-server."""
 
 DEFAULT_METRICS_PORT = 9465
 """Beside that of the daemon's metrics."""
@@ -86,7 +86,7 @@ class SharedVehicle(Model):
     home: SiteName
     """The site that commands it when nothing else is said."""
     without_hub: Literal["continue", "stop"] = "continue"
-    """What its home does when the hub is lost while it holds the vehicle's lease."""
+    """Reaction of its home when the hub is lost while the home holds the vehicle's lease."""
 
 
 class FederationMetricsConfig(MetricsConfig):

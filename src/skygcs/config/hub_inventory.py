@@ -34,7 +34,7 @@ MAX_INVENTORY_BYTES = 4 << 20
 PUBLIC_KEY_PATTERN = r"^U[A-Z2-7]{55}$"
 
 UserName = Annotated[str, Field(pattern=SITE_PATTERN)]
-"""Of a site: the name of the site."""
+"""Name of a site's user: the name of the site."""
 
 OrderTarget = Annotated[str, Field(pattern=rf"{SITE_PATTERN}|^\*$")]
 

@@ -99,7 +99,7 @@ class DaemonConfig(Model):
     preflight_valid_minutes: Annotated[float, Field(gt=0, le=1440)] = 30.0
     """... and not longer ago than this."""
     bad_crc: Literal["drop", "pass"] = "drop"
-    """What becomes of a known message with a wrong CRC from a source that was verified before."""
+    """Treatment of a known message with a wrong CRC from a source that was verified before."""
 
 
 class RateLimits(Model):
@@ -121,7 +121,8 @@ class LinkCommon(Model):
     group: str | None = None
     """Links of one group are parallel links to the same systems: nothing is forwarded between them."""
     cost: Annotated[int, Field(ge=0, le=1000)] | None = None
-    """Of two good links to one vehicle, that of lower cost is used; default: 10, of a radio, serial port or XBee 20."""
+    """The link of lower cost is used where two good ones lead to a vehicle; default: 10, for a radio, serial port or
+    XBee 20."""
     forward_unknown: bool | None = None
     """Send frames of unknown id to this link; default: yes, but not to a radio."""
     allow_msg_id_in: tuple[MessageName, ...] = ()
@@ -177,7 +178,7 @@ class XBeeLinkConfig(LinkCommon):
     rf_kbps: Annotated[float, Field(ge=1, le=1000)] = 200.0
     """The module's rate on air (its BR): the streams and setpoints that the network is to carry follow from it."""
     downlink_share: Share = 0.5
-    """Of what the network carries: so much may be filled by the planned streams of all vehicles."""
+    """Share of the network's capacity that the planned streams of all vehicles may fill."""
     stream_profile: Profile = "custom"
     """Streams of every vehicle behind it if they fit; custom: its own ``streams``."""
     nodes: tuple[XBeeAddress, ...] = ()
@@ -331,7 +332,7 @@ class VehicleSettings(Model):
     preflight: PreflightSettings | None = None
     """Expectations before a flight; laid over the lower levels' key by key."""
     require_preflight: bool | None = None
-    """As in [daemon], for these vehicles."""
+    """The same as in [daemon], for these vehicles."""
     separation: SeparationSettings | None = None
     """The space it needs and its priority; laid over the lower levels' key by key."""
     flight_time_min: Annotated[float, Field(gt=0, le=600)] | None = None

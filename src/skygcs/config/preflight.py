@@ -56,7 +56,7 @@ class RuleSettings(Model):
     no_bits: Mask | None = None
     """A mask of bits that must be clear."""
     set: ParamValue | None = None
-    """What --fix sets it to; default: the permitted value nearest to its present one."""
+    """Value that --fix sets; default: the permitted value nearest to its present one."""
     why: str = ""
     optional: bool = False
     """A vehicle that has no such parameter passes."""

@@ -49,19 +49,19 @@ class RadioKeys(BaseModel):
     """Keys of a serial link that count while its role is "radio"."""
 
     air_speed_kbps: Kbps | None = None
-    """Of a multipoint radio (its AIR_SPEED): its timeslots are counted then."""
+    """Air speed of a multipoint radio (its AIR_SPEED): its timeslots are counted then."""
     nodes: Nodes | None = None
-    """Of the multipoint network, the ground's included; None: as many as vehicles are heard, and one."""
+    """Nodes of the multipoint network, the ground's included; None: as many as vehicles are heard, and one."""
     duty_cycle: Share = 1.0
-    """Of its time in which the radio may send (its DUTY_CYCLE, as a share)."""
+    """Share of time in which the radio may send (its DUTY_CYCLE, as a share)."""
     uplink_share: Share | None = None
     """Share for the uplink: of the serial rate (default 0.5) or, with an air speed, of the ground's timeslot (0.9)."""
     downlink_share: Share = 0.5
-    """Of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
+    """Share of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
     stream_profile: Profile = "custom"
     """Streams of every vehicle behind it if they fit; custom: its own ``streams``."""
     third_party: ThirdPartyKeys = ThirdPartyKeys()
-    """What third-party programs may send into it."""
+    """Limits for the messages that third-party programs send into it."""
 
 
 class EmulatedRadio(Model):

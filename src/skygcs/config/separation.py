@@ -34,7 +34,7 @@ class SeparationSettings(Model):
     tracking_error_m: Annotated[float, Field(ge=0.05, le=20)] | None = None
     """How far it may be from its reference in a plan: 0.4 until it is measured in flight. The larger one counts."""
     priority: Annotated[int, Field(ge=-1000, le=1000)] | None = None
-    """Of two vehicles that are about to meet, the one of lower priority holds: 0. Equal: the later name."""
+    """The vehicle of lower priority holds when two are about to meet: 0. Equal: the later name."""
 
     def over(self, lower: SeparationSettings) -> SeparationSettings:
         """These settings, completed key by key from ``lower``."""

@@ -13,7 +13,7 @@ from skygcs.core.mavlink.signing import KEY_BYTES, MAX_AHEAD_S, key_from_passphr
 from skygcs.errors import KeyFileError
 
 PASSPHRASE = "passphrase:"
-"""What a key file begins with that holds words instead of a key."""
+"""Beginning of a key file that holds words instead of a key."""
 
 MAX_KEY_FILE_BYTES = 4096
 
