@@ -54,7 +54,7 @@ class ConflictWatch:
         self._shared = frozenset(() if fleet.federation is None else fleet.federation.vehicles)
         self._footprints = {vehicle.name: vehicle.separation.footprint() for vehicle in fleet.vehicle_configs()}
         self._footprint = fleet.default_vehicle(1).separation.footprint()
-        """Of vehicles that no file of ours describes."""
+        """Footprint of vehicles that no fleet file of this site describes."""
 
     async def run(self) -> None:
         """Until it is cancelled."""

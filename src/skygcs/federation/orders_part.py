@@ -21,7 +21,7 @@ FILE_NAME = "federation-orders.jsonl"
 """In the daemon's log folder."""
 
 MAX_WAITING_RECORDS = 1000
-"""Of the record that waits to be sent to the bus; the file has all of them."""
+"""Records that may wait to be sent to the bus; the file has all of them."""
 
 NotHeld = Callable[[str], str | None]
 

@@ -70,7 +70,7 @@ class _Sender:
     """When a batch of it was last read."""
     event_run: str | None = None
     event_seq: int = 0
-    """Of its last event."""
+    """Sequence number of its last event."""
 
 
 class Readers:

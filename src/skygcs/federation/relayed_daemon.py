@@ -23,7 +23,7 @@ REACH_WITHIN_S = 2.0
 """A daemon that accepts no connection within this time counts as away."""
 
 MAX_LINE_BYTES = 32 << 20
-"""As the daemon's other clients (`rpc.client_connection.MAX_REPLY_BYTES`)."""
+"""Longest line from the daemon, the same as for its other clients (`rpc.client_connection.MAX_REPLY_BYTES`)."""
 
 HIGH_WATER_BYTES = 256 * 1024
 """While the daemon has more than this to read, the client is not read."""

@@ -23,7 +23,7 @@ from skygcs.errors import TargetError
 from skygcs.rpc.models import SubscribeParams
 
 DEFAULT_RATE_HZ = 2.0
-"""As the daemon's."""
+"""Default rate, the same as the daemon's."""
 
 RESEND_S = 1.0
 """Period of repeated states. A page removes vehicles without a state for 3 s."""

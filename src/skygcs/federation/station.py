@@ -68,7 +68,7 @@ class Station:
     """None: a station without a daemon."""
     daemon_token: str | None
     socket_path: Path
-    """Of the station socket."""
+    """Path of the station socket."""
     loop: asyncio.AbstractEventLoop
     report: Reports
     clock: SiteClock = field(default_factory=SiteClock)

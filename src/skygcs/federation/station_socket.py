@@ -24,8 +24,8 @@ from skygcs.rpc.unix_socket import UnixSocket
 IN_USE = "another process of skygcs federation listens on {path}; stop it, or give this one another --socket"
 
 MAX_CLIENTS = 64
-"""As the daemon; each is one of the daemon's clients, too. When all places are taken, the client on which nothing has
-come or gone for longest, IDLE_S at least, is closed for a new one."""
+"""Most clients, the same as in the daemon; each is one of the daemon's clients, too. When all places are taken, a new
+client replaces the one that has been idle longest, for IDLE_S at least."""
 
 MAX_RESERVE = 32
 """Clients beyond, if none is idle: they may end flights and list vehicles, and are closed after RESERVE_S."""

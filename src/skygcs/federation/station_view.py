@@ -40,7 +40,7 @@ class StationView:
         self.daemon_address = station.daemon_address
         self.daemon_token = station.daemon_token
         self.orders: RemoteOrders | None = None
-        """Of the part that gives orders to other sites."""
+        """Orders to other sites; set by the part that gives them."""
         self.conflicts: Callable[[], list[dict[str, Any]]] = list
         """Returns the conflicts with vehicles of other sites; set by the part that watches them."""
         self.one_bridge: Callable[[], dict[str, Any] | None] = _no_site
