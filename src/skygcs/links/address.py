@@ -10,7 +10,7 @@ from typing import Any
 from skygcs.errors import LinkError
 
 Address = tuple[Any, ...]
-"""As the socket module has it: (host, port) for IPv4, (host, port, flow, scope) for IPv6."""
+"""Address in the form of the socket module: (host, port) for IPv4, (host, port, flow, scope) for IPv6."""
 
 _IPV4_MAPPED = "::ffff:"
 

@@ -36,12 +36,12 @@ SIM_DIALECT = "ardupilotmega"
 """The vehicles' dialect, whatever the daemon's is: it also has all the PX4 telemetry that is sent here."""
 
 CATCH_UP_S = 0.5
-"""Of the vehicles' lives, in one turn of the loop. On a machine that is too slow for them each turn would have more to
-catch up than the one before: at load 30 one took 134 s, and the daemon neither answered nor ended. Beyond this they
-stand still instead."""
+"""Longest simulated time that is caught up in one turn of the loop; the vehicles skip the rest. On a machine that is
+too slow for them each turn would have more to catch up than the one before. At load 30 one turn took 134 s, and the
+daemon neither answered nor ended."""
 
 KERNEL_BYTES = 4096
-"""What a port takes at once from a writer that does not check its buffer."""
+"""Bytes that a port takes at once from a writer that does not check its buffer."""
 
 
 class SimulatedChannel(Channel):

@@ -153,7 +153,8 @@ class UdpLink(Link):
         self._parked = 0
         self._parked_reported_at = -PARKED_AGAIN_S
         self._strangers = GarbageGauge(loop.time())
-        """Of all addresses that are no peers: a sender may claim a new one with each datagram."""
+        """Gauge of the garbage from all addresses that are no peers: a sender may claim a new one with each
+        datagram."""
 
     @property
     def channels(self) -> list[Channel]:

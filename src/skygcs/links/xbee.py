@@ -29,8 +29,8 @@ from skygcs.links.serial_port import discard, open_port
 from skygcs.links.stream import READ_BYTES, RESCUE_AFTER_S, DescriptorWatcher, QueuedChannel, StreamIntake
 
 USABLE_SHARE = 0.5
-"""Of the rate on air that payload gets over one hop: 105.5 of 200 kbit/s for a 900HP (Digi 90002173, P2MP throughput,
-measured over a serial port of 115200 baud). Each further hop costs about as much again."""
+"""Share of the rate on air that payload gets over one hop: 105.5 of 200 kbit/s for a 900HP (Digi 90002173, P2MP
+throughput, measured over a serial port of 115200 baud). Each further hop costs about as much again."""
 
 FOR_ALL = frozenset({HEARTBEAT, GPS_RTCM_DATA})
 """Messages of our own that every node gets alike. Other messages without a target field may be for one vehicle (an
