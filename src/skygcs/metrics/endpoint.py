@@ -27,7 +27,7 @@ MAX_REQUEST_BYTES = 8192
 """Request line and headers; Prometheus sends some 300 bytes."""
 
 REQUEST_S = 5.0
-"""For a client to send its request ..."""
+"""Seconds for a client to send its request ..."""
 
 ANSWER_S = 10.0
 """... and to take the answer: Prometheus gives up after 10 s as well (scrape_timeout)."""
