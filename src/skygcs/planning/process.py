@@ -24,16 +24,17 @@ from skygcs.child_process import start_process
 from skygcs.errors import RefusedError, SkygcsError
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-"""Of what numpy computes with: one core is for planning, the others are not."""
+"""Environment that limits numpy's libraries to one thread: one core is for planning, the others are not."""
 
 REQUEST, CALL = "request", "call"
-"""What the process reads: a request as JSON, or a pickled function with its arguments, from this program only."""
+"""Kinds of input of the process: a request as JSON, or a pickled function with its arguments, from this program
+only."""
 
 KEPT_S = 120.0
 """A process that waits for the next request has 60 MB; a plan is looked at again within minutes, or hours later."""
 
 LONGEST_LINE_BYTES = (64 << 20) + 1024
-"""Of an answer; the process keeps to the limit of its request."""
+"""Longest answer; the process keeps to the limit of its request."""
 
 PROGRESS = b'{"progress"'
 """How a line begins that is not the answer."""
@@ -56,7 +57,7 @@ class ProcessLimits:
     time_s: float = 120.0
     """By the clock, and of CPU time. 255 vehicles of 400 pieces each take some seconds."""
     memory_mb: int = 2048
-    """Of address space; numpy itself takes 0.3 GB of that, 100,000 pieces 0.5 GB."""
+    """Limit of address space; numpy itself takes 0.3 GB of it, 100,000 pieces 0.5 GB."""
     answer_bytes: int = 64 << 20
 
 
