@@ -40,10 +40,11 @@ TrajectoryOrder = Literal["start", "pause", "resume", "speed", "abort", "unload"
 
 
 UPLOAD_ABOVE_CHARS = 900_000
-"""Of a plan's text: a line of the socket has 1 MiB, with the rest of the request."""
+"""Length of a plan's text above which it is uploaded in parts: a line of the socket has 1 MiB, with the rest of the
+request."""
 
 PART_CHARS = 400_000
-"""Of plan.upload."""
+"""Length of one part in plan.upload."""
 
 EVENT_KINDS = (
     "vehicle_discovered",
@@ -89,7 +90,7 @@ EVENT_KINDS = (
     "warning",
     "fault",
 )
-"""What an event may be about, for `Client.events` and events.recent."""
+"""Kinds of events, for `Client.events` and events.recent."""
 
 
 def connect(address: str | os.PathLike[str] | None = None, *, token: str | None = None) -> Client:

@@ -39,7 +39,7 @@ CONNECT_AGAIN_S = 0.01
 """A daemon takes connections every few milliseconds, 100 at a time."""
 
 CLOSE_S = 1.0
-"""For the last words of TLS."""
+"""Seconds for TLS to close the connection."""
 
 MAX_REPLY_BYTES = 32 << 20
 """Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
@@ -49,7 +49,7 @@ MAX_REQUEST_BYTES = 1 << 20
 would wait for its answer for ever."""
 
 MAX_NUMBER_CHARS = 20
-"""Of a subscription's number."""
+"""Longest text of a subscription's number."""
 
 PROGRESS = "plan.progress"
 """The notification that belongs to no subscription and no request."""
@@ -122,7 +122,7 @@ class ClientConnection(asyncio.Protocol):
     def __init__(self, address: str, *, closed_early_hint: str = "") -> None:
         self.inboxes: dict[int, Inbox] = {}
         self.on_progress: Callable[[dict[str, Any]], None] | None = None
-        """For notifications plan.progress."""
+        """Receiver of the notifications plan.progress."""
         self._address = address
         self._closed_early_hint = closed_early_hint
         self._last_number = 0

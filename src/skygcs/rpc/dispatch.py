@@ -46,7 +46,7 @@ from skygcs.rpc.models import MethodParams
 from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80
-"""Of what a client sent, no more than this comes back in an error text."""
+"""Most characters of a client's input that an error text repeats."""
 
 _STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
 """A string without escapes, and the colon after it if it is a key."""
@@ -114,7 +114,7 @@ class MethodTable(Mapping[str, Method[C]]):
         self.while_stopping: set[str] = set()
         """With those that are always answered."""
         self.coroutines: set[str] = set()
-        """Of the methods that are imported."""
+        """Names of the imported methods whose handlers are coroutines."""
         for part in parts:
             if isinstance(part, Later):
                 self._methods |= dict.fromkeys(part.names, part)

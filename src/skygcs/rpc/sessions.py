@@ -50,7 +50,8 @@ RESERVE_S = 2.0
 
 
 MAX_UNAUTHENTICATED = 128
-"""As MAX_RESERVE: clients without the token neither use up the places of others nor keep them out."""
+"""Most clients without the token, the same as MAX_RESERVE: they neither use up the places of others nor keep them
+out."""
 
 
 IDLE_S = 10.0
