@@ -28,7 +28,7 @@ MAX_BYTES = 1_000_000
 """500 alarms of 1 kB, and some room."""
 
 MAX_BY_CHARS = 80
-"""Of the name of who acknowledges."""
+"""Longest name of the person or program that acknowledges."""
 
 
 class AlarmBook:

@@ -73,7 +73,7 @@ MAX_WAITING = 8
 
 Check = Callable[[], bool]
 _Watch = tuple[Check, asyncio.Future[bool], float]
-"""What is waited for, what is resolved then, and until when."""
+"""The awaited condition, the future that is resolved then, and the deadline."""
 Follower = tuple[str, Mapping[str, Any]]
 """A message and its fields, without its target."""
 

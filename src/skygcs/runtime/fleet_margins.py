@@ -18,7 +18,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 FLEET_FILE = "fleet file"
 
 LEAST_TICKS = 100
-"""Of the control clock, before its lateness is believed."""
+"""Ticks of the control clock before its lateness is believed."""
 
 LARGEST_M = 100.0
 

@@ -30,7 +30,7 @@ PERIOD_S = 2.0
 """Between two notes of places; what a vehicle does in that time is within the space that a lost one is given."""
 
 MAX_NOTES = 300
-"""As many as vehicles of a fleet."""
+"""Vehicles of a fleet at most."""
 
 MAX_BYTES = 1_000_000
 """300 notes of 1 kB, and some room."""

@@ -117,7 +117,7 @@ class LinkView:
         self._links = links
         self._watch = watch
         self.taken_bytes_per_s: Callable[[int], float] = lambda channel_id: 0.0
-        """What extensions send on a channel; setpoints share the rest."""
+        """Returns the bytes a second that extensions send on a channel; setpoints share the rest."""
 
     def facts(self, key: int, now: float) -> dict[str, LinkFacts]:
         """See `LinkWatch.of`."""

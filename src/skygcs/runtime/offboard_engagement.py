@@ -136,7 +136,7 @@ class OffboardEngagement:
         self._loop = services.loop
         self._on_event = services.on_event
         self.lock: FlightLock | None = None
-        """What the present control was entered with, or the last one; None before the first."""
+        """Flight lock of the present control, or of the last one; None before the first."""
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Key in the link's queue: a newer setpoint replaces one that still waits."""
         self._trace = Recording(self.controller, services.log_dir, services.disk, services.on_event)
@@ -151,7 +151,7 @@ class OffboardEngagement:
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
         self._attitude_delay_s = settings.guard().attitude_delay_s
-        """As it is set; flown is what the gains bear of it."""
+        """Configured limit of the attitude delay; a flight uses the smaller of it and the delay that the gains bear."""
         self._gains_forced = False
         """True if somebody insisted on gains that bear less."""
         self._law_changed = False

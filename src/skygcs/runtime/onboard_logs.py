@@ -47,7 +47,7 @@ FOLDER = "onboard"
 PART_SUFFIX = ".part"
 
 RADIO_BYTES_PER_S = 500.0
-"""Of LOG_DATA that half of a shared radio carries at best: for an estimate in the refusal."""
+"""Bytes a second of LOG_DATA that half of a shared radio carries at best: for an estimate in the refusal."""
 
 
 @dataclass(frozen=True, slots=True)

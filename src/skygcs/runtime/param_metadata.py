@@ -61,7 +61,7 @@ class VehicleMetadata:
         self._params = params
         self._request = request
         self._crc: int | None = None
-        """Of its own file, once that was read; None: the shipped table counts."""
+        """CRC of the vehicle's own file, once that was read; None: the shipped table counts."""
         self._uncached = b""
         """Its own table, if that could not be kept on disk."""
         self._why_not = UNREAD

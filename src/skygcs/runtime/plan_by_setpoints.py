@@ -31,7 +31,7 @@ class SetpointGuidance:
         self._trajectories = trajectories
         self._loop = loop
         self._group: TrajectoryGroup | None = None
-        """Of the step under way."""
+        """Trajectories of the step under way."""
 
     def clock(self, now: float) -> tuple[ClockState | None, float]:
         if self._group is None:

@@ -37,7 +37,7 @@ from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 KIND = "plan"
-"""Of events."""
+"""Kind of the events."""
 
 ARM_WAIT_S = 20.0
 """A vehicle that is not ready yet is tried again for so long."""
@@ -135,7 +135,7 @@ class PlanFlight:
         self.known = known
         self.frame = EnuFrame(lock.origin)
         self.sights: dict[str, Sight] = {}
-        """As of the last tick."""
+        """Observations of the vehicles at the last tick, by name."""
         self.loaded = list(loaded)
         self.engaged: set[str] = set()
         """Vehicles that follow this flight: under control, or with the first goto accepted."""

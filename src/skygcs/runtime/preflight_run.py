@@ -44,8 +44,8 @@ VEHICLES_AT_ONCE = 3
 """Vehicles examined at the same time: their requests, some fifteen each, share a radio."""
 
 REQUESTS = 2
-"""Of a message that was promised and did not come: a radio that loses 2 % loses one of four vehicles' messages in every
-fourth preflight."""
+"""Requests for a message that was promised and did not come. A radio that loses 2 % loses one of four vehicles'
+messages in every fourth preflight."""
 
 SETTLE_S = 3.0
 """Time until the vehicle's telemetry reflects a set parameter: it evaluates its arming checks once a second, and

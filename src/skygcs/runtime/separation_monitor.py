@@ -53,7 +53,7 @@ TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
 
 PAIRS_OF_LEGS_A_TURN = 500
-"""Of two missions that are compared, before other tasks of the loop may get their turn: 1 ms."""
+"""Pairs of legs of two missions that are compared before other tasks of the loop may get their turn: 1 ms."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""

@@ -58,7 +58,7 @@ class StreamRequester:
         self._radios: dict[int, RateController] = {}
         """By the channel of each radio on which it is heard."""
         self._counted_apart: set[int] = set()
-        """Of them, those whose controller counts the frames of its own channel."""
+        """Channels of radios whose controller counts the frames of its own channel."""
         self._chosen: int | None = None
         """The radio's channel that is the chosen link to the vehicle; None: the chosen link is no radio."""
         self._counts_on = counts_on

@@ -20,7 +20,7 @@ KIND = "takeoff"
 LOOK_S = 0.2
 
 FOREIGN_S = 60.0
-"""For so long a take-off is waited for that was not ordered here, and whose height is not known."""
+"""Longest wait for a take-off that was not ordered here, and whose height is not known."""
 
 
 class Takeoffs:
@@ -43,9 +43,9 @@ class Takeoffs:
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event, vehicle.name, vehicle.sysid)
         self._watch: TakeoffWatch | None = None
-        """Of the take-off under way."""
+        """Watch over the take-off under way."""
         self._ended_by: str | None = None
-        """What ended the last one before its time; None: it came to its height."""
+        """Reason why the last take-off ended early; None: it reached its height."""
         self._over = asyncio.Event()
         """No take-off is watched."""
 

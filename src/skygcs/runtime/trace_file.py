@@ -22,7 +22,7 @@ FLUSH_S = 1.0
 """A crash loses at most this much."""
 
 LARGEST_PIECE_BYTES = 256 << 10
-"""Of lines that wait to be given to the disk: 6 s at 50 Hz."""
+"""Bytes of lines that wait to be given to the disk at most: 6 s at 50 Hz."""
 
 LARGEST_BYTES = 500_000_000
 """Three hours at 50 Hz (some 800 B a row); then the trace ends with a warning."""

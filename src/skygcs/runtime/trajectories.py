@@ -37,10 +37,11 @@ from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_PIECES = 2_000
-"""Of one vehicle: a quarter of an hour at two pieces a second. Its bounds take 1.5 ms for each piece of degree 7."""
+"""Most pieces of one vehicle: a quarter of an hour at two pieces a second. Its bounds take 1.5 ms for each piece of
+degree 7."""
 
 MAX_ALL_PIECES = 50_000
-"""Of all vehicles: 75 MB at 1.45 kB for each piece of degree 7 (measured)."""
+"""Most pieces of all vehicles: 75 MB at 1.45 kB for each piece of degree 7 (measured)."""
 
 LARGE_PIECES = 4
 """From here on bounds are computed in a thread: control ticks on the event loop, 50 times a second."""
@@ -48,10 +49,10 @@ LARGE_PIECES = 4
 LATEST_START_S = 3600.0
 
 MOST_PATH_POINTS, LEAST_PATH_POINTS, POINTS_EACH_PIECE = 400, 32, 4
-"""Of one trajectory in a picture."""
+"""Points of one trajectory in a picture: at most, at least, and for each piece."""
 
 MOST_POINTS_OF_ALL = 20_000
-"""Of all trajectories in one answer: some 400 kB."""
+"""Most points of all trajectories in one answer: some 400 kB."""
 
 
 NO_TUBES: Mapping[str, StartTube] = {}
@@ -71,9 +72,9 @@ class TrajectoryGroup:
     clock: TrajectoryClock
     flights: dict[VehicleActor, TrajectoryFlight]
     lock: FlightLock
-    """What it was checked and begun with."""
+    """Flight lock with which it was checked and begun."""
     state: ClockState = ClockState.WAITING
-    """As was reported last."""
+    """State of the clock that was reported last."""
     left: list[str] = field(default_factory=list)
     """Vehicles that left it."""
     plan: str | None = None
@@ -99,7 +100,7 @@ class Trajectories:
         self._locks = locks
         self._checking = asyncio.Lock()
         self._starting: FlightLock | None = None
-        """Of the start whose distances are being checked."""
+        """Flight lock of the start whose distances are being checked."""
         self._loop = loop
         self._on_event = on_event
         self._loaded: dict[VehicleActor, LoadedTrajectory] = {}

@@ -63,7 +63,7 @@ class UndoJournal:
         self._in_progress: set[str] = set()
         self._number = 0
         self.number_left = 0
-        """Of entries that wait for their undo; from the last `left`, `begin`, `undone` or `drop`."""
+        """Number of entries that wait for their undo; from the last `left`, `begin`, `undone` or `drop`."""
         self.problems: list[str] = []
         """Files of the folder that cannot be read, and why; from the last `left`."""
 

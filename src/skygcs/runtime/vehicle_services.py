@@ -203,7 +203,7 @@ class VehicleServices:
     flights_elsewhere: Mapping[str, NewFlight] = field(default_factory=dict)
     """Makers of flights elsewhere, by values of `ControlSettings.at`."""
     locks: FlightLocks = field(default_factory=FlightLocks)
-    """Of the flights under way: asked before an order that could change one."""
+    """Locks of the flights under way: asked before an order that could change one."""
     preflight_valid_s: float = math.inf
     probes: bool = False
     """True if uplinks are probed."""
@@ -212,4 +212,4 @@ class VehicleServices:
     asleep: Callable[[], bool] = lambda: False
     """`SleepWatch.check`."""
     running_clocks: set[ControlClock] = field(default_factory=set)
-    """Of all vehicles that are controlled by setpoints."""
+    """Clocks of all vehicles that are controlled by setpoints."""
