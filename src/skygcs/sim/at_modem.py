@@ -77,7 +77,7 @@ class Faults:
     dies_at: str | None = None
     """It is silent from this command on."""
     loses_lines: int = 0
-    """Of the next ATI5, from its tenth line on."""
+    """Number of lines that the next ATI5 loses, from its tenth line on."""
     loses_remote: int = 0
     """So many commands to remote radios get lost in the air."""
 
@@ -98,10 +98,10 @@ class AtRadio:
     """Every command that was taken, for tests to look at."""
     restarts: int = 0
     unique_id: str = "0x0123456789ABCDEF"
-    """What ATI8 prints; RFD900x firmware only."""
+    """Answer to ATI8; RFD900x firmware only."""
     command_mode: bool = False
     traffic: bytes = b""
-    """What was heard as data and passed on to the air."""
+    """Bytes that were heard as data and passed on to the air."""
     _output: bytearray = field(default_factory=bytearray)
     _later: list[tuple[float, bytes]] = field(default_factory=list)
     _line: str = ""

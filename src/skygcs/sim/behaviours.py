@@ -220,7 +220,7 @@ class Firmware:
     circle_rms_m: Fact[dict[str, float]]
     """RMS of the distance from a circle of 5 m at 2 m/s that is sent five times a second, by what is sent of it."""
     attitude_targets: Fact[dict[str, str]]
-    """What becomes of a SET_ATTITUDE_TARGET."""
+    """Effect of a SET_ATTITUDE_TARGET."""
 
     # failsafes
     failsafe_hold: Fact[str]

@@ -68,7 +68,7 @@ def from_int(fields: dict[str, Any], sender: tuple[int, int]) -> Command:
 
 
 Script = Iterator[float]
-"""What happens, and the seconds until it goes on."""
+"""Sequence of actions; each yields the seconds until the next one."""
 
 
 @dataclass(slots=True)

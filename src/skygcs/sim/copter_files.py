@@ -28,7 +28,7 @@ PACKETS_PER_TICK = 2
 """100 a second, 27 kB/s: a third of what USB at 921600 baud carries."""
 
 GUESSED_BYTES = 12
-"""Of a parameter: the size that OpenFileRO reports is an estimate."""
+"""Bytes of a parameter by estimate: OpenFileRO reports an estimated size."""
 
 EINVAL = 22
 

@@ -24,7 +24,7 @@ AVOID_FENCE = 1
 """Bit of AVOID_ENABLE."""
 
 LEVEL = AttitudeSetpoint(None)
-"""What an attitude that nobody renews ends in."""
+"""Attitude after nobody has renewed the last one."""
 
 SHORTEST_TIMEOUT_S = 0.1
 """The firmware's lower bound of GUID_TIMEOUT."""

@@ -81,7 +81,8 @@ class CopterPositionControl(PositionControl):
         self._error_is_new = True
         self._integral = [0.0, 0.0]
         self._limit = (0.0, 0.0)
-        """What was asked beyond the lean; the path does not run away into it."""
+        """The requested acceleration (east, north) where it exceeded the lean's limit, else zero; the path does not run
+        away into it."""
         self._behind = (0.0, 0.0)
         self._ceased = False
         self._yaw_rad: float | None = None

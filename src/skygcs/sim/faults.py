@@ -18,7 +18,7 @@ class Faults:
     gps_lost: bool = False
     satellites: int = 14
     hdop: float = 0.75
-    """Of its GPS: so many satellites under open sky."""
+    """Horizontal dilution of its GPS: the value of so many satellites under open sky."""
     throttle_down: bool = False
     """A pilot's transmitter is on and lies there with its throttle down, as SITL's; else no receiver was ever seen."""
     unhealthy_sensors: int = 0

@@ -78,7 +78,7 @@ PX4_RATES_HZ: Mapping[str, float] = {
     "MISSION_CURRENT": 0.2,
     "SYSTEM_TIME": 0.5,
 }
-"""What MAV_0_RATE 1200 leaves of the Normal profile: some 650 B/s."""
+"""Rates of the Normal profile that MAV_0_RATE 1200 leaves: some 650 B/s."""
 
 
 STREAM_GROUPS: Mapping[int, tuple[str, tuple[str, ...]]] = {

@@ -32,7 +32,8 @@ MESSAGES = frozenset(
         "MISSION_ACK",
     }
 )
-"""What `MissionLists.hear` wants. DroneKit still uses MISSION_ITEM and MISSION_REQUEST, with degrees as floats."""
+"""Messages that `MissionLists.hear` handles. DroneKit still uses MISSION_ITEM and MISSION_REQUEST, with degrees as
+floats."""
 
 INT_FRAMES = {0: 5, 3: 6, 10: 11}
 """MAV_FRAME_GLOBAL, GLOBAL_RELATIVE_ALT and GLOBAL_TERRAIN_ALT to their names for integer messages."""

@@ -76,7 +76,7 @@ class Px4Lists(MissionLists):
         self._heard_at = 0.0
         self._asked_at = 0.0
         self._int_mode = False
-        """As its partner writes: integer messages and frames, or the old float ones."""
+        """True if its partner writes integer messages and frames; False: the old float ones."""
 
     def wire_frame(self, frame: int, *, as_float: bool) -> int:
         """format_mavlink_mission_item: in integer messages the frames have their own names."""

@@ -29,7 +29,7 @@ from skygcs.sim.steering import Steering
 from skygcs.sim.wind import Wind
 
 SUB_STEPS = 2
-"""Of a tick of 20 ms. Halving the sub-step moves no point of a 3 m step by 1 cm (test_sim_quad)."""
+"""Sub-steps of a tick of 20 ms. Halving the sub-step moves no point of a 3 m step by 1 cm (test_sim_quad)."""
 
 
 RATE_LAG = 0.3

@@ -12,7 +12,7 @@ from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet
 
 UART_BYTES = 512
-"""Of an autopilot's transmit buffer: a message that finds no room is not sent (ArduPilot: HAVE_PAYLOAD_SPACE; PX4:
+"""Transmit buffer of an autopilot: a message that finds no room is not sent (ArduPilot: HAVE_PAYLOAD_SPACE; PX4:
 get_free_tx_buf)."""
 
 PARAMETERS_FROM_PERCENT = 50

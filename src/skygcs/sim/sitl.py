@@ -29,13 +29,13 @@ PX4_LINK_BYTES_PER_S = 4_000_000
 """PX4 scales its stream rates down to this; what its own SITL script asks for."""
 
 PX4_SECOND_BYTES_PER_S = 5_760
-"""Of a second link: those of a telemetry port at 57600 baud."""
+"""Byte rate of a second link: that of a telemetry port at 57600 baud."""
 
 WATCH_BYTES_PER_S = 20_000
 """Ample for the five messages a second of the launcher's link."""
 
 WATCHED = ("HEARTBEAT", "SYS_STATUS", "GLOBAL_POSITION_INT", "ESTIMATOR_STATUS")
-"""What PX4 sends to the launcher once a second."""
+"""Messages that PX4 sends to the launcher once a second."""
 
 COPTER_STREAMS = ("EXT_STAT", "POSITION", "EXTRA3")
 """ArduPilot's stream groups with SYS_STATUS, GLOBAL_POSITION_INT and EKF_STATUS_REPORT. 4.7 names the second port's

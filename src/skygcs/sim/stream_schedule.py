@@ -26,7 +26,7 @@ class Streams:
         self.slowdown_s = 0.0
         """Added to every interval but the heartbeat's: what a full radio does to ArduPilot's streams."""
         self.rate_factor = 1.0
-        """Of every rate but the heartbeat's: what it does to PX4's."""
+        """Factor on every rate but the heartbeat's: the effect of a full radio on PX4's streams."""
         for name, rate_hz in defaults.items():
             self.set_default(name, rate_hz, now)
 

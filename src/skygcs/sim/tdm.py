@@ -58,7 +58,7 @@ class TdmConfig:
     air_kbps: float = 64.0
     baud: int = 57600
     loss: float = 0.0
-    """Of packets, by chance, each by itself."""
+    """Share of packets that are lost by chance, each independently."""
     burst_loss: float = 0.0
     """Share of time in which a fade swallows every packet of a node."""
     burst_s: float = 1.0
@@ -66,9 +66,9 @@ class TdmConfig:
     rtscts: bool = False
     """True if a program that writes to a radio waits while its buffer is full, instead of losing bytes in it."""
     node_ids: tuple[int, ...] | None = None
-    """As the radios are configured, where that is wrong: nodes of one id send in one slot, and nobody hears either."""
+    """Configured node ids of the radios, where they are wrong: nodes of one id send in one slot, and both are lost."""
     distances_m: tuple[float, ...] = ()
-    """Of the vehicles' nodes from the ground; 50 m where none is given."""
+    """Distances of the vehicles' nodes from the ground; 50 m where none is given."""
 
     def __post_init__(self) -> None:
         if self.nodes < 2:

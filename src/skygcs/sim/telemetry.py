@@ -20,7 +20,7 @@ Builder = Callable[[VehicleState, float], Fields | None]
 UNKNOWN_U16 = 65535
 UNKNOWN_TEMPERATURE = 32767
 HOVER_THROTTLE_PERCENT = 42
-"""Of a vehicle without thrust (kinematic)."""
+"""Throttle of a flying vehicle that has no model of thrust (kinematic)."""
 
 MAV_FRAME_LOCAL_NED, MAV_FRAME_BODY_FRD = 1, 12
 MAV_ESTIMATOR_TYPE_AUTOPILOT = 8

@@ -49,7 +49,7 @@ class VehicleState(ABC):
 
     autopilot: int
     firmware: Firmware
-    """What the firmware does, as data."""
+    """Behaviour of the firmware, as data."""
     vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
     default_rates_hz: Mapping[str, float]
     sysid_param: str

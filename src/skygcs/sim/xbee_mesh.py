@@ -28,7 +28,7 @@ from skygcs.sim.vehicle_state import TICK_S
 
 HOP_S = 0.0082
 HEADER_BITS = 200
-"""Of one packet over one hop besides its payload, with its acknowledgement: see the module's docstring."""
+"""Bits on air of one packet over one hop besides its payload, with its acknowledgement: see the module's docstring."""
 
 MAC_RETRIES = 10
 """RR of a 900HP as it is delivered."""
@@ -72,9 +72,9 @@ class MeshConfig:
     payload_bytes: int = 256
     """NP."""
     baud: int = 57600
-    """Of the vehicles' ports."""
+    """Serial rate of the vehicles' ports."""
     loss: float = 0.0
-    """Of one transmission over one hop, by chance."""
+    """Share of transmissions over one hop that are lost, by chance."""
     hops: tuple[int, ...] = ()
     api_mode: int = 2
     """AP of the ground's module."""
@@ -147,7 +147,7 @@ class XBeeMesh:
         self._air_free_at = now
         self._turn = 0
         self._arrivals: deque[tuple[float, Callable[[float], None]]] = deque()
-        """What happens when a packet has passed the air, in order."""
+        """Actions to run when a packet has passed the air, in order of their times."""
         self._out: list[bytes] = []
 
     @property
