@@ -31,10 +31,11 @@ UNKNOWN_S = 5.0
 """Time for a new connection to show a cookie or a token."""
 
 HANDSHAKES_PER_S, HANDSHAKE_BURST = 50.0, 150.0
-"""Of TLS, each 1 to 2 ms of the process: a flood of them must not hold up a page's STOP. Others wait in the backlog."""
+"""Bounds of TLS handshakes, each 1 to 2 ms of the process: a flood of them must not hold up a page's STOP. Others wait
+in the backlog."""
 
 GOODBYE_S = 1.0
-"""For the other side's end of TLS."""
+"""Seconds for the other side to close TLS."""
 
 NO_DESCRIPTORS_S = 0.5
 """Before the next attempt to accept, when the process has no descriptor left."""

@@ -77,13 +77,14 @@ STATE_KEYS = (
     "mission",
     "links",
 )
-"""What fleet view and table show, besides name and sysid. The rest of a state is read for the one vehicle shown."""
+"""Keys of a state that fleet view and table show, besides name and sysid. The rest of a state is read for the one
+vehicle shown."""
 
 FEED_RATES_HZ = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """The daemon's rate is the smallest of these that no page's rate exceeds."""
 
 PLAN_RATE_HZ = 2.0
-"""Of a plan that is flown; its changes come at once."""
+"""Rate of a plan that is flown; its changes come at once."""
 
 RATE_EVERY_S = 1.0
 """The rate changes so often at most, however often pages ask."""
@@ -110,7 +111,7 @@ forgotten. The slowest rate has a round every two seconds."""
 NOT_YET = "not connected yet"
 
 LOOK_EVERY_S = 2.0
-"""For the one of station socket and daemon's socket that was not there."""
+"""Seconds between two attempts to find the missing one of station socket and daemon's socket."""
 
 NO_BRIDGE = "The bridge to other sites does not answer: vehicles of other sites are not shown"
 NO_OWN_DAEMON = "This station's daemon does not answer: only vehicles of other sites are shown"
@@ -152,7 +153,7 @@ class DaemonConnection:
         self.since = self.loop.time()
         self.info: dict[str, Any] = {}
         self.note: str | None = None
-        """What of the station is missing, although it is connected; for people."""
+        """Text for people about the missing part of the station, although it is connected."""
         self.site: str | None = None
         """The name of this station's site, where there are others."""
         self._station_path = station_socket(str(default_socket_path()) if "://" in address else address)

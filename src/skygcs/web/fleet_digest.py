@@ -32,7 +32,7 @@ MAX_FULL = 250
 """States in full for one page: a screen shows 40 rows, and a view 150 vehicles before it draws dots."""
 
 MAX_NAMES, MAX_SITES, MAX_SEARCH_CHARS = 300, 64, 200
-"""Of a `View`: what one message may make us keep."""
+"""Bounds of a `View`: one message may make the process keep no more."""
 
 MAX_NAME_CHARS = 64
 
@@ -55,7 +55,7 @@ class Digest:
     order: tuple[str, int, int, str]
     """Vehicles are listed by it: site, system id, component, name."""
     words: str
-    """What a search looks into, in small letters."""
+    """Text that a search looks into, in small letters."""
     armed: bool
     in_air: bool
     problem: bool
@@ -65,7 +65,7 @@ class Digest:
     """None: never heard."""
     at: float
     row: bytes
-    """As a page reads it, JSON: name, sysid, autopilot, armed, landed, failsafe, connected, silence_s, x, y, z in the
+    """JSON that a page reads: name, sysid, autopilot, armed, landed, failsafe, connected, silence_s, x, y, z in the
     fleet's frame, yaw there in degrees, ``at``, and lat_deg, lon_deg if there is no x; null is not known."""
 
     def silence_now_s(self, now: float) -> float:
@@ -183,7 +183,7 @@ class View:
     sites: frozenset[str] | None = None
     """None: all of them."""
     words: tuple[str, ...] = ()
-    """Of a search, which looks into all sites."""
+    """Words of a search, which looks into all sites."""
     names: frozenset[str] = frozenset()
     """Those selected, or near in the fleet view: they come first."""
 

@@ -57,7 +57,7 @@ TYPES = {
     ".webmanifest": "application/manifest+json",
     ".woff2": "font/woff2",
 }
-"""What the built page may consist of; anything else is not served."""
+"""Media types of the files that the built page may have, by suffix; anything else is not served."""
 
 COMPRESSED = {".css", ".html", ".js", ".json", ".svg", ".txt", ".webmanifest"}
 

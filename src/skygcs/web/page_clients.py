@@ -38,7 +38,7 @@ from skygcs.web.sign_in import Role
 from skygcs.web.state_batches import LatestStates, PageStates
 
 EVENTS_WAITING = 256
-"""As the daemon's own bound for a subscription."""
+"""Events that may wait, the same as the daemon's own bound for a subscription."""
 
 REPORTS_WAITING = 1024
 """Replies and reports of orders that wait for a page: an order to the largest fleet that has them comes to 300."""
@@ -46,11 +46,12 @@ REPORTS_WAITING = 1024
 LEAST_RATE_HZ, MAX_RATE_HZ, DEFAULT_RATE_HZ = 0.2, 20.0, 10.0
 
 MANY_VEHICLES, MANY_RATE_HZ = 100, 5.0
-"""Of more vehicles states come so often at most. A page carries each on with its velocity in between, so that nothing
-is seen of it; 200 states ten times a second take a third of a core of the daemon and the page, which draw and fly."""
+"""Number of vehicles above which states come at most at this rate. A page carries each on with its velocity in between,
+so that nobody sees a difference. 200 states ten times a second take a third of a core of the daemon and the page, which
+draw and fly."""
 
 VERY_MANY_VEHICLES, VERY_MANY_RATE_HZ = 400, 2.0
-"""And of so many only so often: most of them are dots."""
+"""The same for very many vehicles: most of them are dots."""
 
 STUCK_S = 30.0
 """A page that takes nothing for so long is closed; one that wakes up connects again and gets everything anew."""
@@ -89,7 +90,7 @@ class Source(Protocol):
     text: str
     since: float
     note: str | None
-    """What is missing although it is connected."""
+    """Text about the missing part, although it is connected."""
     site: str | None
     """The name of the own site, where there are others."""
 

@@ -29,7 +29,7 @@ MAX_ANSWER_NUMBERS = 120_000
 """Coefficients of all paths that the page gets exactly: some 1.5 MB of JSON. Longer plans are drawn by samples."""
 
 SAMPLED_POINTS = 30_000
-"""Of all vehicles together in a plan that is drawn by samples."""
+"""Points of all vehicles together in a plan that is drawn by samples."""
 
 LEAST_SAMPLES = 60
 

@@ -23,7 +23,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 
 MAX_VEHICLES = 255
-"""As many as there are system ids; a log with more is an attack."""
+"""Number of system ids; a log with more is an attack."""
 
 MAX_KEPT_OF_SOURCE = 256
 """Different messages of one vehicle in a checkpoint; an autopilot sends some 60."""
@@ -50,7 +50,7 @@ class Checkpoint:
 
     at_s: float
     offset: int
-    """Of the first entry that is not in it."""
+    """Offset in the log of the first entry that is not in it."""
     frames: tuple[tuple[Frame, float], ...]
     origin: Origin | None
 

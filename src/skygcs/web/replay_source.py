@@ -45,10 +45,10 @@ MAX_CHECKPOINTS = 64
 """A jump reads a 32nd of the file at most. 50 vehicles with 60 messages: some 0.2 MB each."""
 
 FIRST_SPACING_S = 5.0
-"""Of recorded time between two checkpoints; it doubles when they become too many."""
+"""Recorded time between two checkpoints at first; it doubles when they become too many."""
 
 TICK_S = 0.1
-"""Of recorded time between two ticks of the vehicles."""
+"""Recorded time between two ticks of the vehicles."""
 
 STEP_S, PUBLISH_S, POSITION_S = 0.05, 0.1, 0.2
 """Playing moves on so often; states are published and the position is notified so often at most."""

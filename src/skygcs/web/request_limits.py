@@ -15,7 +15,7 @@ REQUESTS_PER_S, REQUEST_BURST = 50.0, 200.0
 """A page asks a few times a second; opening a panel asks ten times at once."""
 
 ENDING_PER_S, ENDING_BURST = 20.0, 40.0
-"""For STOP and its like: a key that repeats sends 30 a second."""
+"""Bounds of STOP and its like: a key that repeats sends 30 a second."""
 
 MAX_WAITING, MAX_ENDING_WAITING = 16, 16
 """Requests without an answer yet: of a page, and those that end a flight of a browser with all its pages. The daemon
@@ -25,7 +25,7 @@ MAX_REFUSED = 2000
 """Refused requests after which the page is closed: it does not read the refusals."""
 
 MAX_ID_CHARS, MAX_ID = 64, 1 << 63
-"""Of a request's id, which its answer repeats; answers that are not read wait."""
+"""Bounds of a request's id, which its answer repeats; answers that are not read wait."""
 
 READ_BYTES_PER_S, READ_MESSAGES_PER_S, READ_AHEAD_S = 4 << 20, 200.0, 3.0
 """A page is read from so quickly on the average, and for so long without a pause: 12 MiB or 600 messages. To read and

@@ -143,11 +143,11 @@ ORDERS = frozenset(
         "vehicles.takeoff",
     }
 )
-"""What changes something, sends something to a vehicle or occupies the daemon for long."""
+"""Methods that change something, send something to a vehicle or occupy the daemon for long."""
 
 STATION_ORDERS = frozenset({"federation.outcome"})
-"""Of the station socket's own methods. An order that has not come to its site is refused there once it was asked for:
-no question of someone who only looks."""
+"""Orders among the station socket's own methods. Asking for the outcome of an order that has not come to its site
+refuses that order there, so a client that may only look must not ask."""
 
 NOT_PASSED_ON = frozenset(
     {

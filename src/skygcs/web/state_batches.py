@@ -38,7 +38,7 @@ class _Entry:
     body: bytes
     at: float
     digest: Digest | None = None
-    """Of a large fleet."""
+    """Digest of the state, in a large fleet."""
 
 
 class Batch(NamedTuple):
@@ -193,7 +193,7 @@ class PageStates:
         self._generation: int | None = None
         self._sent_at = float("-inf")
         self._full: set[str] = set()
-        """Of a large fleet: those that the page was sent in full."""
+        """Vehicles of a large fleet that the page was sent in full."""
         self._left_out = 0
         self._briefed_at = float("-inf")
         self._briefed = -1

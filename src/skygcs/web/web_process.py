@@ -62,7 +62,7 @@ class WebOptions:
     socket: str
     """Address of the daemon."""
     token: str | None = None
-    """Of a daemon on TCP."""
+    """Token of a daemon on TCP."""
     host: str = "127.0.0.1"
     port: int = DEFAULT_WEB_PORT
     """0: a free one."""
