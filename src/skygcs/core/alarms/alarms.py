@@ -45,7 +45,7 @@ class Alarm:
     """Its condition lasts."""
     count: int = 1
     consequences: dict[str, int] = field(default_factory=dict)
-    """What followed from it, by kind of alarm."""
+    """Number of its consequences, by kind of alarm."""
     acknowledged_by: str | None = None
     acknowledged_unix_s: float | None = None
 

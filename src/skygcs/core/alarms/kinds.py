@@ -35,7 +35,7 @@ from skygcs.events import Event
 Severity = Literal["alarm", "warning"]
 
 EVERY = "*"
-"""As a kind: every alarm of the vehicle."""
+"""Kind of a signal that stands for every alarm of the vehicle."""
 
 HYSTERESIS_PERCENT = 2
 """A battery's charge is estimated from its voltage, which rises when it is used less."""
@@ -53,7 +53,8 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
     "lost": frozenset({"separation", "unwatched", "deaf", "battery", "guard", "unattended", "autopilot"}),
     "deaf": frozenset({"guard", "stop", "unattended"}),
 }
-"""Of one cause the kinds that follow from it for the same vehicle; they are counted with it, and are no alarms."""
+"""Kinds that follow from a cause, by kind of the cause, for the same vehicle. They are counted with it and raise no
+alarms."""
 
 
 class VehicleFacts(NamedTuple):
