@@ -51,7 +51,7 @@ LEAST_DELAY_S = 0.05
 """Attitude gains have to bear at least so much: states at 50 Hz are 0.02 s old, and a link has two ways."""
 
 AIRFRAME_LAG_S = 0.15
-"""Of the attitude behind what is asked of it: the upper half of what multirotors of 0.5 to 2 kg show."""
+"""Lag of the attitude behind its setpoint: the upper half of the range that multirotors of 0.5 to 2 kg show."""
 
 SETTLED_WITHIN = 0.05
 """Share of the step around its end; the usual 5 % band."""

@@ -141,7 +141,7 @@ class Memory:
     slope_enu_mps2: Vector = ZERO
     """Filtered change of the velocity error."""
     vel_setpoint_enu_mps: Vector | None = None
-    """Of the last step; None before the first: the next one grows from the vehicle's velocity."""
+    """Velocity setpoint of the last step; None before the first: the next one grows from the vehicle's velocity."""
 
 
 @record

@@ -34,7 +34,7 @@ from itertools import islice
 from skygcs.core.quantile import median
 
 WINDOW_S = 3.0
-"""Of the ages. 5 % of it is 0.15 s: one lost state at 10 Hz passes, a gap of 0.3 s does not."""
+"""Span of the ages that are kept. 5 % of it is 0.15 s: one lost state at 10 Hz passes, a gap of 0.3 s does not."""
 
 MAX_TICKS = 512
 """Ages kept: 3 s at 170 Hz. A faster loop looks back less far."""
@@ -43,7 +43,7 @@ ROUND_TRIPS = 21
 """The least number of which one outlier does not move the 95th percentile (0.95 · 20 = 19, the second largest)."""
 
 RECENT_TRIPS = 5
-"""Of them, those that say how long a round trip takes now: three of five pongs settle it."""
+"""Number of the newest round trips that show the present round-trip time: three of five pongs settle it."""
 
 FAST_ROUND_TRIPS = 101
 """While `fast`: about the same 21 s (0.95 · 100 = 95, the sixth largest). A computer that is late
@@ -118,7 +118,8 @@ class DelayMeter:
         """The round trip takes at least so long, by pings that are not answered (as of the last tick). 0: no news."""
         self._ages_at: deque[float] = deque(maxlen=MAX_TICKS)
         self._ages_s: deque[float] = deque(maxlen=MAX_TICKS)
-        """Of the tick at the same place in ``_ages_at``; apart from it so that they can be sorted as they are."""
+        """Age at the tick of the same index in ``_ages_at``; a deque of its own, so that the ages can be sorted
+        directly."""
         self._trips: deque[float] = deque(maxlen=FAST_ROUND_TRIPS)
         self._sent: dict[int, tuple[float, bool]] = {}
         """By token: when, and whether it was a regular ping or a probe."""

@@ -56,7 +56,8 @@ class _Derived:
     """Norm of the horizontal integral: what full tilt gives at hover. More could never be flown."""
     tilt_max_tan: float
     near_xy_squared: float
-    """Of the speed up to which the position loop is not limited by ``acc_xy_max_mps2``; infinite without one."""
+    """Square of the speed (m²/s²) up to which ``acc_xy_max_mps2`` does not limit the position loop; infinite without
+    one."""
     near_z_mps: float
 
 
@@ -72,9 +73,9 @@ class ControlConfig(_Derived):
     z: AxisGains = UTIAS_Z
     hover_thrust: float = UTIAS_HOVER_THRUST
     thrust_min: float = 0.1
-    """Of the vertical part; never zero in the air, so that the attitude keeps a direction."""
+    """Least vertical part of the thrust; never zero in the air, so that the attitude keeps a direction."""
     thrust_max: float = 0.9
-    """Of the whole thrust vector, and the bound of the vertical integral."""
+    """Largest norm of the whole thrust vector, and the bound of the vertical integral."""
     tilt_max_rad: float = math.radians(35.0)
     vel_xy_max_mps: float = 10.0
     """Per axis, not of the norm, as in the law this follows."""
@@ -85,7 +86,7 @@ class ControlConfig(_Derived):
     acc_z_max_mps2: float | None = None
     derivative_cutoff_hz: float = 5.0
     period_s: float = 0.02
-    """Of the loop, as configured; a measured step outside [0.5, 1.5] of it is clamped."""
+    """Configured period of the loop; a measured step outside [0.5, 1.5] of it is clamped."""
 
     def __post_init__(self) -> None:
         problems = [*_gain_problems("xy", self.xy), *_gain_problems("z", self.z), *_limit_problems(self)]

@@ -70,7 +70,8 @@ FALLBACKS = {
     ControlMode.RAW: (ControlMode.RAW, ControlMode.POSITION),
     **{control_mode: CONTROL_MODES[i:] for i, control_mode in enumerate(CONTROL_MODES)},
 }
-"""What each mode may become: the user's own controller is not replaced by ours, the vehicle stays where it is."""
+"""Modes that each wanted mode may become. skygcs never replaces the user's own controller by its own law; the vehicle
+holds its position instead."""
 
 _, _VELOCITY, _POSITION = CONTROL_MODES
 """Naming a member of an enumeration takes 75 ns (CPython 3.11), twice in every tick."""

@@ -11,7 +11,7 @@ from skygcs.core.control.record import record
 from skygcs.core.control.velocity_predictor import PredictorMemory, SentVelocity, VelocityLoop
 
 LARGEST_TIME_S = 1e12
-"""Of a loop's clock that counts from any beginning: 30,000 years."""
+"""Largest time of a loop's clock, which counts from any beginning: 30,000 years."""
 
 
 @record

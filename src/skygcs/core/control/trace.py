@@ -90,15 +90,15 @@ class TraceEntry:
     """A row as it was read, with what it needs to be run again."""
 
     line: int
-    """Of the file, 1-based."""
+    """Line of the file, 1-based."""
     row: TraceRow
     config: ControlConfig
     memory: Memory | None
-    """What the step began with; None: with what the last one left."""
+    """Memory with which the step began; None: the one that the last step left."""
     loop: VelocityLoop | None = None
     """The model of the predictor; None: none was recorded so far."""
     predictor: PredictorMemory | None = None
-    """As ``memory``, of the predictor."""
+    """Memory of the predictor with which the step began; None: the one that the last step left."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ COLUMNS_1 = (
     *("out_w", "out_x", "out_y", "out_z", "thrust", "vel_sp_x_mps", "vel_sp_y_mps", "vel_sp_z_mps"),
     *("int_x", "int_y", "int_z", "saturation"),
 )
-"""Of the first format, whose traces are still read."""
+"""Columns of the first format, whose traces are still read."""
 
 COLUMNS = (
     *COLUMNS_1,
@@ -41,11 +41,11 @@ class TraceRow:
     """One tick: what the law was given, and what came of it. ``with_output`` fills in the latter."""
 
     t_s: float
-    """Of the loop's clock, which has no date: only differences mean anything."""
+    """Time of the loop's clock, which has no date: only differences mean anything."""
     dt_s: float
     """Measured since the last tick, as handed to `step`: not clamped."""
     control_mode: str | None
-    """Of `CONTROL_MODES`; None: nothing was sent in this tick."""
+    """One of `CONTROL_MODES`; None: nothing was sent in this tick."""
     following: bool
     reference: Reference | None
     estimate: Estimate | None
@@ -61,12 +61,12 @@ class TraceRow:
     """Measured, as velocity control with prediction was given it; None: without prediction."""
     hold_s: float | None = None
     acc_setpoint_enu_mps2: Vector | None = None
-    """Of velocity control with prediction, or what the user's own controller asked for."""
+    """Acceleration setpoint of velocity control with prediction, or of the user's own controller."""
     predicted_enu_m: Vector | None = None
-    """For the moment at which the setpoint acts."""
+    """Predicted position at the moment at which the setpoint acts."""
     disturbance_enu_mps2: Vector | None = None
     rates_frd_radps: Vector | None = None
-    """What the user's own controller asked for."""
+    """Body rates that the user's own controller requested."""
 
     def with_output(self, output: Output | None, memory: Memory) -> TraceRow:
         """The same tick with what `step` returned."""

@@ -63,11 +63,11 @@ class VelocityLoop:
     lag_xy_s: float
     lag_z_s: float
     attitude_lag_s: float
-    """Of the airframe's attitude behind the acceleration asked for. Not in the model, which it changes only from the
-    second order on; in the analysis of the delay margin."""
+    """Lag of the airframe's attitude behind the requested acceleration. The model leaves it out, because it changes the
+    model only from the second order on; the analysis of the delay margin has it."""
     accel_max_xy_mps2: float
     accel_max_z_mps2: float
-    """Of the answer to a velocity, per axis."""
+    """Largest acceleration with which the vehicle answers a velocity, per axis."""
     feed_forward_xy: float
     """Acceleration to send for 1 m/s² of it: what a derivative gain on the measured acceleration takes off again."""
 
