@@ -72,7 +72,7 @@ STOP_KEYS = 2048
 """Further keys, for emergency stops only; a station may have as many as are free: 1,024 if it is alone."""
 
 RUNNING_FACTOR = 4.0
-"""Of the places for orders that are carried out a station may have four times the free ones: four of five, if alone."""
+"""Factor on the free places for running orders that one station may have: four of five places, if it is alone."""
 
 MAX_RUNNING = 60
 """Orders carried out at the same time, 48 of one station; a daemon takes 64 requests of one client."""

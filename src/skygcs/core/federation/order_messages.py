@@ -48,7 +48,7 @@ MAX_REPLY_BYTES = 64 * 1024
 """Longest reply. An outcome has up to eight status texts."""
 
 MAX_STATUS_TEXTS = 8
-"""Of an outcome; further ones are left out."""
+"""Status texts of one outcome; further ones are left out."""
 
 MAX_SEQ = 1 << 53
 """Largest number of an order: the largest integer that every JSON reader keeps exactly."""

@@ -24,7 +24,8 @@ from skygcs.core.vehicle.targets import select
 from skygcs.errors import TargetError
 
 GONE_AFTER_S = 3.0
-"""As long as on the web page; longer than the slowest period of the rounds, two seconds."""
+"""Seconds after which a missing vehicle is removed, the same as on the web page; longer than the slowest period of the
+rounds, two seconds."""
 
 HEARD_WITHIN_S = 10.0
 """A state older than this is sent as not heard: the daemon no longer answers. Daemons count a vehicle as lost after 3
