@@ -68,7 +68,7 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
 
 
 NEAR_STEP_M = 0.25
-"""Of the places of a way that are compared with a fence that is near."""
+"""Distance between the places of a way that are compared with a fence that is near."""
 
 MOST_DISTANCES = 300_000
 """From places of a way to sides of a fence: 0.2 s of work."""

@@ -103,7 +103,7 @@ PX4_NOT_FLOWN = {
 """Accepted at the upload, and then "Mission rejected: unsupported cmd"."""
 
 PX4_VTOL = frozenset({mav_cmd.NAV_VTOL_TAKEOFF, mav_cmd.NAV_VTOL_LAND, mav_cmd.DO_VTOL_TRANSITION})
-"""For VTOLs; any other vehicle rejects the mission."""
+"""Commands of VTOLs; any other vehicle rejects the mission."""
 
 PX4_NO_PLACE_YET = (PX4_PLACELESS | {mav_cmd.DO_SET_ROI_LOCATION}) - {
     mav_cmd.NAV_RETURN_TO_LAUNCH,
@@ -343,7 +343,7 @@ def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: M
     kept: list[MissionItem] = []
     changes: list[Change] = []
     numbers: list[int] = []
-    """For each item of the plan its number in ``kept``; for an omitted item the number of the next one."""
+    """Number in ``kept`` of each item of the plan; an omitted item has the number of the next one."""
     for number, item in enumerate(items, 1):
         numbers.append(len(kept) + 1)
         converted, texts = convert(item, family, names)
