@@ -35,7 +35,7 @@ MAX_MEANINGS = 300
 
 MAX_BITS = 64
 MAX_FLOAT = 3.4e38
-"""Of 32 bits."""
+"""Largest float of 32 bits, rounded down."""
 
 MAX_NAMED = 8
 """Meanings that a sentence names."""

@@ -44,7 +44,7 @@ MAX_PROBLEMS = 20
 """Problems reported at once; a file of another kind has one in each line."""
 
 MAX_NUMBER_CHARS = 80
-"""Of a number: the largest float with QGroundControl's 18 decimals has 58."""
+"""Longest text of a number: the largest float with QGroundControl's 18 decimals has 58 characters."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _HEX = re.compile(r"0[xX][0-9a-fA-F]{1,8}", re.ASCII)
