@@ -38,7 +38,7 @@ class _Wanted:
     """Values of a parameter; the first is what --fix sets."""
 
     names: tuple[str, ...]
-    """Of its generations, any of which will do."""
+    """Names of the parameter in its generations of firmware; any of them will do."""
     values: tuple[int, ...]
     why: str
 
@@ -63,7 +63,7 @@ COMPASSES = ("COMPASS_USE", "COMPASS_USE2", "COMPASS_USE3")
 YAW, YAW_COMPASS, YAW_POSES = "EK3_SRC1_YAW", 1, 6
 
 AT_THE_START = frozenset({"EKF2_HGT_REF"})
-"""Of a PX4's: reboot_required in ekf2/module.yaml. An ArduCopter's all are."""
+"""PX4 parameters that take effect at the start (reboot_required in ekf2/module.yaml). All of ArduCopter's do."""
 
 PX4_PARAMS = (("EKF2_EV_CTRL",), *(wanted.names for wanted in _PX4))
 

@@ -55,7 +55,7 @@ class Facts:
     answers: Mapping[str, Answer] | None = None
     copter: bool = False
     sticks: Sticks = Sticks.UNKNOWN
-    """Whether a pilot's sticks are seen in its telemetry."""
+    """State of a pilot's sticks by the vehicle's telemetry."""
     outside: Mapping[str, str] | None = None
     """By name: why a parameter whose value is known is outside the range of its metadata; None: there are no metadata
     of this firmware."""
