@@ -38,7 +38,7 @@ multipoint radio at 64 kbit/s (0.75 s) plus the vehicle's own answer; growing, b
 everybody repeats at once. MAVSDK waits 0.5 s, Skybrush 2 s."""
 
 EMERGENCY_TIMERS_S = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0, 1.5)
-"""For a forced disarm: eight times in five seconds; air time does not matter then."""
+"""Repeat intervals of a forced disarm: eight transmissions in five seconds; air time does not matter then."""
 
 WORKING_SILENCE_S = 10.0
 """An in-progress report is expected again within this time (ArduPilot and PX4 report about once a second)."""
@@ -50,8 +50,9 @@ POSTPONE_S = 0.25
 """Between two looks whether a repeat is harmless by now."""
 
 SECOND_ACK_S = 0.5
-"""For the second answer of a command that is answered twice: 8 to 15 ms later on board (own capture), some tenths of a
-second on a radio. Without it the first one counts, and what shows the change decides."""
+"""Wait for the second answer of a command that is answered twice. It comes 8 to 15 ms later on board (own capture),
+some tenths of a second later on a radio. Without it the first answer counts, and the state that shows the change
+decides."""
 
 SETTLE_S = 0.5
 """ArduPilot sends the STATUSTEXT that explains a refusal 0 to 8 ms after the ACK (own capture); a radio's next slot

@@ -70,7 +70,7 @@ SILENCE_S = 20.0
 """A vehicle that answers no read for so long will not."""
 
 BUSY_ERRORS = frozenset({Error.FAIL, Error.INVALID_SESSION, Error.NO_SESSIONS_AVAILABLE})
-"""What a vehicle says to OpenFileRO while it has a file open."""
+"""Errors with which a vehicle answers OpenFileRO while it has a file open."""
 
 
 @dataclass(frozen=True, slots=True)

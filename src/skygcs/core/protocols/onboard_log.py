@@ -195,7 +195,7 @@ class OnboardLogDownload(_LogMachine):
         self._size = info.size_bytes
         self._begin = begin
         self._blocks: dict[int, bytes] = {}
-        """Of this chunk, by number within it."""
+        """Data blocks of this chunk, by number within it."""
         self._until = 0
         """The block behind those that were requested last."""
         self._began = 0.0

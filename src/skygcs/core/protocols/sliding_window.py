@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 FIRST_WAIT_S = 1.0
 MIN_WAIT_S, MAX_WAIT_S = 0.25, 5.0
-"""For an answer, before its request is repeated: at first, and the bounds of what measured round trips make of it."""
+"""Bounds of the wait for an answer before its request is repeated. The first wait is FIRST_WAIT_S; measured round trips
+set it within these bounds."""
 
 
 class ReplyTimeout:
