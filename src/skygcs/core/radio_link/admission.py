@@ -29,7 +29,7 @@ CORRECTIONS_SHARE = 0.4
 
 BURST_S = 1.0
 LEAST_BURST_BYTES = 280.0
-"""What third-party traffic may save up: a second's worth, and no less than the longest frame."""
+"""Burst that third-party traffic may save up: one second of its rate, and no less than the longest frame."""
 
 PER_VEHICLE_HZ, PER_VEHICLE_BURST = 2.0, 3.0
 """Orders, and as many emergencies, of one source to one vehicle; further ones have a lower priority."""

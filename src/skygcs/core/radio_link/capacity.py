@@ -32,7 +32,7 @@ FLOWN_HZ: Mapping[str, float] = {"position": 5.0, "velocity": 10.0, "attitude": 
 
 PACKET_BYTES = 252
 SLOT_BYTES = 2 * PACKET_BYTES
-"""What a node sends in its slot: the window holds two full packets."""
+"""Bytes that a node sends in its slot: the window holds two full packets."""
 
 SLOT_BITS, SLOT_LATENCY_S = 4602, 0.0093
 SYNC_BITS, SYNC_LATENCY_S = 946, 0.0038
@@ -74,7 +74,7 @@ SETPOINTS: Mapping[str, str | None] = {
     "velocity": "SET_POSITION_TARGET_LOCAL_NED",
     "attitude": "SET_ATTITUDE_TARGET",
 }
-"""What is streamed up to each vehicle; none: single orders such as goto."""
+"""Message that is streamed up to each vehicle, by kind of setpoint; none: single orders such as goto."""
 
 UNSCALED = frozenset({"HEARTBEAT"})
 """Kept at its rate however little room there is: without it a vehicle counts as lost."""
@@ -168,7 +168,7 @@ class LinkPlan:
     most_streamed: int
     """Vehicles that `plan run` flies by position setpoints over it; more are flown by goto."""
     rates_hz: Mapping[str, float]
-    """What each vehicle gets of what is wanted; less where it does not fit."""
+    """Rate that each vehicle gets of each wanted message; less than wanted where it does not fit."""
     setpoint_hz: float
     problems: tuple[str, ...]
     proposals: tuple[str, ...]

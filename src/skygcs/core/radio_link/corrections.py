@@ -70,7 +70,7 @@ class CorrectionCounters:
     """Sent to their end."""
     fragments: int = 0
     bytes: int = 0
-    """As they are on the wire."""
+    """Bytes on the wire."""
     replaced: int = 0
     """Messages for which a newer one of their kind came while they waited."""
     expired: int = 0

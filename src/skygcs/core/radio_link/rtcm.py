@@ -21,7 +21,7 @@ CRC24Q_POLYNOMIAL = 0x1864CFB
 """Register 0 at first, most significant bit first, nothing inverted."""
 
 FRAGMENT_BYTES = 180
-"""What one GPS_RTCM_DATA holds."""
+"""Bytes of RTCM that one GPS_RTCM_DATA holds."""
 
 MAX_FRAGMENTS = 4
 """The fragment id has two bits."""

@@ -55,7 +55,7 @@ MAX_RATE_HZ = 1000.0
 """Faster than any autopilot streams."""
 
 POSITION = "GLOBAL_POSITION_INT"
-"""What a fleet is watched by: it is slowed down last."""
+"""Message by which a fleet is watched: it is slowed down last."""
 
 POSITION_FLOOR_HZ = 0.2
 """However little room there is: a position every five seconds."""
