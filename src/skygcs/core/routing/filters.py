@@ -103,10 +103,10 @@ class ChannelPolicy:
     link: str = ""
     """Name of the link: two channels of one link with one autopilot are two vehicles of one id, or two of its ports."""
     replayed: bool = False
-    """What comes is a recording: shown to ground stations, never to vehicles, and nothing is sent there."""
+    """The channel carries a recording: it is shown to ground stations, never to vehicles, and nothing is sent there."""
     group: str | None = None
     cost: int = DEFAULT_COST
-    """Of two good links to one vehicle, that of lower cost is used."""
+    """Cost of the link; the link of lower cost is used where two good ones lead to a vehicle."""
     vehicles: frozenset[int] = frozenset()
     """System ids that the channel is bound to; empty: it is not bound."""
     forward_unknown: bool = True

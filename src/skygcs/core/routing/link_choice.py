@@ -41,7 +41,7 @@ from typing import NamedTuple
 from skygcs.core.token_bucket import TokenBucket
 
 DEFAULT_COST, SCARCE_COST = 10, 20
-"""Of a network, and of a radio or a serial port, whose bytes all vehicles share."""
+"""Cost of a network, and of a radio or a serial port, whose bytes all vehicles share."""
 
 SILENT_LEAST_S, SILENT_MOST_S = 1.0, 2.5
 """Bounds of a link's limit of silence. A Wi-Fi station that changes its access point or saves power is silent for some
@@ -148,7 +148,7 @@ class LinkHealth:
         self.lag_s: float | None = None
         """How much later messages come than over the fastest link; None: not known. Set it before `assess`."""
         self.high_latency_factor = 1
-        """Of the limit of silence: above 1 for a satellite link."""
+        """Factor on the limit of silence: above 1 for a satellite link."""
         self.deaf = False
         """The vehicle does not hear us over it, though we hear the vehicle. Set it before `assess`."""
         self._probed_at = -math.inf

@@ -59,7 +59,8 @@ PLACE_DELAY_S = 1.5
 """Difference of the channels' delays if their clocks cannot be compared; the vehicle may have moved meanwhile."""
 
 PLACE_STEP_S = 0.3
-"""For one clock, positions of the same time differ by the vehicle's motion between two steps of its estimator."""
+"""Added to the difference of the times where both channels show one clock: positions of the same time differ by the
+vehicle's motion between two steps of its estimator."""
 
 ACCELERATION_MPS2 = 5.0
 """Acceleration of a multirotor tilted by 27 degrees."""
