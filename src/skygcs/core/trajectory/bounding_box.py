@@ -16,7 +16,7 @@ from skygcs.core.trajectory.piecewise import Trajectory, Vector
 TOLERANCE_M = 1e-3
 
 MAX_CUTS = 1000
-"""Of intervals, for one side."""
+"""Cuts of intervals for one side."""
 
 
 class Box(NamedTuple):

@@ -21,7 +21,7 @@ TOLERANCE = 1e-6
 """Relative, between the largest value found and the bound that none exceeds."""
 
 MAX_CUTS = 2000
-"""Of intervals, for one peak. The bound holds whenever the search ends; with fewer cuts it is only less tight."""
+"""Cuts of intervals for one peak. The bound holds whenever the search ends; with fewer cuts it is only less tight."""
 
 MAX_SPEED_MPS = 100.0
 MAX_ACCELERATION_MPS2 = 100.0

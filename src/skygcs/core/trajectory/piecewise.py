@@ -40,7 +40,7 @@ MAX_DURATION_S = 7200.0
 """Two hours, longer than any multirotor flies on one battery."""
 
 MAX_TERM = 1e8
-"""Of any |c_k| T^k, in metres or radians. Sums of sixteen such terms are exact to 1 µm."""
+"""Largest |c_k| T^k, in metres or radians. Sums of sixteen such terms are exact to 1 µm."""
 
 MAX_POSITION_M = 1e5
 """100 km from the origin: farther out the earth is too curved for a flat frame; a larger number has a wrong unit."""

@@ -43,7 +43,7 @@ MAX_SPEED_FACTOR = 4.0
 MIN_SPEED_FACTOR = 0.01
 
 MAX_RATE_LIMIT_PER_S = 10.0
-"""For trajectories that hardly move: a stop takes at least a tenth of a second."""
+"""Largest rate limit, used for trajectories that hardly move: a stop takes at least a tenth of a second."""
 
 MIN_RATE_LIMIT_PER_S = 0.01
 
@@ -55,7 +55,7 @@ AT_REST_MPS = 0.05
 
 
 NO_TIME_S = 1e-9
-"""What is left of a trajectory when it is over but for rounding."""
+"""Remaining time below which a trajectory counts as over: rounding leaves no more."""
 
 
 class ClockState(enum.StrEnum):
