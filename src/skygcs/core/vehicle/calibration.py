@@ -96,7 +96,7 @@ FAILED_TEXT = re.compile(r"\[cal\] calibration failed: (.*)")
 CANCELLED_TEXT = "[cal] calibration cancelled"
 
 TEXTS_VERSION = "2"
-"""Of PX4's texts, in the one that says that it started; with another one the table above may not hold."""
+"""Version of PX4's texts, in the text that reports the start; with another version the table above may not hold."""
 
 
 class Sensor(StrEnum):
@@ -131,7 +131,7 @@ class CalibrationStatus(TypedDict):
     pending: list[str]
     """The poses that a PX4 still wants, in any order."""
     text: str
-    """What it said last."""
+    """The vehicle's last text."""
 
 
 def check_calibration(vehicle: Vehicle, now: float) -> None:

@@ -31,11 +31,11 @@ class FlightNote:
     name: str
     in_air: bool
     flown_by: str | None
-    """Who flew it, and nobody else did since (`UnattendedWatch.owed_to`)."""
+    """Program that flew it last, if nobody else has flown it since (`UnattendedWatch.owed_to`)."""
     frames: tuple[tuple[float, bytes], ...]
     flown_s: float = 0.0
     dropped_percent: float = 0.0
-    """What its battery lost in ``flown_s`` of flight."""
+    """Percent that its battery lost in ``flown_s`` of flight."""
 
     @property
     def key(self) -> int:

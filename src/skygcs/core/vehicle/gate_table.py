@@ -47,7 +47,7 @@ class Example:
     kind: VehicleClass
     mode: str
     state: str = ""
-    """What else tells it from another row of its class."""
+    """Further state that distinguishes it from another row of its class."""
 
     @property
     def title(self) -> str:

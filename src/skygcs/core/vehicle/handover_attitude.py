@@ -22,7 +22,7 @@ HANDOVER_S = 0.3
 """The attitude follows with 0.15 s: 86 % of the way."""
 
 BRAKING_MPS2 = 2.5
-"""As ArduCopter itself brakes (WPNAV_ACCEL): a lean of 14 degrees."""
+"""Deceleration, the same with which ArduCopter itself brakes (WPNAV_ACCEL): a lean of 14 degrees."""
 
 LEAST_TIME_S = 0.5
 """In which a lean may brake to a standstill, if GUID_TIMEOUT is shorter."""

@@ -16,7 +16,7 @@ SMOOTHING = 0.4
 """Weight of the newest second in a rate: sampled once a second, a 1 Hz message is counted 0, 1 or 2 times."""
 
 ALTERNATIVE_LAG_S = 2.0
-"""Of messages with the same data the preferred one is used, unless it is this much older than the newest."""
+"""Age beyond the newest message with the same data, above which the preferred message is not used."""
 
 
 _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())

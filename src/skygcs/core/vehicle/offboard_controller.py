@@ -58,12 +58,12 @@ LARGEST_DT_S = 1.0
 
 
 OLD_S = 0.2
-"""Of a state that is older, the age beyond counts for the reference as well: it is compared with where the reference
-was then. Else a reference that moves on while no state comes pulls with ever more speed: 2 m/s for 0.5 s by 1 m/s."""
+"""Age of a state above which the reference is moved back by the excess: it is compared with the reference of that time.
+Else a reference that moves on while no state comes pulls with ever more speed: 2 m/s for 0.5 s by 1 m/s."""
 
 LONGEST_LEAD_S = 1.0
-"""Of a moving reference ahead of the present: a circle of 5 m at 2 m/s, led by position, velocity and acceleration, is
-missed by v·ω²·t³/6 = 5 cm after 1 s and by 43 cm after 2 s."""
+"""Longest lead of a moving reference ahead of the present. A circle of 5 m at 2 m/s, led by position, velocity and
+acceleration, is missed by v·ω²·t³/6 = 5 cm after 1 s and by 43 cm after 2 s."""
 
 
 class OffboardState(StrEnum):
@@ -122,14 +122,14 @@ class OffboardController:
         self.was_entered = False
         """True if the autopilot obeyed since the last `engage`."""
         self.refusing: str | None = None
-        """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
+        """The autopilot's text when it rejected one of our setpoints since the last `engage`."""
         self._estimate_view = EstimateView(vehicle)
         self._source = ReferenceSource(self._estimate_view)
         self._raw = RawSource(vehicle)
         self._setpoints = SetpointGenerator(vehicle, self._estimate_view)
         self._prediction = VelocityPrediction(vehicle, self._estimate_view)
         self._predicting = False
-        """As was reported last."""
+        """Value of the last report."""
         self._steady_thrust = SteadyThrust(vehicle)
         self._guard = Guard(config.guard, POSITION)
         self._obeys = -1

@@ -79,7 +79,7 @@ NO_STICKS = {
     Sticks.LOW: "the throttle of its sticks is down",
     Sticks.UNKNOWN: "whether a pilot's sticks reach it is not known",
 }
-"""What is said where such a mode would need them."""
+"""Text about the sticks where a mode that flies by them would need them."""
 
 FLIES_ITSELF = frozenset(
     {

@@ -52,7 +52,7 @@ class Tick:
     before: Memory | None = None
     after: Memory | None = None
     prediction: PredictionStep | None = None
-    """Of velocity control with prediction, for the trace."""
+    """Prediction of velocity control in this tick, for the trace."""
 
 
 IDLE = Tick()

@@ -29,7 +29,7 @@ ROOM_M = 1.0
 """Beyond the places of a plan, in the fence that is proposed for it."""
 
 MOST_PLACES = 3_000
-"""Of one vehicle; a longer plan is sampled more coarsely: ten minutes at STEP_S, 10 ms of work."""
+"""Most places of one vehicle; a longer plan is sampled more coarsely: ten minutes at STEP_S, 10 ms of work."""
 
 ONLY_REPORTS = frozenset({"none", "warn"})
 """Actions that move nothing."""

@@ -42,9 +42,11 @@ class RawLimits:
     """Limits of what an own controller may ask for. Raises ConfigError with every problem."""
 
     tilt_max_deg: float = 35.0
-    """Of an attitude setpoint; and of the vehicle as it reports it, TILT_SLACK_DEG more. As the law's own limit."""
+    """Largest tilt of an attitude setpoint, the same as the law's own limit; the vehicle's reported tilt may be
+    TILT_SLACK_DEG more."""
     rate_max_deg_s: float = 180.0
-    """Of each body rate: PX4's MC_YAWRATE_MAX is 200, and roll and pitch of 220 are its acrobatic limits."""
+    """Largest body rate on each axis: PX4's MC_YAWRATE_MAX is 200, and roll and pitch of 220 are its acrobatic
+    limits."""
     thrust_min: float = 0.1
     """With less the propellers give the attitude loop no authority."""
     thrust_max: float = 0.9

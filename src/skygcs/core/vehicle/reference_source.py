@@ -24,8 +24,8 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 
 MOST_AHEAD_M = 2.0
-"""Of a position that a velocity led to, in front of the vehicle that follows it, beyond what it needs to get up to that
-speed: wind and an estimator that wanders make about 1 m."""
+"""Largest distance of a position that a velocity led to ahead of the vehicle that follows it, beyond the distance that
+it needs to reach that speed. Wind and an estimator that wanders make about 1 m."""
 
 MOST_AHEAD_RAD = math.radians(60.0)
 """The same of a yaw that turns with a rate alone: from half a turn on the vehicle would turn the other way."""
@@ -36,10 +36,10 @@ class ReferenceSource:
 
     def __init__(self, estimate_view: EstimateView) -> None:
         self.reference = Reference()
-        """As of the last `advance`, `follow` or end of a stream."""
+        """Reference of the last `advance`, `follow` or end of a stream."""
         self._estimate_view = estimate_view
         self._newest = self.reference
-        """As it was at ``_at``."""
+        """Reference at the time ``_at``."""
         self._at = 0.0
         self._until: float | None = None
         self.flight: TrajectoryFlight | None = None

@@ -52,7 +52,7 @@ class SetpointGenerator:
     def __init__(self, vehicle: Vehicle, estimate_view: EstimateView) -> None:
         self.memory = Memory()
         self.output: Output | None = None
-        """Of the last step in the present control mode; only attitude has one."""
+        """Output of the last step in the present control mode; only attitude has one."""
         self.predictor = PredictorMemory()
         """Velocity control's, after the last tick; a new one while it does not predict."""
         self.tracing = False

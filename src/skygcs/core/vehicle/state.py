@@ -107,9 +107,9 @@ class VehicleState(TypedDict):
     landed: str
     failsafe: bool
     authority: Part | None
-    """For a vehicle of [federation.vehicles]: held (this site may command it now), commander (the site that does, null:
-    not known), remaining_s (of the lease's grant), token, hub, blocked_frames (that were not sent to it); null: for any
-    other vehicle"""
+    """Authority over a vehicle of [federation.vehicles]: held (this site may command it now), commander (the site that
+    does, null: not known), remaining_s (of the lease's grant), token, hub, blocked_frames (that were not sent to it);
+    null: any other vehicle"""
     control: Part | None
     """Control by setpoints, as in control.status; null: skygcs does not control it."""
     uplink: Part | None

@@ -45,7 +45,7 @@ LARGEST_TILT_COSINE = 0.5
 """60 degrees: no hover, and not averaged."""
 
 THROTTLES = (0.05, 1.0)
-"""Of a vehicle in the air; what is outside is no throttle."""
+"""Range of the throttle of a vehicle in the air; a value outside it is no throttle."""
 
 
 class SteadyThrust:

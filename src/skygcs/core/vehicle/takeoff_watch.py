@@ -21,7 +21,7 @@ SHORT_M = 0.5
 """PX4 ends a take-off within NAV_MC_ALT_RAD (0.8 m) and flies the rest in AUTO.LOITER; ArduCopter within 0.1 m."""
 
 SHARE = 0.1
-"""Of a low height, instead."""
+"""Share of the height that may be missing at the end, instead of SHORT_M, where the height is low."""
 
 OVER_M = 1.0
 OVER_SHARE = 0.05

@@ -51,7 +51,7 @@ class TrajectoryLimits:
     velocity_jump_mps: float = 0.5
     """Where pieces meet, and at the start and the end: a path of straight lines turns by jumps."""
     brake_mps2: float = 1.0
-    """What a pause, an abort or a change of speed adds to the acceleration at most."""
+    """Acceleration that a pause, an abort or a change of speed adds at most."""
 
     def __post_init__(self) -> None:
         problems = out_of_range(

@@ -66,7 +66,7 @@ HOLDING = frozenset({"AUTO.LOITER", "BRAKE"})
 """Modes in which our order to hold leaves a vehicle, beside GUIDED."""
 
 Target = Literal["place", "motion"]
-"""Of a setpoint: a place, at which the autopilot holds, or a motion, which somebody has to end."""
+"""Kind of a setpoint: a place, at which the autopilot holds, or a motion, which somebody has to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class UnattendedWatch:
     def __init__(self, flown_before: str | None = None) -> None:
         """``flown_before``: who flew it until this daemon began, by its journal; None: not known."""
         self._before = flown_before
-        """Who flew it last; None: whoever put it into its mode."""
+        """Program or station that flew it last; None: whoever put it into its mode."""
         self._flown_at = -math.inf
         """When somebody was seen last to fly it, of those whose flight is known here."""
         self._carries_out: str | None = None
