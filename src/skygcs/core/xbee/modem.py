@@ -49,7 +49,7 @@ MAX_NODES = 64
 """Nodes whose counters are kept; a network of one channel carries far fewer vehicles."""
 
 QUESTIONS = ("NP", "SH", "SL", "AP", "HV", "VR", "ID", "CM")
-"""What the module is asked at the start: payload, own address, API mode, hardware, firmware, network."""
+"""AT commands that are sent to the module at the start: payload, own address, API mode, hardware, firmware, network."""
 
 RESTARTED = frozenset({0, 1})
 """Modem status: hardware reset, watchdog reset."""

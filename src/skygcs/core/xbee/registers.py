@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 SHOWN = ("HV", "VR", "SH", "SL", "NI", "AP", "BD", "ID", "CM", "HP", "CH", "PL", "EE", "NP", "TO", "NH", "MT", "RR",
          "RO", "D6", "D7", "DH", "DL")  # fmt: skip
-"""What `xbee show` reads, in this order; a module has not all of them."""
+"""Registers that `xbee show` reads, in this order; a module has not all of them."""
 
 MEANING = {
     "HV": "hardware",
@@ -40,7 +40,7 @@ MEANING = {
 READ_ONLY = frozenset({"HV", "VR", "SH", "SL", "NP"})
 
 NETWORK = frozenset({"ID", "CM", "HP", "CH", "EE", "KY", "BR"})
-"""What all modules of a network have alike: one that is set otherwise is out of reach."""
+"""Registers that must be the same in all modules of a network: one that is set otherwise is out of reach."""
 
 BAUD_CODES = {1200: 0, 2400: 1, 4800: 2, 9600: 3, 19200: 4, 38400: 5, 57600: 6, 115200: 7, 230400: 8}
 
@@ -49,7 +49,7 @@ LIKELY_BAUD = (115200, 9600, 57600, 230400, 38400, 19200)
 
 MAX_NAME_CHARS = 20
 KEY_DIGITS = (32, 64)
-"""Of KY: AES of 128 or 256 bits, in hexadecimal digits."""
+"""Lengths of KY: AES of 128 or 256 bits, in hexadecimal digits."""
 
 
 def parse_setting(name: str, text: str) -> bytes:
