@@ -28,7 +28,7 @@ MAX_CLOCK_S = 1e11
 hold."""
 
 MAX_SAMPLES = 128
-"""Of the last minute; one is taken every 2 s."""
+"""Samples that are kept, all within the last minute; one is taken every 2 s."""
 
 
 @dataclass(frozen=True, slots=True)

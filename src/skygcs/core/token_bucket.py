@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 TOLERANCE = 3e-6
-"""Of the burst, by which it may be overdrawn: sums of floats at large clock values are no more exact."""
+"""Share of the burst by which the bucket may be overdrawn: sums of floats at large clock values are no more exact."""
 
 
 class TokenBucket:
