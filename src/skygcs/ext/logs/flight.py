@@ -28,7 +28,7 @@ RECORD_SILENT_S = 3.0
 
 MOST_TEXTS = 2000
 MOST_VEHICLES = 255
-"""As many as there are system ids; a log with more is an attack."""
+"""Number of system ids; a log with more is an attack."""
 
 GLOBAL = ("GLOBAL_POSITION_INT", "GPS_RAW_INT")
 DECODED = ("GLOBAL_POSITION_INT", "GPS_RAW_INT", "LOCAL_POSITION_NED", "SYS_STATUS", "BATTERY_STATUS", "STATUSTEXT")

@@ -30,7 +30,7 @@ PATH_PERIOD_S = 1.0
 GROUPS = ("position", "attitude", "battery")
 
 MAX_VEHICLES = 300
-"""As many as the daemon keeps: each has six channels."""
+"""Vehicles that the daemon keeps at most: each has six channels."""
 
 
 class LiveFleet:

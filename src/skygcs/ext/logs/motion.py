@@ -33,7 +33,7 @@ STALE_S = 5.0
 """An older attitude is not joined to a position; as in the flight tables."""
 
 MOST_VEHICLES = 255
-"""As many as there are system ids; a log with more is an attack."""
+"""Number of system ids; a log with more is an attack."""
 
 Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""

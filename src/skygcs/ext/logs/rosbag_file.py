@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
 
 BAG_VERSION: Literal[8] = 8
-"""Of metadata.yaml; what ROS 2 Humble to Jazzy read."""
+"""Version of metadata.yaml that ROS 2 Humble to Jazzy read."""
 
 MAVLINK_MSG = """
 uint8 FRAMING_OK = 1

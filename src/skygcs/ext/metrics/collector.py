@@ -31,7 +31,7 @@ MAX_COUNTED = 2048
 """Sources on channels that are remembered, closed ones included: as many as the hub keeps of closed channels."""
 
 FALLS = ("velocity", "position", "hold", "release")
-"""What the guard falls to; each is there from the start, so that the first fall is an increase."""
+"""Modes to which the guard falls; each is there from the start, so that the first fall is an increase."""
 
 RPC_ERRORS = {
     "requests_refused": "refused",

@@ -44,7 +44,7 @@ class MocapConfig(Model):
 
     type: MocapType
     host: Annotated[str, Field(min_length=1, max_length=253)] | None = None
-    """Of the computer with the capture software; for vicon, optitrack, qualisys and vrpn."""
+    """Address of the computer with the capture software; for vicon, optitrack, qualisys and vrpn."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """If it is not the system's own; for qualisys and optitrack (command port)."""
     file: Path | None = None

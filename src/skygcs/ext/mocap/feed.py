@@ -85,9 +85,9 @@ class _Fed:
         self.actor: VehicleActor | None = None
         self.way = PoseWay()
         self.channel: Channel | None = None
-        """Of the way."""
+        """Channel of the way."""
         self.kept_despite: str | None = None
-        """As it was reported."""
+        """Value of ``way.kept_despite`` that was reported last."""
         self.rate_hz = 0.0
         self.was_problem: str | None = None
 

@@ -33,13 +33,13 @@ MOST_M = 3.0
 """ArduCopter 4.6.3 in SITL had drifted by 3 m when its failsafe had put it on the ground, 13 s after the last pose."""
 
 DRIFT_MPS2 = 0.5
-"""Of inertial navigation: an attitude that is wrong by 3 degrees lets gravity in."""
+"""Drift of inertial navigation: an attitude that is wrong by 3 degrees lets gravity in."""
 
 FRESH_S = 1.0
 """A vehicle's own position that is older is not compared."""
 
 SPEED_MPS = 5.0
-"""Of a vehicle in a capture volume."""
+"""Largest speed of a vehicle in a capture volume."""
 
 OwnEstimate = tuple[Vector, float]
 """A vehicle's own position, east, north, up of the same origin, and when it came."""

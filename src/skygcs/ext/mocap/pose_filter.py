@@ -45,7 +45,7 @@ STEADY_S = 0.1
 body's for a frame or two are not sent. At 100 Hz these are ten poses, at 30 Hz five."""
 
 TURN_RADPS = 10.0
-"""Of a vehicle in a capture volume, with `SPEED_MPS`; the faster, the more of a jump passes."""
+"""Largest turn rate of a vehicle in a capture volume, used with `SPEED_MPS`; the larger, the more of a jump passes."""
 
 
 def no_others() -> Iterable[Vector]:

@@ -31,7 +31,7 @@ than itself."""
 LINK_SETTINGS = frozenset(
     {"NETID", "AIR_SPEED", "MIN_FREQ", "MAX_FREQ", "NUM_CHANNELS", "ECC", "MANCHESTER", "NODECOUNT"}
 )
-"""What both ends must agree on: a remote radio that is set to others is out of reach from then on."""
+"""Settings that both ends must share: a remote radio that is set to others is out of reach from then on."""
 
 NODE_COUNT_KEY = "NODECOUNT"
 """Also the name a person uses for the node table of RFD900x firmware, which is no register."""
@@ -50,7 +50,7 @@ class Ledger:
     """Record of what was done to one radio so far; complete at every moment, also when the conversation breaks off."""
 
     wanted: dict[str, int] = field(default_factory=dict)
-    """What had to change, by the radio's names; without what was so already."""
+    """Settings that had to change, by the radio's names; those that were right already are left out."""
     node_table: str | None = None
     """"AT&M0=0,9" where it is wanted; it is acknowledged, but no firmware reports it back."""
     before: dict[str, int] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class Ledger:
     undone: Fact = Fact.NO
     """Restarted without saving, and found as before."""
     differs: dict[str, int] = field(default_factory=dict)
-    """What the last reading shows of the wanted settings where it is something else."""
+    """Values that the last reading shows of the wanted settings where they differ."""
     problem: str | None = None
     finished: bool = False
     remote: bool = False
@@ -291,9 +291,9 @@ class Visit:
     baud: int | None = None
     """The rate at which the radio answered."""
     state: RadioState | None = None
-    """What was read of the radio that the visit is about, before any change."""
+    """Reading of the visited radio before any change."""
     ledger: Ledger | None = None
-    """What a change has done so far."""
+    """Record of a change so far."""
     _command_line: bool = False
 
     def farewell(self) -> bytes:

@@ -74,7 +74,7 @@ class Say:
     data: bytes
     until: Until = Until.STATUS
     timeout_s: float = ANSWER_S
-    """For the first sign of an answer, and from then on for each further line."""
+    """Seconds to wait for the first sign of an answer, and from then on for each further line."""
     idle_s: float = IDLE_S
     amid_noise: bool = False
     """The answer may follow other bytes without a line end: the radio was passing on data until then."""

@@ -230,7 +230,7 @@ def _air_speeds(firmware: Firmware) -> tuple[int, ...]:
 
 BACKUP_VERSION = 1
 MAX_BYTES = 65536
-"""Of a backup file; one has about 1 kB."""
+"""Largest backup file; one has about 1 kB."""
 
 NOT_RESTORED = frozenset({"FORMAT"})
 """The firmware's own, and no setting."""

@@ -37,7 +37,7 @@ GUARD_S = 1.1
 STATUS = ("done", "refused", "no such setting in this module", "bad value", "the node does not answer")
 
 MAX_HEARD_BYTES = 65536
-"""Of one answer; more is noise."""
+"""Largest answer; more is noise."""
 
 Mode = Literal["API", "command"]
 
