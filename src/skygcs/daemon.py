@@ -61,11 +61,11 @@ GCS = 6
 the autopilot's failsafe."""
 
 UNDO_S = 3.0
-"""For what undoes itself when the daemon is stopped: five round trips of a nine-node radio. With PARK_S after it the
-links are open for 5 s at most; what could not be undone by then is in the journal."""
+"""Seconds for the changes that undo themselves when the daemon is stopped: five round trips of a nine-node radio. With
+PARK_S after it the links are open for 5 s at most; the journal keeps the changes that are not undone by then."""
 
 NOTE_S = 0.5
-"""For files that say what was not undone; the disk may be stuck."""
+"""Seconds for writing the files that list the changes not undone; the disk may be stuck."""
 
 PARK_S = 2.0
 """Two transmissions of the order to hold; the end of the daemon does not wait for a vehicle that does not answer."""

@@ -14,7 +14,7 @@ WANTED = 4096
 """A full daemon: 255 TCP clients, each with an epoll of its own, 192 sessions, links, files."""
 
 DESCRIPTORS_KEPT = 24
-"""For the next clients on this computer, and for files that are opened for a moment."""
+"""File descriptors kept free for the next clients on this computer, and for files that are opened for a moment."""
 
 
 def raise_limit() -> None:

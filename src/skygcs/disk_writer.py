@@ -30,7 +30,7 @@ from skygcs.writer_thread import WriterThread
 
 MAX_JOBS = 1024
 MAX_BYTES = 16 << 20
-"""What may wait for the disk: the control traces of 16 vehicles at 50 Hz for 25 s."""
+"""Bytes that may wait for the disk: the control traces of 16 vehicles at 50 Hz for 25 s."""
 
 WITHIN_S = 5.0
 """Longest wait for a job whose outcome is needed before an order goes on (`run`)."""
@@ -61,7 +61,7 @@ class DiskWriter:
         self._on_event = on_event
         self._thread = WriterThread("disk") if thread is None else thread
         self._waiting: deque[tuple[str, int, float]] = deque()
-        """What each job is, its bytes, and when it was given; the first one is being done."""
+        """Description of each job, its bytes, and the time at which it was given; the first one is in progress."""
         self._bytes = 0
         self._watch: asyncio.TimerHandle | None = None
         self._stuck_since: float | None = None
