@@ -83,6 +83,7 @@ def send(
 
     Example: skygcs-cli corrections send base.rtcm3
     """
+    # check the input and its rate
     within("--rate", rate, 10, 1e6)
     within("--every", every_s, 0.1, 3600)
     descriptor = sys.stdin.fileno() if file == "-" else _opened(file)
@@ -95,6 +96,7 @@ def send(
         rate = FILE_BYTES_PER_S
 
     async def command(gcs: Client) -> int:
+        # forward the input
         report = _Report(json_output)
         stream = CorrectionStream(gcs, report.problem)
         source: AsyncIterator[bytes] = bytes_of(descriptor)
@@ -105,6 +107,7 @@ def send(
         finally:
             await stream.end()
             report.end(stream.tally)
+        # report
         if not stream.tally.read_bytes:
             fail("no input: the program that fetches the corrections ended without a byte")
         return Exit.DONE if stream.tally.counts["messages"] else Exit.FAILED

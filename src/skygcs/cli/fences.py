@@ -119,6 +119,7 @@ def _test(
 
     Example: skygcs-cli fence test alpha --radius 2
     """
+    # confirm that the propellers are off
     if not yes:
         typer.echo(BEFORE_THE_WALK.format(radius=radius), err=True)
         if not sys.stdin.isatty():
@@ -129,6 +130,7 @@ def _test(
             raise typer.Exit(Exit.FAILED)
 
     async def command(gcs: Client) -> int:
+        # test, with its events shown
         following = asyncio.create_task(_follow(gcs, targets), name="fence events")
         try:
             answer = await gcs.call(
@@ -137,6 +139,7 @@ def _test(
         finally:
             following.cancel()
             await asyncio.gather(following, return_exceptions=True)
+        # show the outcomes
         code = print_outcomes(answer["outcomes"], json_output)
         for outcome in () if json_output else answer["outcomes"].values():
             if outcome["record"] is not None:

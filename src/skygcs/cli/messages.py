@@ -112,6 +112,7 @@ def send_message(
         raise typer.BadParameter("give either --to or --link, not both")
 
     async def command(gcs: Client) -> int:
+        # send; the server names a missing target
         try:
             answer = await gcs.call(
                 "messages.send", name=name_or_id(name), fields=values, target=target, link=link, force=force
@@ -121,6 +122,7 @@ def send_message(
                 raise
             fail(f"{name.upper()} has a target field: give --to TARGETS, --link LINK, or the field itself")
             return Exit.USAGE
+        # show the answer
         if json_output:
             print_json(answer)
         elif answer["sent"]:

@@ -276,8 +276,10 @@ async def _made_by_daemon(
     gcs: Client, question: _Question, space: FlightSpace, params: Mapping[str, Any], json_output: bool
 ) -> Answer:
     """The daemon takes measured positions as starts. Raises SkygcsError."""
+    # parameters of both methods
     common = {**params, "space": space_content(space), **question.given_limits()}
     kind: dict[str, Any] = {"exchangeable": question.exchangeable, "kind": question.kind.value}
+    # goals by a formation
     wanted = await asyncio.to_thread(question.shape.wanted)
     if wanted is not None:
         if len(question.files) > 1:
@@ -292,8 +294,10 @@ async def _made_by_daemon(
             "points_m": wanted.points_m,
         }
         return await asked(gcs, "plan.make", json_output, formation=formation, **kind, **common)
+    # goals by name, or paths that are given
     _, goals = await asyncio.to_thread(question.ends, one_is_enough=True)
     if goals is None:
+        # certify the given paths
         origin = question.origin or await origin_of_fleet(gcs, question.files)
         found = await asyncio.to_thread(question.paths, origin)
         content = plan_content(found.plan, FlightSpace())
@@ -330,6 +334,7 @@ def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_outpu
     from skygcs.cli.plan_drawing import draw_page, draw_svg
     from skygcs.core.trajectory import motion_peaks
 
+    # the trajectories, timed where the plan is not
     plan = found.plan
     trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)
     rows: dict[str, Mapping[str, Any]] = {
@@ -342,9 +347,11 @@ def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_outpu
         }
         for name, t in trajectories.items()
     }
+    # draw them
     if output is not None:
         text = draw_svg(trajectories) if output.suffix.lower() == ".svg" else draw_page(trajectories)
         output.write_text(text)
+    # print the answer
     phases = [phase.name for phase in plan.phases] if isinstance(plan, PhasedPlan) else []
     if json_output:
         print_json({"format": found.format, "phases": phases, "vehicles": rows})

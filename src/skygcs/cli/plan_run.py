@@ -103,16 +103,19 @@ def run_plan(
     within("--margin", margin, 0.01, 1000.0)
 
     async def command(gcs: Client) -> int:
+        # load the plan and choose its vehicles
         kept = await _load(gcs, file)
         names = await _vehicles(gcs, kept["vehicles"], targets)
         request = {"plan": kept["plan"], "vehicles": names, "mode": mode.value, "speed": speed, "force": force}
         request["by"] = by.value
         request |= {} if margin is None else {"margin_m": margin}
+        # check only
         if dry_run:
             async with waiting("checking"):
                 report = await gcs.call("plan.check", **request)
             show(report, json_output, report_lines)
             return Exit.DONE if report["ok"] else Exit.FAILED
+        # begin, and follow the flight
         answer = await _begin(gcs, request, set_return_heights=set_return_heights)
         if not answer["started"] or detach:
             show(answer, json_output, lambda a: report_lines(a["report"]))

@@ -141,7 +141,7 @@ def setpoint(
     """
     given = _given(position, velocity, yaw, yaw_rate, acceleration)
     given.update(_given_raw(attitude, quaternion, rates, thrust))
-    if stdin and (given or duration_s is not None):
+    if stdin and (given or duration_s is not None):  # with --stdin the lines supply the setpoints
         raise typer.BadParameter(
             "--stdin supplies the setpoints: give no --pos, --vel, --yaw, --yaw-rate, --for or raw setpoint with it"
         )
@@ -155,7 +155,7 @@ def setpoint(
 
     async def command(gcs: Client) -> int:
         sender = Sender(gcs, valid_for_s, fail)
-        if rate is None or stdin:
+        if rate is None or stdin:  # from standard input, or one setpoint repeated
             sending = forward(sender, targets, bytes_of(sys.stdin.fileno()), rate)
         else:
             if sys.stderr.isatty():
@@ -164,7 +164,7 @@ def setpoint(
         clock = asyncio.get_running_loop().time
         began = clock()
         after = f"from {valid_for_s:g} s after the last setpoint on, still under control"
-        try:
+        try:  # send until the source ends
             await sending
         except DaemonUnreachable:
             after = "only if its autopilot's failsafe does so: the daemon, which sent the setpoints, is gone"

@@ -75,7 +75,7 @@ def run_sim(
     mesh_config = None if xbee is None else parse_xbee(xbee)
     where, heading_deg = _parse_home(home)
     dialect = load_dialect(SIM_DIALECT)
-    try:
+    try:  # make the vehicles
         vehicles = make_vehicles(
             dialect,
             px4=px4,
@@ -91,11 +91,11 @@ def run_sim(
     except ValueError as error:
         raise LinkError(str(error)) from None
     clock = SimClock(speedup)
-    if pty is None:
+    if pty is None:  # network: a port for all vehicles, or one for each
         groups = [[v] for v in vehicles] if separate_ports else [vehicles]
         return run_loop(_serve(_network_ports(groups, dialect, clock, udp=udp, tcp=tcp), clock, speedup))
     port: PtyPort
-    if mesh_config is not None:
+    if mesh_config is not None:  # pseudo-terminal: a modem, a radio or a plain line
         port = XBeePort(XBeeMesh(vehicles, dialect, mesh_config, Rng(seed), 0.0), dialect, clock, pty)
     else:
         behind = None if emulated_radio is None else _behind(emulated_radio, vehicles, dialect, seed)
