@@ -75,15 +75,18 @@ def load_fleet(path: Path | str) -> FleetConfig:
 
 def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     """The fleet file as `load_fleet`, and its dialect, which the check needs as well."""
+    # read and parse
     path = Path(path)
     text = _read(path)
     table = _parse(path, text)
     lines = key_lines(text)
+    # find the extensions of the tables, and validate
     owners, problems = find_owners(set(table) - _CORE_TABLES)
     unusable = {problem.path[0] for problem in problems}
     config, found, wrong = _validate({name: part for name, part in table.items() if name not in unusable}, owners)
     problems += found
     dialect: Dialect | None = None
+    # rules between tables
     if config is not None:
         as_written = config
         for name, extension_table in as_written.extensions.items():
@@ -92,6 +95,7 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
         problems += conflicts(config, wrong)
         problems += _place_problems(config, owners)
         config, unplaced = _with_paths(config, path.parent.absolute())
+        # the dialect, and rules that need it
         problems += unplaced
         try:
             dialect = load_dialect(_listed(config.dialect))
@@ -100,6 +104,7 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
         else:
             problems += dialect_problems(dialect)
             problems += message_problems(config.links, dialect) + stream_problems(config, dialect)
+    # report all problems together
     if problems or config is None or dialect is None:
         raise ConfigError(str(path), _shown(problems, lines))
     return config, dialect
@@ -163,6 +168,7 @@ def _validate(
 ) -> tuple[FleetConfig | None, list[Problem], set[KeyPath]]:
     """(config, problems, key paths that were wrong). After problems the config is what remains without the wrong keys,
     so that they do not hide the conflicts among the right ones; None if nothing usable remains."""
+    # remove keys that no model can take
     rest = copy.deepcopy(table)
     problems: list[Problem] = _named_links(rest) + _nul_characters(rest)
     for name in NO_TABLES & rest.keys():
@@ -171,7 +177,9 @@ def _validate(
         problems.append(Problem((name,), f"unknown key{hint}"))
     rest = _without_nul(rest)
     wrong: set[KeyPath] = {p.path for p in problems}
+    # validate; where keys are wrong, remove them and look for further problems
     for attempt in range(8):
+        # tables of the extensions
         errors: list[ErrorDetails] = []
         config: FleetConfig | None = None
         extensions: dict[str, Any] = {}
@@ -180,6 +188,7 @@ def _validate(
                 extensions[name] = owners[name].Config.model_validate_json(_as_json(rest[name]), strict=True)
             except ValidationError as error:
                 errors += [{**e, "loc": (name, *e["loc"])} for e in error.errors(include_url=False)]
+        # the core's table
         try:
             core = {name: part for name, part in rest.items() if name not in owners}
             config = FleetConfig.model_validate_json(_as_json(core), strict=True)
@@ -187,6 +196,7 @@ def _validate(
             errors += error.errors(include_url=False)
         if config is not None and not errors:
             return config.model_copy(update={"extensions": extensions}), problems, wrong
+        # report each key once, and remove it for the next attempt
         found = _translated(errors, rest, owners)
         problems += [p for p in found if attempt == 0 or not (p.missing or _mentions(p, wrong))]
         for problem in found:
