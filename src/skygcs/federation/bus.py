@@ -210,6 +210,7 @@ class Bus:
     def __init__(self, options: BusOptions, loop: asyncio.AbstractEventLoop, report: Callable[[Event], None]) -> None:
         self.options = options
         self.counters = BusCounters()
+        # status of the connection
         self.connected = False
         self.text = "not connected yet"
         self.since = loop.time()
@@ -218,6 +219,7 @@ class Bus:
         self.server_info: dict[str, Any] = {}
         """The hub's information about itself: server_id, version, …"""
         self.round_trip_s: float | None = None
+        # the client and its subscriptions
         self._loop = loop
         self._report = report
         self._client: _Client | None = None
@@ -227,9 +229,11 @@ class Bus:
         """Requests in progress, by subject in lower case, as nats-py returns the server's errors. The future is set
         when the hub denies the subject."""
         self._open_requests = 0
+        # tasks in progress
         self._answering: set[asyncio.Task[None]] = set()
         self._pings: set[asyncio.Task[float]] = set()
         self._observers: list[Callable[[], None]] = []
+        # problems that were reported already
         self._reasons: set[str] = set()
         """Reasons for having no connection that were reported since the last connection."""
         self._why = ""

@@ -133,11 +133,13 @@ class DaemonOrders:
         connection: _Connection | None = None
         sent = False
         try:
+            # wait for a place on a connection
             connection = await self._free(ends_flight)
             if connection is None:
                 return Carried("refused", "too many orders wait for the daemon")
             connection.in_flight += 1
             try:
+                # check the daemon, for whose answer a stop does not wait, and the vehicle
                 if method == STOP:
                     self._begin_asking()
                 elif not await self._answers():
@@ -146,12 +148,14 @@ class DaemonOrders:
                     return Carried("refused", problem)
                 if not connection.client.connected:
                     raise DaemonUnreachable("", "it has closed the connection")
+                # send, and wait for the answer
                 sent = True
                 ahead_s = self._clock.ahead_s or 0.0
                 answer = await connection.client.relay(method, {**params, "targets": [vehicle]}, deadline + ahead_s)
             finally:
                 connection.in_flight -= 1
         except DaemonUnreachable as error:
+            # an order that was sent may have been carried out
             self._lost(error.reason, connection)
             if sent:
                 return Carried("unknown", f"the daemon went away while it was carried out ({error.reason})")

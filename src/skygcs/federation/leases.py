@@ -90,11 +90,13 @@ class Leases:
 
     def __init__(self, station: Station, link: DaemonLink, clock: Callable[[], float] = boot_s) -> None:
         """``link``: used by this part only, and run here."""
+        # collaborators
         self._station = station
         self._bus = station.bus
         self._link = link
         self._clock = clock
         self._configs = station.config.vehicles
+        # leases, and their store in the hub
         self._leases: dict[str, Lease] = {}
         """By vehicle; empty while the daemon is away."""
         self._since_s: dict[str, float] = {}
@@ -104,6 +106,7 @@ class Leases:
         self._inspecting = False
         self._looking: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
+        # messages to the daemon
         self._to_daemon: dict[str, Grant | Revoke] = {}
         """By vehicle, the newest grant or revocation that is not sent to the daemon yet."""
         self._confirmed: dict[str, Grant | Revoke] = {}
@@ -111,9 +114,11 @@ class Leases:
         self._for_daemon = asyncio.Event()
         self._changed = asyncio.Event()
         self._daemon_silent = False
+        # status
         self.problem: str | None = None
         self.why_standby: Callable[[], str | None] = lambda: None
         """Which bridge of this site to ask instead of this one."""
+        # subscriptions and methods
         link.on_change(self._on_daemon)
         self._bus.on_change(self._on_hub)
         station.methods["federation.take"] = self._take
