@@ -225,6 +225,7 @@ class SimulatedVehiclesLink(Link):
     def _power_up(self) -> None:
         config = self.config
         dialect = load_dialect(SIM_DIALECT)
+        # make the vehicles, and the radio between them and the port
         try:
             params = [] if config.params is None else [load_param_set(config.params)]
             vehicles = make_vehicles(
@@ -255,6 +256,7 @@ class SimulatedVehiclesLink(Link):
             raise LinkError(f"simulated {self.name}: {error.source}: {'; '.join(error.problems)}") from None
         except ValueError as error:
             raise LinkError(f"simulated {self.name}: {error}") from None
+        # switch them on
         self._fleet = SimFleet(vehicles)
         self._uplink = FrameParser(dialect)
 
