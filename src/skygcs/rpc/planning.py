@@ -384,6 +384,7 @@ class _Facts:
         given, taking_part = self._params.space or SpaceParams.model_validate({}), set(names)
         if 0 < len(given.fence) < 3:
             raise InvalidParams(("space.fence", "a fence has three corners at least"))
+        # vehicles that stand beside the plan
         standing = {name: _vector(point) for name, point in given.standing.items()}
         if self._params.others:
             now = self._services.now()
@@ -395,6 +396,7 @@ class _Facts:
                     self._unknown.append(actor.name)
                 else:
                     self._standing[actor.name] = standing[actor.name] = place
+        # boxes and fence
         boxes = []
         for least, greatest in given.boxes:
             if any(a > b for a, b in zip(least, greatest, strict=True)):
@@ -403,6 +405,7 @@ class _Facts:
         fence = tuple((x, y) for x, y in given.fence)
         floor_m = self._ground_m if given.floor_m is None else given.floor_m
         asked = FlightSpace(fence, floor_m, given.ceiling_m, tuple(boxes), standing)
+        # within the control fences of the vehicles that take part
         origin = self._services.fleet.origin
         if origin is None or not self._taking_part:
             return asked
