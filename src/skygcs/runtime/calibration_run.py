@@ -70,6 +70,7 @@ class CalibrationRun:
 
     async def run(self, sensor: Sensor) -> Outcome:
         """Calibrate, until the vehicle has a result. If its caller is cancelled, so is the calibration."""
+        # refuse
         now = self._loop.time()
         if self._calibration is not None:
             return Outcome.refused(f"its {self._calibration.sensor} is being calibrated")
@@ -79,10 +80,12 @@ class CalibrationRun:
             check_calibration(self._vehicle, now)
         except RefusedError as error:
             return Outcome.refused(str(error))
+        # begin
         calibration = self._calibration = Calibration(sensor, self._vehicle.family, now)
         self._readers = reader_of(calibration)
         done = self._done = self._loop.create_future()
         self._published = None
+        # start it on board and follow it to its end
         try:
             if sensor is Sensor.COMPASS and self._vehicle.family == "ardupilot":
                 await self._request_progress()
@@ -92,6 +95,7 @@ class CalibrationRun:
             if calibration.outcome is None:
                 await done
         finally:
+            # end in every case, and cancel on board what still runs
             self._timer.set(None)
             self._calibration, self._readers = None, {}
             if calibration.outcome is None:

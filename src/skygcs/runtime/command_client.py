@@ -382,16 +382,19 @@ class CommandClient:
         self, line: _Line, request: _Request, priority: Priority, timers_s: tuple[float, ...]
     ) -> Outcome:
         """Run the command protocol to its outcome, and note how many acks may still come late."""
+        # register the exchange
         spec = request.spec
         protocol = CommandProtocol(spec, timers_s)
         running = _Running(request, protocol, self._loop.create_future(), priority)
         self._running[spec.command] = running
         now = self._loop.time()
         running.via = self._evidence.channels()
+        # send it, unless the broadcast carries it
         watch = self._watch_effect(running, now + sum(timers_s))
         carried = self._broadcast is not None and not self._broadcast.sent and self._broadcast.spec == spec
         self._apply(running, protocol.start(now, transmitted=carried))
         self._set_timer()
+        # wait for the outcome
         try:
             outcome = await running.done
         finally:
@@ -399,9 +402,11 @@ class CommandClient:
                 del self._running[spec.command]
             if watch is not None:
                 self._watches.remove(watch)
+            # late answers do not count for the next command
             line.late = protocol.outstanding
             line.ended_at = self._loop.time()
             line.quiet_until = protocol.last_sent + LATE_ACK_S
+        # explain a timeout
         if outcome.result == "timeout" and running.not_taken >= protocol.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
         if outcome.result == "timeout":

@@ -322,6 +322,7 @@ class VehicleFence:
 
     async def _end(self, path: Path, record: dict[str, Any], walk: _Walk, change: Change, outcome: Outcome) -> Outcome:
         """Restore the parameters, write the record, report."""
+        # put the fence back; the undo journal keeps the change where that fails
         failed = await self._put_back(change.before)
         message = outcome.message
         if failed is None:
@@ -333,6 +334,7 @@ class VehicleFence:
         else:
             self._disk.offer("the undo journal", partial(self._journal.left_over, change))
             message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} restores it"
+        # complete the outcome and the record
         ok = outcome.ok and failed is None
         ended = Outcome(
             ok, outcome.result if ok or not outcome.ok else "failed", message, elapsed_s=self._loop.time() - walk.began
@@ -352,6 +354,7 @@ class VehicleFence:
             "restored": failed is None,
             "file": str(path),
         }
+        # write the record and report the end
         try:
             await self._disk.run("the record of a fence test", partial(self._write, path, dict(record)))
         except OSError as error:

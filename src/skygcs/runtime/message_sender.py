@@ -54,21 +54,25 @@ class MessageSender:
         The answer's "sent" counts transmissions; "note" names other vehicles that hear it, too. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
         """
+        # find the message; its target must be given once
         info = self._hub.dialect.find(name)
         system, _ = target_fields(info)
         if target is not None and link is not None:
             raise RefusedError("give either a target or a link, not both")
+        # refuse setpoints to vehicles under control, and links that are bound
         if info.name in SETPOINTS:
             self._refuse_flown(info, fields, target)
         if link is not None:
             self._links.require(link)
             if self._links.configs[link].vehicles:
                 raise RefusedError(f"link {link} is bound to vehicles: nothing of ours is sent there")
+        # an addressed message needs an address
         if target is None and link is None and system is not None and system not in fields:
             raise RefusedError(
                 f"{info.name} is addressed: give a target (a vehicle, a group, all), a link, or its field {system} "
                 "(0: everyone)"
             )
+        # clear it, and send it
         clearance = self._clear(info, fields, target, link, force=force)
         if link is not None:
             return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields, clearance)))

@@ -81,6 +81,7 @@ class Missions:
         on_progress: Callable[[str, int | None], None],
         on_event: Callable[[Event], None],
     ) -> None:
+        # lists on board, as far as they are known
         self.opaque_ids: dict[MissionType, int] = {}
         """The vehicle's own list ids, as last heard."""
         self.counts: dict[MissionType, int] = {}
@@ -89,12 +90,14 @@ class Missions:
         """The mission on board as last sent or read here; None: not known."""
         self.last: dict[MissionType, MissionOutcome] = {}
         """Outcome of the last transfer of each list."""
+        # collaborators
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
         self._loop = loop
         self._on_progress = on_progress
         self._on_event = on_event
+        # the transfer in progress
         self._lock = asyncio.Lock()
         self._waiting = 0
         self._running: tuple[MissionProtocol, asyncio.Future[None], str] | None = None
@@ -104,6 +107,7 @@ class Missions:
         self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
         """Why a PX4 rejects its mission, since the last upload began."""
         self._timer = DeadlineTimer(loop, self._on_timer)
+        # progress of the mission as the vehicle reports it
         self._current = b""
         self._seq: int | None = None
         self._state = 0

@@ -117,6 +117,7 @@ class OffboardEngagement:
     ) -> None:
         """``streams``: sets the position's rate itself where a radio's plan is in force."""
         settings = config.control
+        # the controller and the clock that ticks it
         self.controller = OffboardController(vehicle, offboard_config(settings, None))
         phase = vehicle.sysid * GOLDEN_RATIO % 1.0
         self.clock = ControlClock(
@@ -127,6 +128,7 @@ class OffboardEngagement:
             running_clocks=services.running_clocks,
         )
         self.tracking = TrackingRecord()
+        # collaborators
         self._vehicle = vehicle
         self._settings = settings
         self._commands = commands
@@ -139,17 +141,21 @@ class OffboardEngagement:
         """Flight lock of the present control, or of the last one; None before the first."""
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Key in the link's queue: a newer setpoint replaces one that still waits."""
+        # recording, tasks and streams of the engagement
         self._trace = Recording(self.controller, services.log_dir, services.disk, services.on_event)
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
         self._streams = ControlStreams(vehicle, config.streams, order_runner, streams, services, self._tasks)
+        # callbacks of begin and end
         self.on_hold: Callable[[Outcome], None] = lambda outcome: None
         """Called with the outcome of the order to hold at the end of control."""
         self.on_begin: Callable[[], None] = lambda: None
         """Called when the stream of setpoints begins, however short it will be."""
+        # state of the present control
         self.successor: str | None = None
         """Why control ends as soon as the order that takes over has taken effect; None: no order takes over."""
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
+        # settings that last beyond one engagement
         self._attitude_delay_s = settings.guard().attitude_delay_s
         """Configured limit of the attitude delay; a flight uses the smaller of it and the delay that the gains bear."""
         self._gains_forced = False

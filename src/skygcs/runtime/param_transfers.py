@@ -130,6 +130,7 @@ class VehicleParams:
 
     def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
         dialect = services.dialect
+        # collaborators
         self.progress: ListProgress | None = None
         """Progress of the list in transfer."""
         self._vehicle = vehicle
@@ -139,17 +140,20 @@ class VehicleParams:
         self._loop = services.loop
         self._on_event = services.on_event
         self._book = ParamBook(vehicle, dialect, services.param_cache)
+        # messages that the dialect must have
         self._able = all(name in dialect.by_name for name in NEEDED)
         self._read = value_reader(dialect) if self._able else None
         self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
         error = dialect.by_name.get("PARAM_ERROR")
         self._error_id = -1 if error is None else error.msgid
+        # exchanges in progress, and their bounds
         self._running: dict[ProtocolMachine, asyncio.Future[None]] = {}
         self._taken: dict[ProtocolMachine, int] = {}
         """Number of messages of each that were sent."""
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._quiet_until: dict[str, float] = {}
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
+        # the list and the file of all parameters
         self._hashless = False
         """True if it has no hash: it answered everything else."""
         self._count: int | None = None
@@ -159,11 +163,13 @@ class VehicleParams:
         self._changed: dict[str, Param] = {}
         """Values sent during a file's download: newer than those in the file."""
         self._loading: asyncio.Task[Loaded] | None = None
+        # callers, cancellation and timer
         self._waiting = 0
         self._closed = False
         self._cancelled = 0
         self._reported_at = -math.inf
         self._timer = DeadlineTimer(services.loop, self._on_timer)
+        # probes for absent parameters, and texts about limits
         self._probe = 0
         self._texts: list[str] = []
         """PX4's texts about limits since the last `set` began: "Cruise speed has been constrained by …"."""
@@ -264,11 +270,13 @@ class VehicleParams:
         after a cancellation, and for those that a flight holds. ``settle``: read the changed ones once more at the end,
         as a vehicle may correct them. ``force``: also those with an unknown effect on a flight; ``own``: the lock of
         the flight that sets them for itself; ``checked``: the caller has asked the locks for all of them together."""
+        # does the cache still hold what is on board?
         cancelled = self._cancelled
         hashed = self._book.complete and self._book.hash is not None
         vouched = hashed and self._book.vouches(await self._ask_hash())
         outcomes: dict[str, ParamOutcome] = {}
         self._texts.clear()
+        # set one after the other, until somebody cancels
         try:
             for done, (name, value) in enumerate(values.items()):
                 if self._cancelled != cancelled:
@@ -281,10 +289,12 @@ class VehicleParams:
                     if checked
                     else self._write(name, value, force=force, own=own)
                 )
+            # read values back that others may have changed
             if settle and self._cancelled == cancelled:
                 await self._settle(outcomes)
         finally:
             self._report_set(outcomes, len(values))
+        # keep the cache valid
         if hashed:
             self._book.vouched(await self._ask_hash() if vouched else None)
         self._book.save()

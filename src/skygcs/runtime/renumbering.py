@@ -100,6 +100,7 @@ class Renumbering:
     # -- checks
 
     def _require_possible(self, actor: VehicleActor, sysid: int, *, force: bool) -> None:
+        # rules of the federation and of ids
         vehicle = actor.vehicle
         now = self._loop.time()
         gate = self._hub.authority
@@ -112,12 +113,14 @@ class Renumbering:
             raise RefusedError(f"system id {sysid} is not between 1 and {MAX_SYSID}")
         if self._busy is not None:
             raise RefusedError(f"{self._busy} is being given another id: one at a time")
+        # state of the vehicle
         require_connected(vehicle, now)
         self._fleet.locks.require(flight_lock.Renumbering(vehicle.key))
         if vehicle.family not in PARAMETERS:
             raise RefusedError("it is neither a PX4 nor an ArduPilot: its parameter for the system id is not known")
         if (why := why_not_idle(vehicle, now)) is not None:
             raise RefusedError(f"{why}; an id is changed on the ground, disarmed")
+        # both ids must be clear
         if vehicle.duplicate:
             raise RefusedError(f"two vehicles have system id {actor.sysid}: switch one of them off first")
         if len(self._fleet.vehicles_of(actor.sysid)) > 1:
@@ -173,16 +176,19 @@ class Renumbering:
 
     async def _restart(self, actor: VehicleActor, parameter: str, sysid: int) -> Outcome | None:
         """Restart it and wait for it; None once it is heard under the new id."""
+        # restart it
         key, before = sysid << 8 | actor.compid, actor.sysid
         now = self._loop.time
         rebooted = await self._unless_met(key, actor.reboot())
         kept = f"its {parameter} is {sysid} now: until it restarts it is system {before}"
+        # without a restart the old id stays
         if rebooted is not None and not rebooted.ok and key not in self._fleet.vehicles:
             by_hand = "switch it off and on (a simulated one: stop and start it); it is then found under the new id"
             undo = f"to undo: param set {actor.name} {parameter}={before}"
             return Outcome(
                 False, rebooted.result, f"{kept}, and it does not restart ({rebooted.message}): {by_hand}; {undo}"
             )
+        # wait until it is heard under the new id
         began = now()
         while key not in self._fleet.vehicles:
             silence_s = actor.vehicle.silence_s(now()) or 0.0
@@ -206,6 +212,7 @@ class Renumbering:
 
     async def _verified(self, key: int, before: int, link: str, parameter: str) -> Outcome:
         """Verify that the vehicle heard under the new id is the same one."""
+        # the same link as before
         fleet, sysid = self._fleet, key >> 8
         new = fleet.vehicles[key]
         if new.channel != link:
@@ -214,6 +221,7 @@ class Renumbering:
                 "failed",
                 f"system {sysid} is heard on {new.channel}, not on {link} where it was: another vehicle?",
             )
+        # the parameter of the vehicle with the new id
         held = await new.params.get(parameter)
         for _ in range(READ_TRIES - 1):
             if held.ok or fleet.vehicles.get(key) is not new:
@@ -227,10 +235,12 @@ class Renumbering:
             return Outcome(
                 False, "failed", f"system {sysid}, which is heard now, has {parameter} {value}: it is another vehicle"
             )
+        # the old id must be silent
         await asyncio.sleep(ALONE_S)
         again = fleet.vehicles_of(before)
         if any(vehicle.connected for vehicle in again):
             return Outcome(False, "failed", f"system {sysid} is heard, and system {before} still is, too: two vehicles")
+        # write the note for the fleet file
         note = self._file_note(new.name, before, sysid)
         return Outcome(
             True, "accepted", f"{new.name} is system {sysid} now, it was {before}; {held.name} read back{note}"

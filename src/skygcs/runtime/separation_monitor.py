@@ -226,12 +226,14 @@ class SeparationMonitor:
         if self.mode == "off" or origin is None:
             return {}
         now, frame = self._loop.time(), EnuFrame(origin)
+        # trajectories that are about to start
         movers, others, end_s = [], [], 0.0
         for actor, loaded in starting.items():
             movers.append(
                 on_trajectory(actor.vehicle, self.footprint(actor), loaded, clock, _places(loaded, clock, now))
             )
             end_s = max(end_s, _left_s(clock, now))
+        # all other vehicles: on trajectories of their own, or on their courses
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             other = self._actors.get(key)
             if other is None or other in starting:
@@ -243,6 +245,7 @@ class SeparationMonitor:
             at = _places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
             end_s = max(end_s, _left_s(flight.clock, now))
+        # compare them, in turns with other tasks
         found: dict[int, str] = {}
         await _in_turns(find_conflicts(movers, others, end_s, found))
         refused = ((actor, self._refusal(found.get(actor.vehicle.key))) for actor in starting)

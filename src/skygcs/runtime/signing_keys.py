@@ -401,10 +401,12 @@ class Signing:
 
     def status(self, open_channels: Iterable[Channel]) -> dict[str, Any]:
         """Keys by their id with their time, links with their rules, and counters of each open channel."""
+        # channels of each link
         channels: dict[str, list[Channel]] = {}
         for channel in open_channels:
             channels.setdefault(channel.link.name, []).append(channel)
         used = {name: link.key.id for name, link in self._links.items()}
+        # keys, and the links that use them
         keys = [
             {
                 "key_id": key.id,
@@ -415,6 +417,7 @@ class Signing:
             }
             for key in self._keys.values()
         ]
+        # links, and the counters of their channels
         links = [
             {
                 "link": name,

@@ -81,6 +81,7 @@ class UndoJournal:
         changed: Mapping[str, float],
     ) -> Change:
         """Write it to disk, before anything is changed. Raises RefusedError if that fails."""
+        # describe the change
         self._number += 1
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         change = Change(
@@ -93,6 +94,7 @@ class UndoJournal:
             dict(before),
             dict(changed),
         )
+        # write it before anything is changed
         try:
             if len(self._files()) >= MAX_ENTRIES:
                 raise RefusedError(

@@ -85,12 +85,14 @@ class UndoOrders:
         return outcome
 
     async def _undo(self, change: Change, *, force: bool) -> Outcome:
+        # refuse while a change would be dangerous
         actor = self._actor(change)
         require_connected(actor.vehicle, self._now())
         if actor.vehicle.armed and not force:
             raise RefusedError(f"it is armed; {FORCE_HINT}")
         if actor.fence.testing:
             raise RefusedError("its fence is being tested")
+        # find the parameters that differ; one that was changed since needs force
         to_set: dict[str, float] = {}
         for name, before in change.before.items():
             held = await actor.params.get(name)
@@ -106,10 +108,12 @@ class UndoOrders:
                     f"it was changed since; {FORCE_HINT}"
                 )
             to_set[name] = before
+        # set them
         outcomes = await actor.params.set(to_set, force=force) if to_set else {}
         wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if wrong:
             return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
+        # remove the journal's entry
         try:
             await self._disk.run("the undo journal", partial(self._journal.undone, change))
         except OSError as error:

@@ -699,6 +699,7 @@ class VehicleActor:
         """One setpoint of a stream in the fleet's world frame; fast enough for 50 calls a second. ``raw``: see
         `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too close to another
         vehicle. ``program``: which flies it, with others; None: a client does."""
+        # a raw setpoint of the user's own controller, or a reference
         origin = self.vehicle.origin
         if origin is None:
             return Outcome.refused("the fleet has no origin yet, so ENU means nothing")
@@ -710,10 +711,12 @@ class VehicleActor:
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg, yaw_rate_dps)
         except RefusedError as error:
             return Outcome.refused(str(error))
+        # the order checks may refuse it
         together = frozenset[int]() if program is None else program.keys
         checks = self._services.order_checks
         if not force and (why := checks.setpoint_refusal(self.vehicle, wanted, together)) is not None:
             return Outcome.refused(why)
+        # follow it
         outcome = self.offboard.follow(wanted, valid_s)
         if outcome.ok:
             self.program = program
