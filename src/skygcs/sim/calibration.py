@@ -131,9 +131,11 @@ def _px4_sides(v: VehicleState, sensor: str) -> Script:
     pending = list(PX4_SIDES)
     same = 0
     while pending:
+        # give up when the pose does not change
         if same > MOST_SAME_SIDES:
             _cal(v, "calibration failed: timeout: no motion", m.MAV_SEVERITY_CRITICAL)
             return
+        # ask for the next pose and wait until it rests
         _cal(v, f"pending: {' '.join(pending)}")
         yield 0.02
         _cal(v, "hold vehicle still on a pending side")
@@ -142,18 +144,21 @@ def _px4_sides(v: VehicleState, sensor: str) -> Script:
             v.side_down = pending[-1]
         _cal(v, "detected rest position, hold still...")
         yield STILL_S
+        # a side that is done already is not measured again
         side = v.side_down
         if side not in pending:
             same += 1
             _cal(v, f"{side} side already completed")
             yield 0.02
             continue
+        # measure the side
         same = 0
         for _ in range(2):
             _cal(v, f"{side} orientation detected")
             yield 0.02
         _cal(v, f"Hold still, measuring {side} side" if sensor == "accel" else "Rotate vehicle")
         yield SIDE_S
+        # report the progress
         pending.remove(side)
         done = len(PX4_SIDES) - len(pending)
         if sensor == "mag":

@@ -131,9 +131,11 @@ class CopterPositionControl(PositionControl):
 
     def _shape_horizontal(self, dt_s: float, limits: Limits) -> None:
         """Move on along the path, and bend it towards the target."""
+        # steps of position and velocity
         pos, vel, acc, limit = self._pos, self._vel, self._acc, self._limit
         step_e, step_n = vel[0] * dt_s + acc[0] * dt_s**2 / 2, vel[1] * dt_s + acc[1] * dt_s**2 / 2
         gain_e, gain_n = acc[0] * dt_s, acc[1] * dt_s
+        # at the lean's limit the path does not move on in the limited direction
         if limit != (0.0, 0.0):
             le, ln = limit
             if step_e * le + step_n * ln > 0.0 and self._behind[0] * le + self._behind[1] * ln > 0.0:
@@ -141,10 +143,12 @@ class CopterPositionControl(PositionControl):
             error = self._error[0] * le + self._error[1] * ln
             if gain_e * le + gain_n * ln > 0.0 and error > 0.0 and vel[0] * le + vel[1] * ln >= 0.0:
                 gain_e = gain_n = 0.0
+        # move on
         pos[0] += step_e
         pos[1] += step_n
         vel[0] += gain_e
         vel[1] += gain_n
+        # wanted acceleration: towards the target position and velocity
         jerk, most = self.gains.jerk_xy_mps3, limits.accel_mps2
         want = (self._acc_to[0], self._acc_to[1])
         if self._sub_mode is not SubMode.ACCEL or self._ceased:
@@ -158,6 +162,7 @@ class CopterPositionControl(PositionControl):
                     vel_e, vel_n = vel_e + to_e * speed / distance, vel_n + to_n * speed / distance
             want = _corrected((vel_e, vel_n), (vel[0], vel[1]), most, jerk, dt_s)
             want = want[0] + self._acc_to[0], want[1] + self._acc_to[1]
+        # approach it with limited jerk
         delta_e, delta_n = bounded_length(want[0] - acc[0], want[1] - acc[1], jerk * dt_s)
         acc[0] += delta_e
         acc[1] += delta_n

@@ -142,9 +142,11 @@ class Motion(Body):
         self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
     ) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
+        # only the climb rate of an attitude counts
         if isinstance(setpoint, AttitudeSetpoint):
             setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
+        # velocity: falling without a setpoint, else steered
         if setpoint is None or self.crashed:
             self.yaw_rate_radps = 0.0
             if self.on_ground:
@@ -157,12 +159,14 @@ class Motion(Body):
             else:
                 self._steer(dt_s, setpoint, limits)
             self._turn(dt_s, setpoint, limits)
+        # height, down to the ground
         self.up_m += self.vel_u_mps * dt_s
         if self.up_m <= self.floor_m:
             self.up_m = self.floor_m
             if self.vel_u_mps <= 0.0:
                 self.touch()
                 return
+        # place, acceleration and tilt
         self.east_m += self.vel_e_mps * dt_s
         self.north_m += self.vel_n_mps * dt_s
         self.accel_enu_mps2 = (

@@ -60,16 +60,19 @@ def make_vehicles(  # noqa: PLR0913 - each is a key of the fleet file or an opti
 
     Raises ValueError if the last sysid would be above 255.
     """
+    # the ids must fit
     count = px4 + ardupilot
     if first_sysid < 1 or first_sysid + count - 1 > 255:
         raise ValueError(f"{count} vehicles from system id {first_sysid} on do not fit in 1..255")
     vehicles: list[SimVehicle] = []
     params = tuple(params)
     for i in range(count):
+        # place in the rows, turned with the heading
         right, back = SPACING_M * (i % ROW), SPACING_M * (i // ROW)
         turn = radians(heading_deg)
         east, north = right * cos(turn) - back * sin(turn), -right * sin(turn) - back * cos(turn)
         lat, lon = home.to_geodetic(east, north)
+        # make the vehicle, with its parameters
         kind = Px4Vehicle if i < px4 else CopterVehicle
         vehicle = kind(
             dialect,

@@ -444,20 +444,24 @@ class VehicleState(ABC):
     # -- the inside
 
     def _boot(self, now: float) -> None:
+        # clock, ids and pending output
         self.boot_at = now
         self._rebooting = False
         self.sysid = self.sysid_of_params()
         self.tx.restart(self.sysid)
         self._requested: list[str] = []
         self._later: list[tuple[float, Callable[[], None]]] = []
+        # safety: readiness, failsafes, fence
         self._ready_s = self.firmware.ready_after_s.simulated * (1 + self.rng.spread(0.2))
         self._was_ready = False
         self.failsafes = Failsafes()
         self.fence_breach = m.FENCE_BREACH_NONE
         self.fence_breaches = 0
+        # transfers and the mission are interrupted
         self.lists.forget_transfers()
         self.logs.reboot()
         self.run.leave()
+        # state of flight
         self.armed = False
         self.armed_at = now
         self.landed = self.motion.on_ground
@@ -465,6 +469,7 @@ class VehicleState(ABC):
         self.touched_at: float | None = None
         self.landed_at = now
         self.flown_since_arming = False
+        # estimator and calibration
         self.home = None
         self.home_fixed = False
         self.local_zero = None
@@ -474,6 +479,7 @@ class VehicleState(ABC):
         """Its pose on the ground, as PX4 names it."""
         self.turned_by_hand = True
         """Somebody turns it as its calibration asks."""
+        # telemetry, and control by the firmware's settings
         self.param_queue: list[int] = []
         self.streams = Streams(
             (n for n in self.begin_telemetry() if n in self.dialect.by_name), self.default_rates_hz, self.rng, now
