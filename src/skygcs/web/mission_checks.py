@@ -190,13 +190,16 @@ def _checked(
     vehicle: tuple[float, float] | None,
     world: WorldMap,
 ) -> dict[str, Any]:
+    # check the plan
     plan, dialect = imported.plan, _dialect()
     findings = check_plan(plan, dialect, limits, family=family, vehicle=vehicle)
     changes = for_firmware(plan.mission, family, dialect.enums.get("MAV_CMD", {})).changes
     home = plan.home
+    # notes
     notes = list(imported.notes)
     if len(plan.mission) > MAX_SHOWN_ITEMS:
         notes.append(f"{len(plan.mission)} items; the first {MAX_SHOWN_ITEMS} are shown")
+    # the part that the page shows
     return {
         "name": name,
         "ok": not errors(findings),

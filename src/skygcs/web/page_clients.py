@@ -341,6 +341,7 @@ class PageClient:
 
     def on_message(self, text: str | bytes) -> None:
         """One frame. Never raises for what is in it."""
+        # parse; a malformed message is refused
         received_at = self._loop.time()
         try:
             request = from_json(text, allow_inf_nan=False)
@@ -350,10 +351,12 @@ class PageClient:
         if not isinstance(request, dict) or not isinstance(request.get("method"), str):
             self._refuse(None, INVALID_REQUEST, "a message is one JSON-RPC request")
             return
+        # the page's sign that its operator is there has no answer
         method, request_id = request["method"], request.get("id")
         if method == "operator.active":
             self.pages.operator_active(self)
             return
+        # check the request's form
         if not _is_id(request_id):
             text = f"a request needs an id: a number, or a string of at most {MAX_ID_CHARS} characters"
             self._refuse(None, INVALID_REQUEST, text)
@@ -362,6 +365,7 @@ class PageClient:
         if not isinstance(params, dict):
             self._refuse(request_id, INVALID_PARAMS, "params must be an object")
             return
+        # check the role and the limits
         refusal = self._refusal(method, request, received_at)
         if refusal is not None:
             self._refuse(request_id, *refusal)
@@ -371,6 +375,7 @@ class PageClient:
         if exceeded is not None:
             self._refuse(request_id, LIMIT_EXCEEDED, exceeded)
             return
+        # pass it on
         self._start(self._answer(request, params, ends_flight), order=self._is_order(method))
 
     @property

@@ -152,6 +152,7 @@ def _certified(
 def _planned(asked: PlanCheck, task: Task, rule: MarginRule, motion: MotionLimits) -> dict[str, Any]:
     from skygcs.core.plan import plan_search
 
+    # the task: goals as given, or places of a formation
     if (task.goals is None) == (task.formation is None):
         raise RefusedError("task: give either goals or a formation")
     starts = {name: _vector(place) for name, place in task.starts.items()}
@@ -162,10 +163,12 @@ def _planned(asked: PlanCheck, task: Task, rule: MarginRule, motion: MotionLimit
         goals = dict(zip(starts, places, strict=True))
     else:
         goals = {name: _vector(place) for name, place in (task.goals or {}).items()}
+    # search a plan
     space = _space(asked, FlightSpace())
     exchange = task.exchange or shape is not None
     found = plan_search.make_plan(plan_search.Task(starts, goals, exchange, task.kind), rule, motion, space)
     attempts = [attempt.what for attempt in found.attempts]
+    # no plan: answer with the reasons
     if found.plan is None or found.certificate is None:
         return {
             "name": "planned",
