@@ -96,6 +96,7 @@ async def _ground() -> AsyncIterator[tuple[GroundView, str]]:
 
 
 async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s: float, json_output: bool) -> int:
+    # how progress is shown
     loop = asyncio.get_running_loop()
     began = loop.time()
     plain = not json_output and not sys.stdout.isatty()
@@ -111,6 +112,7 @@ async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s:
     def open_session(companion: Companion) -> contextlib.AbstractAsyncContextManager[Session]:
         return connected(companion, connect.host_keys, connect.identity)
 
+    # bring up all companions side by side
     async with _ground() as (ground, no_daemon):
         bring_up = BringUp(
             open_session, ground, version=__version__, content=own_content(), wait_s=wait_s, on_stage=on_stage
@@ -121,6 +123,7 @@ async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s:
                 chosen, bring_up.run, at_once=max(ssh.at_once, len(chosen)), timeout_s=limit_s, on_change=changed
             )
         closed = [link_text(link) for link in await ground.closed_links()]
+    # report
     problems = [*([no_daemon] if no_daemon else []), *(f"on the ground, {text}" for text in closed)]
     report = {
         "ok": not problems and all(progress.ok for progress in done.values()),

@@ -98,6 +98,7 @@ async def watched(
     chosen: Sequence[Companion], work: Work[Companion], ssh: Ssh, timeout_s: float, *, live: bool
 ) -> dict[str, Progress]:
     """`side_by_side`, shown while it runs: a table on a terminal, otherwise nothing."""
+    # how progress is shown
     loop = asyncio.get_running_loop()
     rows = {companion.name: Progress(companion.name) for companion in chosen}
 
@@ -120,6 +121,7 @@ async def watched(
     def changed(progress: Progress) -> None:
         rows[progress.name] = progress
 
+    # work side by side while the view is redrawn
     with LiveView(draw, enabled=live and sys.stdout.isatty()) as view:
         ticker = asyncio.create_task(tick(view), name="companions view")
         try:
@@ -512,6 +514,7 @@ def _printed(targets: str, ssh: Ssh, command_of: Callable[[Session], Any], *, fo
         width = max(len(companion.name) for companion in chosen)
         at_once = len(chosen) if follow else ssh.at_once
 
+        # run the command on one companion
         async def work(companion: Companion, progress: Progress) -> str:
             kept: list[list[str]] = []
 
@@ -530,6 +533,7 @@ def _printed(targets: str, ssh: Ssh, command_of: Callable[[Session], Any], *, fo
                 raise CompanionError("run", "was ended by a signal" if code is None else f"exit code {code}")
             return "done"
 
+        # run it on all, and report
         timeout_s = ssh.timeout_s or (86400.0 if follow else RUN_TIMEOUT_S)
         done = asyncio.run(side_by_side(chosen, work, at_once=at_once, timeout_s=timeout_s))
         return _report(done, json_output)

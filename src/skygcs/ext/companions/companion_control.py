@@ -123,6 +123,7 @@ class CompanionControl:
         """``companions``: the connections by vehicle; ``heard_at``: when an onboard computer of a system was heard
         last by MAVLink."""
         self.controller = MirroredControl(offboard_config(config.control, None))
+        # collaborators
         self._vehicle = vehicle
         self._settings = config.control
         self._companions = companions
@@ -133,6 +134,7 @@ class CompanionControl:
         self._loop = services.loop
         self._on_event = services.on_event
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
+        # orders to the companion
         self._ground = RUN
         self._own = services.own
         self._numbers = itertools.count(1)
@@ -140,10 +142,12 @@ class CompanionControl:
         """Trajectories that the companion has, and their keys there."""
         self._orders_of_entry = 0
         """Engagements whose outcome is awaited."""
+        # contact with the companion
         self._round_trip_s: float | None = None
         self._refused: str | None = None
         """Why the companion does not take this ground's contacts."""
         self._origin_there: Json | None = None
+        # setpoints on their way
         self._waiting: tuple[Json, float] | None = None
         """The newest setpoint that has no place on the way yet."""
         self._setpoints = 0

@@ -81,6 +81,7 @@ class CompanionLink:
     ) -> None:
         self.name = name
         self.vehicle = vehicle
+        # status
         self.state: LinkState = "connecting"
         self.since = loop.time()
         self.last_error: str | None = None
@@ -91,6 +92,7 @@ class CompanionLink:
         """Connections so far."""
         self.version: str | None = None
         """The skygcs that answers there."""
+        # connection and clock
         self._dial = dial
         self._loop = loop
         self._on_event = on_event
@@ -99,6 +101,7 @@ class CompanionLink:
         self._answered_at = float("-inf")
         self._now = exact_clock(loop)
         self._clock = ClockComparison()
+        # observers
         self._event_observers: list[Observer] = []
         self._state_observers: list[Observer] = []
         self._up_observers: list[Callable[[bool], None]] = []

@@ -221,6 +221,7 @@ class GroundAnnouncement:
             from zeroconf import Error
             from zeroconf.asyncio import AsyncServiceInfo
 
+            # announce the service
             addresses, transport, port = place
             info = AsyncServiceInfo(
                 SERVICE,
@@ -234,6 +235,7 @@ class GroundAnnouncement:
                 await (await opened.async_register_service(info, allow_name_change=True))
             except (Error, OSError) as error:
                 raise LinkError(f"mDNS refuses the announcement: {error or type(error).__name__}") from None
+            # keep it until the place changes
             self.announced = f"{info.name.removesuffix('.' + SERVICE)} at {', '.join(addresses)} port {port}"
             self._report(None)
             while True:
@@ -241,6 +243,7 @@ class GroundAnnouncement:
                 if self._place() != place:
                     return
         finally:
+            # withdraw it
             self.announced = None
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(TICK_S):

@@ -231,11 +231,13 @@ class GroundOrders:
         return outcome
 
     async def _carry_out(self, number: int, order: str, given: Json) -> Outcome:
+        # orders that need no vehicle
         match order:
             case "origin":
                 return self._take_origin(wire.origin_from(given.get("origin")))
             case "pieces":
                 return await self._take_pieces(given)
+        # orders to the vehicle's control
         actor = self._known()
         engagement = _engagement(actor)
         match order:

@@ -82,6 +82,7 @@ def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[s
     one with the lowest component also has the rest of the system. Every record is in one of the logs.
     """
     with opened_log(path, dialect) as log:
+        # find the vehicles
         vehicles = {
             (e.frame.sysid, e.frame.compid) for e in log.entries() if e.frame is not None and discovers(e.frame)
         }
@@ -89,6 +90,7 @@ def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[s
             raise SkygcsError(f"{path}: it cannot be split: no vehicle in it")
         if len(vehicles) > MOST_VEHICLES:
             raise SkygcsError(f"{path}: {len(vehicles):,} vehicles; at most {MOST_VEHICLES} can be split")
+        # write each entry to the file of its vehicle
         make_folder(folder)
         parts = _Parts(vehicles)
         counts: Counter[VehicleKey | None] = Counter()
@@ -101,6 +103,7 @@ def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[s
                 write_entry(files[part], entry)
                 counts[part] += 1
         log.print_faults()
+    # list the files
     names = dict(zip(files, outputs.paths, strict=True))
     order = sorted(counts, key=lambda part: (part is None, part or (0, 0)))
     return [f"{names[part]}: {counts[part]:,} {_units(log)}" for part in order]

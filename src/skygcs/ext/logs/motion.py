@@ -102,6 +102,7 @@ class Motion:
 
     def samples(self, entry: LogEntry) -> Iterator[Sample]:
         """The samples that this entry completes."""
+        # heartbeats make a vehicle known
         frame, now = entry.frame, entry.at_s
         if frame is None or frame.info is None:
             return
@@ -111,12 +112,14 @@ class Motion:
             if own and (key in self._vehicles or len(self._vehicles) < MOST_VEHICLES):
                 self._vehicles.setdefault(key, _Newest())
             return
+        # further messages count for known vehicles only
         newest, name = self._vehicles.get(key), self._names.get(frame.msgid)
         if newest is None or name is None:
             return
         if name == "STATUSTEXT":
             yield from newest.on_text(key, frame, now)
             return
+        # decode, and join with the newest values of other messages
         values = self._decoder.values(name, frame.payload)
         if not values:
             return

@@ -163,11 +163,13 @@ class RosbagExport:
     def _write_pose(self, sample: PoseSample, name: str, unix_ns: int) -> None:
         import numpy as np
 
+        # pose and velocity in the map frame
         header, pose = self._header(unix_ns, MAP_FRAME), self._pose(sample.pos_enu_m, sample.orientation)
         self.counts["poses"] += 1
         self._put(f"/{name}/pose", "geometry_msgs/msg/PoseStamped", unix_ns, header=header, pose=pose)
         twist = self._make("geometry_msgs/msg/Twist", linear=self._vector(sample.vel_enu_mps), angular=self._vector())
         self._put(f"/{name}/velocity", "geometry_msgs/msg/TwistStamped", unix_ns, header=header, twist=twist)
+        # transform from the map to the vehicle
         transform = self._make(
             "geometry_msgs/msg/TransformStamped",
             header=header,
@@ -177,6 +179,7 @@ class RosbagExport:
             ),
         )
         self._put("/tf", "tf2_msgs/msg/TFMessage", unix_ns, transforms=[transform])
+        # geodetic position
         self._put(
             f"/{name}/fix",
             "sensor_msgs/msg/NavSatFix",
@@ -189,6 +192,7 @@ class RosbagExport:
             position_covariance=np.zeros(9),
             position_covariance_type=0,
         )
+        # path flown so far, at a lower rate
         path = self._paths.setdefault(sample.vehicle, FlownPath())
         path.add(sample.pos_enu_m, sample.orientation)
         if unix_ns - self._path_written_ns.get(sample.vehicle, -PATH_PERIOD_NS) >= PATH_PERIOD_NS:

@@ -155,17 +155,20 @@ class MetricsCollector:
 
     def _read_daemon(self, samples: Samples) -> None:
         services, put = self._services, samples.put
+        # the daemon, its events and orders
         put("skygcs_build_info", 1, __version__, services.dialect.name)
         put("skygcs_internal_faults_total", services.hub.faults)
         for kind, count in services.event_log.counts.items():
             put("skygcs_events_total", count, kind)
         for (order, result), count in self._orders.items():
             put("skygcs_orders_total", count, order, result)
+        # JSON-RPC
         clients = services.rpc.stats()
         put("skygcs_rpc_sessions", clients.get("sessions", 0))
         put("skygcs_rpc_requests_total", clients.get("lines", 0))
         for counter, reason in RPC_ERRORS.items():
             put("skygcs_rpc_errors_total", clients.get(counter, 0), reason)
+        # recorder
         recorder = services.recorder
         written = {} if recorder is None else recorder.status()
         put("skygcs_recorder_up", written.get("state") == "recording")
@@ -173,14 +176,17 @@ class MetricsCollector:
         put("skygcs_recorder_written_bytes_total", written.get("bytes"))
         put("skygcs_recorder_lost_records_total", written.get("lost_records"))
         put("skygcs_recorder_buffered_bytes", written.get("buffered_bytes"))
+        # separation monitor
         monitor = services.fleet.monitor
         put("skygcs_separation_watched_vehicles", len(monitor.monitor.tracks.tracks))
         put("skygcs_separation_conflicts", sum(1 for _ in monitor.monitor.conflicts()))
         put("skygcs_separation_evaluation_seconds", monitor.took_s)
+        # corrections
         corrections = services.corrections.totals
         put("skygcs_corrections_messages_total", corrections["messages"])
         put("skygcs_corrections_bytes_total", corrections["bytes"])
         put("skygcs_corrections_age_seconds", services.corrections.age_s())
+        # the collector itself
         put("skygcs_scrapes_total", self._scrapes)
         put("skygcs_scrape_cpu_seconds", self._cpu_s)
         put("skygcs_scrape_longest_turn_seconds", self._longest_turn_s)

@@ -102,10 +102,12 @@ def record(
 
 def _record(line: list[str], out: BinaryIO, seconds: float | None) -> int:
     """Write the frames of a capture process to a file; the exit code."""
+    # start the process of the capture system
     deadline = None if seconds is None else time.monotonic() + seconds
     frames, failed, rest = 0, False, b""
     process = subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     assert process.stdout is not None
+    # write each frame until the time is over or the process ends
     try:
         while deadline is None or time.monotonic() < deadline:
             if not select.select([process.stdout], [], [], 0.1)[0]:
@@ -128,6 +130,7 @@ def _record(line: list[str], out: BinaryIO, seconds: float | None) -> int:
         process.kill()
         process.wait()
         process.stdout.close()
+    # report
     typer.echo(f"{plural(frames, 'frame')} recorded")
     return 1 if failed or not frames else 0
 

@@ -88,15 +88,18 @@ async def install(
     wishes: InstallationWishes,
 ) -> str:
     """All steps. ``key_dir`` has the ground's certificate. Raises CompanionError: the step, what failed, what to do."""
+    # the target: facts, and whether the version is there
     progress.step = "checking"
     facts = await probe(session)
     version = f"versions/{bundle.identifier}"
     complete = await _exists(session, f"{facts.folder}/{version}/.complete")
     await _check(session, facts, bundle, complete=complete, force=wishes.force)
+    # upload and install the version
     if not complete:
         tar = await _upload(session, facts, bundle, progress)
         progress.step = "installing"
         await _install(session, facts, bundle, version, tar)
+    # configure, and switch to the version
     progress.step = "configuring"
     program = f"{facts.folder}/{version}/bin/skygcs"
     changed = await push_config(session, facts, config, program)
@@ -107,10 +110,12 @@ async def install(
             "switch",
             SWITCH_SCRIPT.format(folder=quoted(facts.folder), version=quoted(version), before=quoted(facts.installed)),
         )
+    # keys and service
     progress.step = "exchanging keys"
     await exchange_keys(session, facts, companion, config, key_dir, repin=wishes.repin)
     progress.step = "installing the service"
     kind = await _install_service(session, facts, program, wishes)
+    # restart only where something changed
     if facts.state == "active" and (switched or changed):
         progress.step = "restarting"
         await service_control.restart(session, await probe(session), force=wishes.force)
