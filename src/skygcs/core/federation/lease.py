@@ -211,6 +211,7 @@ class Lease:
         self.config = config
         self.state = State.OBSERVED
         self.valid_until = -math.inf
+        # connection to the hub
         self._hub: str | None = None
         self._connected = False
         self._away_since: float | None = None
@@ -218,6 +219,7 @@ class Lease:
         self._usable_at = math.inf
         self._others_from = -math.inf
         """Until then only the home takes it by itself; the home may not have reconnected yet."""
+        # the entry of the lease as this site knows it
         self._known = False
         """True if ``_entry`` was read in this connection."""
         self._entry: Entry | None = None
@@ -226,21 +228,25 @@ class Lease:
         """Revision of our last write to this hub; 0: none."""
         self._token, self._token_hub = 0, ""
         """Fencing token of the last grant or revocation, and the hub that numbered it."""
+        # requests in progress, and when the next ones are due
         self._pending: _Pending | None = None
         self._numbers = 0
         self._next_write = -math.inf
         self._next_look = -math.inf
         self._next_ask = -math.inf
         self._next_grant = -math.inf
+        # absence of the holder
         self._absent_since: float | None = None
         self._vanished = False
         """True if a holder was seen and its key has expired since."""
+        # wishes of this site's operator
         self._requested_until = -math.inf
         """End of a person's request to take it."""
         self._forced = False
         self._released = False
         """The home's operator gave it up: the home does not take it again by itself until another site has held it."""
         self._release_to: str | None = None
+        # conflicts with other writers
         self._revoked = False
         self._revocations = 0
         self._unwanted = False

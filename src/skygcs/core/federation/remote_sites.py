@@ -95,11 +95,13 @@ class RemoteSites:
 
     def take(self, batch: StateBatch, now: float) -> bool:
         """Take in a batch that has arrived now; True if it is the newest of its site."""
+        # batches in this site's own name: its own, or those of another bridge
         if batch.site == self._own_site:
             if batch.run != self._own_run:
                 self.own_contested_at = now
                 self.counters["batches_in_own_name"] += 1
             return False
+        # a new site, the next batch of a known run, or another run
         site = self._sites.get(batch.site)
         if site is None:
             if not self._make_room(now):
@@ -121,6 +123,7 @@ class RemoteSites:
             site.replaced_at = now
             site.clock = ClockComparison()
             site.restarts += 1
+        # take the batch
         site.batch, site.received_at = batch, now
         site.rows = {row.name: row for row in batch.vehicles}
         site.taken += 1
@@ -225,6 +228,7 @@ def state_of(
 ) -> dict[str, Any]:
     """A vehicle of another site with the keys of a daemon's state, ``site``, and total ages. Its position is also in
     the own world frame if ``ours``, its origin, is known."""
+    # groups of telemetry that the row has
     age_s = _sum(row.age_s, batch_age_s)
     gps = None
     if row.gps_fix is not None:
@@ -233,6 +237,7 @@ def state_of(
     battery = None
     if row.battery_percent is not None or row.battery_volts is not None:
         battery = {"percent": row.battery_percent, "volts": row.battery_volts, "age_s": age_s}
+    # the state in the form of the daemon's own vehicles
     return {
         "name": qualified(site, row.name),
         "sysid": row.sysid,

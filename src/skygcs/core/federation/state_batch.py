@@ -120,11 +120,13 @@ class StateBatch:
 
 def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> VehicleRow | None:
     """The row of a daemon's state, which has STATE_GROUPS. None if its name or ids cannot be sent."""
+    # identity: without a valid one there is no row
     name, sysid, compid = state.get("name"), state.get("sysid"), state.get("compid")
     if not isinstance(name, str) or not is_vehicle_name(name):
         return None
     if not isinstance(sysid, int) or not isinstance(compid, int) or not (0 <= sysid <= 255 and 0 <= compid <= 255):
         return None
+    # parts of the state that may be missing or of a wrong type
     position, battery, gps, control = (
         part if isinstance(part := state.get(key), Mapping) else {} for key in ("position", "battery", "gps", "control")
     )
@@ -133,6 +135,7 @@ def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> V
     heading_deg = _number(position.get("heading_deg"), 360.0, 2)
     groups = state.get("groups")
     names = [printable(group) for group in groups if _is_name(group)] if isinstance(groups, Sequence) else []
+    # every value within its bounds, or None
     return VehicleRow(
         name=name,
         sysid=sysid,

@@ -90,12 +90,14 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
 
 def one_commander(facts: Facts, wanted: Expectations) -> Finding:
     """Check whether the vehicle itself obeys this site's station alone, besides the lease."""
+    # vehicles to which the rule does not apply
     if not wanted.delegated:
         return skipped("no other site may command it")
     if facts.family != "ardupilot":
         return skipped("ArduPilot's alone: only the lease keeps the sites apart")
     if facts.gcs_sysid is None:
         return skipped("we are its companion and no ground station: the ground's preflight checks it")
+    # the parameters that decide which stations it obeys
     watched, enforce, options = (facts.value(name) for name in ("SYSID_MYGCS", "SYSID_ENFORCE", "MAV_OPTIONS"))
     if watched is None:
         return _not_known(facts, "SYSID_MYGCS")
@@ -104,16 +106,19 @@ def one_commander(facts: Facts, wanted: Expectations) -> Finding:
     name = _held_name(facts, "SYSID_MYGCS")
     last = max(watched, facts.value("MAV_GCS_SYSID_HI") or 0)
     enforced = bool(enforce) if enforce is not None else bool(int(options or 0) & GCS_ALONE)
+    # it must obey this station ...
     if not watched <= facts.gcs_sysid <= last:
         text = f"{name} is {value_text(watched)}, we are {facts.gcs_sysid}"
         then = "it ignores us" if enforced else "its GCS failsafe ignores our heartbeats"
         todo = f"set {name} to {facts.gcs_sysid} at the site that it obeys, when this one is to command it"
         return failed(f"{text}: {then}", todo)
+    # ... and no other one
     if last > watched:
         text = f"it obeys stations {value_text(watched)} to {value_text(last)}: other sites', if they have these ids"
         return failed(text, f"set MAV_GCS_SYSID_HI to {facts.gcs_sysid}", severity=Severity.NOTE)
     if enforced:
         return passed(f"obeys system id {facts.gcs_sysid} alone: a stop of another site does not reach it either")
+    # propose the setting that enforces it
     to = (
         ("SYSID_ENFORCE", 1, enforce)
         if enforce is not None

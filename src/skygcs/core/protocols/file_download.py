@@ -128,11 +128,13 @@ class FileDownload(ProtocolMachine):
         self._path = path.encode()
         if not 0 < len(self._path) <= MAX_DATA_BYTES:
             raise ValueError(f"the path {path!r} does not fit into one packet")
+        # state and outcome
         self.state = FileState.IDLE
         self.outcome: FileOutcome | None = None
         self.sent = 0
         """Messages sent: at most MAX_SESSIONS * (OPEN_TRIES + 2) and, in each session, MAX_TRIES for each block and one
         for each burst."""
+        # the session and its requests
         self.session = session & 0xFF
         self._max_blocks = -(-max_bytes // MAX_DATA_BYTES)
         self._max_bytes = max_bytes
@@ -141,6 +143,7 @@ class FileDownload(ProtocolMachine):
         self._reads = SlidingWindow(
             self._next_unread, self._is_missing, size=window, spacing_s=spacing_s, max_tries=MAX_TRIES
         )
+        # progress
         self._started = 0.0
         self._heard = 0.0
         self._seq = 0

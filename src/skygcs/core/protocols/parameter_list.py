@@ -116,17 +116,20 @@ class ParamList(ProtocolMachine):
         bytes_per_s: float | None = BYTES_PER_S,
         stops_burst: bool = False,
     ) -> None:
+        # state and outcome
         self.state = ListState.IDLE
         self.outcome: ListOutcome | None = None
         self.count: int | None = None
         self.sent = 0
         """Messages sent: at most 1 + (MAX_RESTARTS + 1) * MAX_TRIES for each parameter."""
+        # requests
         self._burst = burst
         self._stops_burst = stops_burst
         spacing_s = 0.0 if bytes_per_s is None else VALUE_BYTES / bytes_per_s
         self._requests = SlidingWindow(
             self._next_index, self._is_missing, size=window, spacing_s=spacing_s, max_tries=MAX_TRIES
         )
+        # times and counters
         self._started = 0.0
         self._began = 0.0
         self._heard = 0.0
@@ -134,6 +137,7 @@ class ParamList(ProtocolMachine):
         self._strangers = 0
         self._restarts = 0
         self._percent = -1
+        # parameters so far
         self._names: dict[int, str] = {}
         self._params: dict[str, Param] = {}
         self._index_of: dict[str, int] = {}

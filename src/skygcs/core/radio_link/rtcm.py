@@ -115,6 +115,7 @@ class RtcmDeframer:
         frames: list[bytes] = []
         at = 0
         while True:
+            # find the next preamble
             start = held.find(PREAMBLE, at)
             self.skipped_bytes += (len(held) if start < 0 else start) - at
             at = len(held) if start < 0 else start
@@ -124,15 +125,18 @@ class RtcmDeframer:
                 at += 1
                 self.skipped_bytes += 1
                 continue
+            # wait for the whole frame
             length = HEADER_BYTES + (held[at + 1] << 8 | held[at + 2]) + CRC_BYTES
             if len(held) - at < length:
                 break
+            # a wrong CRC means that the preamble was payload: go on behind it
             frame = bytes(held[at : at + length])
             if crc24q(frame):
                 self.bad_crc += 1
                 self.skipped_bytes += 1
                 at += 1
                 continue
+            # take the frame
             self.frames += 1
             frames.append(frame)
             at += length

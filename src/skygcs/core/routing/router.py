@@ -90,17 +90,20 @@ class Router:
         duplicates: FirstHeard | None = None,
     ) -> None:
         """``duplicates``: the memory of recent frames; None: a `DuplicateFilter`."""
+        # identity of the daemon, timeouts
         self._own_sysid = own_sysid
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
         self._route_timeout_s = route_timeout_s
         self._vehicle_timeout_s = vehicle_timeout_s
+        # ports, and the routes that lead to them
         self._ports: dict[int, Port] = {}
         self._by_source: dict[int, list[Port]] = {}
         self._by_system: dict[int, list[Port]] = {}
         self._duplicates: FirstHeard = DuplicateFilter() if duplicates is None else duplicates
         self.on_change: Callable[[], None] = lambda: None
         """Called whenever an answer of `forwarding_entry`, also None, may have become wrong."""
+        # parallel links and copies of frames
         self._dedup = False
         self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
@@ -108,8 +111,10 @@ class Router:
         """Autopilots heard on their own links: from a ground station or a recording their frames are echoes."""
         self._first_channel_id = 0
         """The channel on which the last copy was heard first."""
+        # choice of the channel of each vehicle's state
         self.state_sources: dict[int, StateSource] = {}
         """By sysid<<8|compid: the vehicles that are heard on several channels, or were just now; see `supplies`."""
+        # facts and callbacks of the fleet
         self.known: Callable[[int], Known | None] = lambda source: None
         """The last frames of a vehicle whose state is kept; None for any other source."""
         self.on_replaced: Callable[[int], None] = lambda source: None
@@ -121,6 +126,7 @@ class Router:
         """True if this is a vehicle that may be in the air: its last route stays (`core.vehicle.supply`)."""
         self.received: Callable[[int, int], tuple[int, int] | None] = lambda channel_id, source: None
         """Frames received and lost of a source on a channel; None: not counted."""
+        # bounds and counters
         self._room = RouteRoom()
         self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
         self.unreported_routes = 0

@@ -243,6 +243,7 @@ class FlightLock:
 
     def _touched(self, change: Change) -> str | None:
         """The part of the flight that a change would touch; None if it touches none."""
+        # changes that concern the whole fleet or a link
         match change:
             case OriginChange(origin):
                 return None if origin == self.origin else "all places of a flight count from the origin"
@@ -251,6 +252,7 @@ class FlightLock:
                 return f"{link} is the only link to {_named(names)}" if names else None
             case SigningClockReset():
                 return "a vehicle that has heard a later time would not hear us any more"
+        # changes of one vehicle
         if not self.holds(change.key):
             return None
         match change:

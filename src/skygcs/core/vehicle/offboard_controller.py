@@ -123,6 +123,7 @@ class OffboardController:
         """True if the autopilot obeyed since the last `engage`."""
         self.refusing: str | None = None
         """The autopilot's text when it rejected one of our setpoints since the last `engage`."""
+        # where references and setpoints come from
         self._estimate_view = EstimateView(vehicle)
         self._source = ReferenceSource(self._estimate_view)
         self._raw = RawSource(vehicle)
@@ -131,6 +132,7 @@ class OffboardController:
         self._predicting = False
         """Value of the last report."""
         self._steady_thrust = SteadyThrust(vehicle)
+        # the guard, and the end of control
         self._guard = Guard(config.guard, POSITION)
         self._obeys = -1
         self._last = _Last()
@@ -387,12 +389,14 @@ class OffboardController:
 
     def status(self, now: float) -> dict[str, Any]:
         """The status, in the local frame."""
+        # tracking error, without the axes that are flown by velocity
         last, output, reference = self._last, self._setpoints.output, self.reference
         error = None
         if reference is not None and last.estimate is not None and not reference.velocity_only_xy:
             error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
             if reference.velocity_only_z:
                 error[2] = 0.0
+        # output of the attitude law, if it flies
         attitude = output if self.control_mode is ATTITUDE else None
         return {
             "mode": None if self.state is OFF else self.wanted.value,
@@ -494,6 +498,7 @@ class OffboardController:
         return self._setpoints.raw(raw, self._raw.tilt_cosine(last.at), given)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
+        # facts that others derive from
         vehicle, config, estimate_view = self.vehicle, self.config, self._estimate_view
         engaging = self.state is ENGAGING
         breach = estimate_view.breach()

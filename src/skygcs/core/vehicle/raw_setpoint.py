@@ -128,6 +128,7 @@ def raw_from_world(
     counter-clockwise from the world's x axis; each of ``body_rates_deg_s`` is positive in the direction in which, in
     level flight, that angle grows.
     """
+    # exactly one kind of setpoint
     kinds = {
         "an attitude": attitude is not None or roll_deg is not None or pitch_deg is not None,
         "body rates": body_rates_deg_s is not None,
@@ -136,12 +137,14 @@ def raw_from_world(
     given = [kind for kind, there in kinds.items() if there]
     if len(given) != 1:
         raise RefusedError(f"a raw setpoint is one of {', '.join(kinds)}, not {' and '.join(given) or 'nothing'}")
+    # acceleration: the autopilot chooses the thrust
     if acc_enu_mps2 is not None:
         if thrust is not None:
             raise RefusedError("an acceleration has no thrust beside it: the autopilot chooses the thrust")
         yaw = None if yaw_deg is None else yaw_enu_rad(yaw_deg, origin)
         acc = _three("acc_enu_mps2", acc_enu_mps2)
         return RawSetpoint("acceleration", acc_enu_mps2=enu_from_world(acc, origin), yaw_enu_rad=yaw)
+    # the other kinds need a thrust
     if thrust is None or not math.isfinite(thrust):
         raise RefusedError(f"{given[0]} needs a thrust")
     if body_rates_deg_s is not None:
@@ -149,6 +152,7 @@ def raw_from_world(
             raise RefusedError("body rates have no yaw_deg beside them: the third is the yaw rate")
         roll, pitch, yaw_rate = (math.radians(rate) for rate in _three("body_rates_deg_s", body_rates_deg_s))
         return RawSetpoint("rates", thrust, rates_frd_radps=(roll, pitch, -yaw_rate))
+    # attitude, by quaternion or by angles, in the fleet's frame
     if attitude is not None:
         if roll_deg is not None or pitch_deg is not None or yaw_deg is not None:
             raise RefusedError("give the attitude as a quaternion or as roll, pitch and yaw, not both")
@@ -157,6 +161,7 @@ def raw_from_world(
         if roll_deg is None or pitch_deg is None or yaw_deg is None:
             raise RefusedError("an attitude by angles needs roll_deg, pitch_deg and yaw_deg")
         world = _from_angles(*_three("roll, pitch and yaw", (roll_deg, pitch_deg, yaw_deg)))
+    # turn it into the vehicle's local frame
     east, north, _ = enu_from_world((1.0, 0.0, 0.0), origin)
     turn = math.atan2(north, east) / 2.0
     enu = _times((math.cos(turn), 0.0, 0.0, math.sin(turn)), world)
