@@ -101,15 +101,18 @@ def gains(
 
     Example: skygcs-cli control gains alpha --xy-vel-p 0.1
     """
+    # the gains that are given
     xy = _given(pos_p_per_s=xy_pos_p, vel_p=xy_vel_p, vel_i=xy_vel_i, vel_d=xy_vel_d)
     z = _given(pos_p_per_s=z_pos_p, vel_p=z_vel_p, vel_i=z_vel_i, vel_d=z_vel_d)
     changes = _given(xy=xy or None, z=z or None, hover_thrust=hover)
 
     async def command(gcs: Client) -> int:
+        # the present gains
         before = (await gcs.call("control.gains", targets=targets))["gains"]
         if not changes:
             _show_gains(before, json_output)
             return Exit.DONE
+        # change them and show what changed
         answer = await gcs.call("control.gains", targets=targets, **changes, force=force)
         outcomes, after = answer["outcomes"], answer["gains"]
         if json_output:

@@ -422,6 +422,7 @@ def plan(
 
     Example: skygcs-cli link plan 8 --air-speed 64
     """
+    # check the options
     within("--fill", fill, 0.05, 1)
     if setpoint != "none":
         within("--setpoint-rate", setpoint_hz, 0.1, 100)
@@ -436,6 +437,7 @@ def plan(
         fill,
     )
 
+    # plan the link and show it
     def command() -> int:
         answer = plan_link(demand)
         if json_output:

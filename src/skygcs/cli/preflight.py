@@ -49,14 +49,17 @@ def preflight(
         return report_lines(answer["vehicles"], screen_width(sys.stdout), everything=everything)
 
     async def command(gcs: Client) -> int:
+        # examine
         async with waiting(f"preflight {targets}"):
             answer = await gcs.call("preflight.run", targets=targets)
+        # set what was agreed to, and examine again
         if fix and _agreed(answer["vehicles"], yes=yes, quiet=json_output):
             confirmed = planned(answer["vehicles"])
             async with waiting(f"preflight {targets}"):
                 answer = await gcs.call("preflight.run", targets=targets, fix=True, confirmed=confirmed)
             if not json_output:
                 print_lines(_fixed_lines(answer["vehicles"]))
+        # show
         show(answer, json_output, lines)
         return Exit.DONE if answer["ok"] else Exit.FAILED
 

@@ -192,7 +192,7 @@ def parse_conditions(
 ) -> Conditions:
     """Conditions from the command line; ``wind`` is MPS[,FROM_DEG[,GUST_MPS]]. Raises LinkError for a person."""
     try:
-        numbers = [float(part) for part in wind.split(",")]
+        numbers = [float(part) for part in wind.split(",")]  # the wind: speed, direction, gusts
     except ValueError:
         numbers = []
     if not 1 <= len(numbers) <= 3:

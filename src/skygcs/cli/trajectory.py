@@ -50,12 +50,15 @@ def load(
     """
 
     async def command(gcs: Client) -> int:
+        # read the file
         origin = await origin_of_fleet(gcs, [file])
         found = await asyncio.to_thread(read_files, [file], MotionLimits(), origin)
         print_notes(found)
         plan = _timed(file, found)
+        # choose a vehicle for each trajectory
         names = [state["name"] for state in await gcs.vehicles(targets)]
         chosen = _chosen(file, plan, names, targets)
+        # load one after the other; a request has a limit
         outcomes: dict[str, Any] = {}
         for name, trajectory in chosen.items():
             pieces = [
