@@ -134,9 +134,11 @@ class TraceWriter:
         ``before``: the memory handed to `step`; ``after``: what it returned. Where no step was made, both are the one
         that is kept.
         """
+        # the head, once
         text = ""
         if self._head is not None:
             text, self._head = encode_head(self._head), None
+        # what the row needs to be run again, where it has changed
         if config != self._config:
             text += _remark("config", asdict(config))
             self._config = config
@@ -150,6 +152,7 @@ class TraceWriter:
             if prediction.before is not self._predictor:
                 text += _remark("predictor", encode_memory(prediction.before))
             self._predictor = prediction.after
+        # the row itself
         return text + encode(row) + "\n"
 
 

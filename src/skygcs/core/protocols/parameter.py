@@ -123,6 +123,7 @@ class ParameterProtocol(ProtocolMachine):
         absent_of: int = 0,
         probe_index: int = 0,
     ) -> None:
+        # state and outcome
         self.name = name
         self.state = ParamState.IDLE
         self.outcome: ParamOutcome | None = None
@@ -130,17 +131,20 @@ class ParameterProtocol(ProtocolMachine):
         """Messages sent, probes not counted."""
         self.answers = 0
         self.last_sent = -math.inf
+        # the parameter: its old, present and wanted value
         self._encoding = encoding
         self._value = value
         self._before = known
         self._param: Param | None = None
         self._wanted: Value | None = None
+        # tries, and probes for a parameter that may be absent
         self._started = 0.0
         self._tries = 0
         self._absent_of = absent_of
         self._probe_index = probe_index
         self._probed: set[int] = set()
         """Probes that were answered: somebody is there, and the link works."""
+        # evidence about a write
         self._first_written = 0.0
         self._thirds = 0
         """Answers with a value that is neither the old one nor the one wanted."""

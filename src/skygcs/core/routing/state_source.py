@@ -256,6 +256,7 @@ class StateSource:
     ) -> None:
         """``present_id``: the channel on which it was heard until now, on that link of this cost; None: that one is
         closed."""
+        # the present channel, and the choice between channels
         self.present_id = present_id
         self.choice = LinkChoice()
         self.duplicate = False
@@ -263,10 +264,12 @@ class StateSource:
         self._lost_s = lost_s
         self._heard: dict[int | None, _Heard] = {present_id: _Heard(link, now, cost, known_good=True)}
         self._present = self._heard[present_id]
+        # evidence that a channel is of the same vehicle
         self._states: dict[tuple[bool, int], float] = {}
         """Modes and arming states that the present channel showed, and when last."""
         self._unproven: _Heard | None = None
         """The channel before, while the present one has not shown that it is of the same vehicle."""
+        # begin with the vehicle's last frames
         last_at = -math.inf
         for frame, at in known or ():
             self._present.look(frame, at)

@@ -130,7 +130,7 @@ class OffboardController:
         self._setpoints = SetpointGenerator(vehicle, self._estimate_view)
         self._prediction = VelocityPrediction(vehicle, self._estimate_view)
         self._predicting = False
-        """Value of the last report."""
+        """True if the last report was that it predicts."""
         self._steady_thrust = SteadyThrust(vehicle)
         # the guard, and the end of control
         self._guard = Guard(config.guard, POSITION)

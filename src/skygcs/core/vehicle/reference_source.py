@@ -24,8 +24,8 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 
 MOST_AHEAD_M = 2.0
-"""Largest distance of a position that a velocity led to ahead of the vehicle that follows it, beyond the distance that
-it needs to reach that speed. Wind and an estimator that wanders make about 1 m."""
+"""Largest lead of a position that is integrated from a velocity, ahead of the vehicle that follows it. The distance
+that the vehicle needs to reach that speed is added. Wind and an estimator that wanders make about 1 m."""
 
 MOST_AHEAD_RAD = math.radians(60.0)
 """The same of a yaw that turns with a rate alone: from half a turn on the vehicle would turn the other way."""
