@@ -115,6 +115,7 @@ class OrderRunner:
         order_refusal: Callable[[Plan], str | None] = lambda plan: None,
     ) -> None:
         """``order_refusal``: why a plan is not executed; None: it may be."""
+        # state that others read, and callbacks
         self.number = 0
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
@@ -126,12 +127,14 @@ class OrderRunner:
         self.sent_before_at = -math.inf
         """Time at which the last setpoint, or the last command of another order than a goto, went out: it may reach the
         vehicle after a goto that was sent later."""
+        # collaborators
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
         self._order_refusal = order_refusal
+        # plans in progress
         self._newest: Plan | None = None
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}

@@ -85,6 +85,7 @@ class Preflight:
         self.required = config.require_preflight
         self.last: Examined | None = None
         """The last report since the vehicle started; a reboot clears it."""
+        # collaborators
         self.vehicle = vehicle
         self._config = config
         self._params = params
@@ -98,6 +99,7 @@ class Preflight:
         self.wall_clock = wall_clock
         """The time of day in Unix seconds, with which the vehicle's clock is compared."""
         self._pose_problem: Callable[[float], str | None] | None = None
+        # runs, and parameters that the vehicle does not have
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()

@@ -54,6 +54,7 @@ class StreamRequester:
         channel by message id; None: it is heard on one channel only."""
         self.position_hz: float | None = None
         """The position rate for flight control; None: none (not controlled, or the autopilot closes the loops)."""
+        # rate controllers: its own, and those of the radios
         self._own = RateController()
         self._radios: dict[int, RateController] = {}
         """By the channel of each radio on which it is heard."""
@@ -61,13 +62,16 @@ class StreamRequester:
         """Channels of radios whose controller counts the frames of its own channel."""
         self._chosen: int | None = None
         """The radio's channel that is the chosen link to the vehicle; None: the chosen link is no radio."""
+        # collaborators
         self._counts_on = counts_on
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
+        # the rates that the fleet file asks for
         self._own_rates_hz = {n: hz for n, hz in rates_hz.items() if hz > 0 and n in dialect.by_name}
         self._own.plan(self._own_rates_hz, planned=False)
         self._bytes: Mapping[str, int] = {}
+        # the request in progress, and what is known of the vehicle
         self._requested: tuple[str, float, RateController] | None = None
         """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, when it was sent, and the
         controller that it is for."""
