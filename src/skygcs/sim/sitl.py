@@ -172,9 +172,11 @@ def copter_launch(
 ) -> Launch:
     """ArduCopter's SITL. ``defaults`` is the firmware's own file (copter.parm); ``rc_port`` is where it listens for a
     transmitter, which is nobody's."""
+    # parameters: ids, streams and those of the instance
     own = {"SYSID_THISMAV": str(instance.sysid), "MAV_SYSID": str(instance.sysid)}
     streams = {f"{port}_{group}": "1" for port in ("SR1", "MAV2") for group in COPTER_STREAMS}
     lines = [f"{name} {value}" for name, value in {**own, **streams, **instance.params}.items()]
+    # options of the program
     home = instance.home
     place = f"{home.lat_deg:.8f},{home.lon_deg:.8f},{home.alt_amsl_m:.2f},{home.heading_deg:g}"
     options: list[tuple[str, str]] = [

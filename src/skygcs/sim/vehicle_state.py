@@ -88,6 +88,7 @@ class VehicleState(ABC):
         heading_deg: float = 0.0,
         conditions: Conditions = CALM,
     ) -> None:
+        # identity, parameters and transmitter
         self.dialect = dialect
         self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
         self.where = where
@@ -96,12 +97,15 @@ class VehicleState(ABC):
         self.faults = Faults()
         self.signing = BoardSigning()
         self.tx = Transmitter(dialect, rng, self.faults, self.signing)
+        # body and sensors
         self.motion = body_of(conditions, radians(heading_deg), rng.child_seed())
         self.sensors = Sensors(self.motion, conditions, TICK_S, rng.child_seed())
         self.battery = Battery()
+        # plan, control and lists
         self.plan = Plan()
         self.position_control = self.make_position_control(self.control_gains())
         self.lists, self.run = self.make_lists()
+        # clock and home
         self._unix_offset_us = unix_us - now * 1e6
         self._clock = now
         self.home: Home | None = None
