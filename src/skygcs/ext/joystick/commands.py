@@ -80,6 +80,7 @@ def joystick(
 
     Example: skygcs-cli joystick alpha --engage
     """
+    # check the options
     for option, value, low, high in (
         ("--speed", speed, 0.1, 10.0),
         ("--climb", climb, 0.1, 3.0),
@@ -92,6 +93,7 @@ def joystick(
     limits = StickLimits(speed, climb, yaw_rate, dead_zone=dead_zone, expo=expo)
     chosen = parse_axes(axes)
 
+    # fly until the pilot or the daemon ends it
     async def command(gcs: Client) -> int:
         name = str((await gcs.vehicle(vehicle))["name"])
         with opened(device) as descriptor:

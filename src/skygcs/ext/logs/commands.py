@@ -233,6 +233,7 @@ def _export(
 
     Example: skygcs-cli tlog export flight.tlog --mcap
     """
+    # check the options
     if mcap == rosbag2:
         raise typer.BadParameter("give one of --mcap and --rosbag2")
     if rosbag2 and force:
@@ -240,9 +241,11 @@ def _export(
     where = None if origin is None else _origin(origin)
 
     def command() -> None:
+        # choose the frames
         table = dialect_named(dialect)
         chosen = selection(table, begin, end, vehicles, messages, without, fleet)
         names = {sysid: name for name, sysid in names_of(fleet).items()}
+        # write the format that is asked for
         if mcap:
             from skygcs.ext.logs.mcap_file import write_mcap
 

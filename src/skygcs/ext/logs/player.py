@@ -122,10 +122,12 @@ def play_log(
 ) -> str:
     """Play it once, or in a loop until Ctrl-C; returns a line for the user. Raises SkygcsError, KeyboardInterrupt."""
     with opened_log(path, dialect) as log:
+        # choose the frames
         log.check_times(selection)
         if log.kind == "raw":
             note(f"{path}: a raw capture has no times: it is played by the times in its messages")
         player = Player(address, speed, everything)
+        # play them, once or again and again
         try:
             while player.play(log, selection) and loop:
                 pass
@@ -139,6 +141,7 @@ def play_log(
             raise
         finally:
             player.close()
+        # report
         log.print_faults()
     played = player.played
     if played.held_back and not everything:

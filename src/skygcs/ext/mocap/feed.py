@@ -85,7 +85,7 @@ class _Fed:
         self.actor: VehicleActor | None = None
         self.way = PoseWay()
         self.channel: Channel | None = None
-        """Channel of the way."""
+        """Channel over which its poses are sent, by `way`."""
         self.kept_despite: str | None = None
         """Value of ``way.kept_despite`` that was reported last."""
         self.rate_hz = 0.0

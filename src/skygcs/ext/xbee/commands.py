@@ -92,12 +92,14 @@ def set_values(
     address, bauds, wanted = _address(node), _bauds(baud), _settings(pairs)
 
     def command() -> int:
+        # settings that cut a node off need force
         cut_off = sorted(NETWORK & wanted.keys())
         if address is not None and cut_off and not force:
             raise RefusedError(
                 f"{', '.join(cut_off)} must be the same in all modules: node {node} goes out of reach until the module "
                 "at the port is set alike; set nodes first, the ground last (--force)"
             )
+        # write them
         changed, _ = _with_port(port, bauds, lambda xbee: _write(xbee, wanted, address), changes=True, force=force)
         if json_output:
             print_json({"port": port, "node": node, "changed": changed})
