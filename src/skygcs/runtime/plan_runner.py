@@ -265,14 +265,14 @@ class PlanRunner:
         self._orders = FlightOrders(loop, on_event, plans.changed, self._certify_landing)
         self._numbers = itertools.count(1)
         self._busy: str | None = None
-        """What is under way that must not be twice: a check before a flight, or a new certificate."""
+        """Work under way that must not run twice: a check before a flight, or a new certificate."""
         self._rule: MarginRule = MarginRule()
         self._by = Guidance.SETPOINTS
         self._request = FlightRequest()
         self._force_landing = False
         self._tasks = TaskSet(loop, on_event)
         self._checking: FlightLock | None = None
-        """Of the flight that is being checked before it begins."""
+        """Flight lock of the flight that is being checked before it begins."""
         self._ending = False
 
     # -- what is kept
@@ -798,7 +798,8 @@ class _Rehearsed(NamedTuple):
     prepared: Prepared
     loaded: tuple[dict[str, LoadedTrajectory], ...]
     stopped: tuple[Stopped, float | None] | None
-    """What stopped the rehearsal, and the speed factor at which nothing does; None: it reached its end."""
+    """Reason for which the rehearsal stopped, and the speed factor at which nothing stops it; None: it reached its
+    end."""
 
 
 def _loaded(step: FlightStep) -> dict[str, LoadedTrajectory]:

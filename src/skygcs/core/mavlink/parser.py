@@ -48,7 +48,7 @@ VAIN_CHECKS_IN_DATAGRAM = 1024
 """The same for a datagram of any length: 2 ms. One with frames has hardly any."""
 
 _LAST_STEPS = frozenset((x << 8 ^ x << 3 ^ x >> 4) & 0xFFFF for x in range(256))
-"""What the last byte that goes into a CRC-16/MCRF4XX, which is CRC_EXTRA, can add to the state before it."""
+"""Changes of the state that the last byte of a CRC-16/MCRF4XX, which is CRC_EXTRA, can make."""
 
 MAX_VERIFIED_SOURCES = 4096
 """Bound of the set of verified (sysid, compid): a real link has a few, a hostile one could invent 65,536."""

@@ -44,7 +44,7 @@ day, and not the guide's minute, because honest clocks run ahead: an ArduPilot w
 each start, and a computer whose clock was set to local time is up to 14 h off."""
 
 MAX_STREAMS = 512
-"""As many sources as one channel's table of counters holds. Only holders of the key can make one."""
+"""Most sources, the same as in one channel's table of counters. Only holders of the key can make one."""
 
 
 class SignatureVerdict(StrEnum):

@@ -36,10 +36,10 @@ WARNING_S = 8.0
 CONFIRM_S = 2.0
 CONFIRM_DEEP_S = 0.5
 DEEP_S = 4.0
-"""Of a conflict that is deep: within half of the margin in the next 4 s."""
+"""Time in which a deep conflict comes within half of the margin."""
 
 NOISE_MPS = 0.2
-"""Of a relative velocity at rest: two estimators with 0.1 m/s each in gusts."""
+"""Noise of a relative velocity at rest: two estimators with 0.1 m/s each in gusts."""
 
 SAME_TIME_S = 0.05
 OLD_S = 1.0

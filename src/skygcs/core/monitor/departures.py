@@ -35,7 +35,7 @@ ABOVE_M = 1.0
 """A vehicle that climbs out of another's way goes so much higher than it needs to: it holds its height within that."""
 
 BRAKES_MPS2 = 2.0
-"""What an ordered hold or return brakes with, at least: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
+"""Least deceleration of an ordered hold or return: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
 
 
 class ReturnHeight(NamedTuple):
@@ -66,7 +66,7 @@ class Returning:
     home: Vector
     height: ReturnHeight = UNKNOWN
     age_s: float = 0.0
-    """Of its position."""
+    """Age of its position."""
 
     @property
     def highest_m(self) -> float:

@@ -145,7 +145,7 @@ class Monitor:
             yield
         boxes.sort(key=lambda box: box.low_x)
         urgent: dict[int, list[_Ranked]] = {box.track.key: [] for box in boxes}
-        """Of each vehicle its most urgent conflicts, a heap with the least urgent of them first."""
+        """Most urgent conflicts of each vehicle, a heap with the least urgent of them first."""
         looked = ranked = 0
         for i, box in enumerate(boxes):
             for j in range(i + 1, len(boxes)):

@@ -25,7 +25,7 @@ GOTO_MPS = 5.0
 CLIMB_MPS = 2.0
 
 AHEAD_S = 3.0
-"""Of a velocity that is streamed, so much is looked at: the next setpoints may be others."""
+"""Time for which a streamed velocity is carried on: the next setpoints may be others."""
 
 NEARER_M = 0.2
 """Two that are within their margin already may be sent anywhere that is not nearer by more than this."""

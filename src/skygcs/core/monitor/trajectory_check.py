@@ -34,7 +34,8 @@ LOOKS_A_TURN = 20
 
 
 MAX_LOOKS = 2_000_000
-"""Of one check: some 20 s of CPU time, which 50 vehicles need that fly in formation for an hour."""
+"""Comparisons of places in one check: some 20 s of CPU time, which 50 vehicles need that fly in formation for an
+hour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Course:
     ball_m: float = 0.0
     """How far it may be from its place, because its last position is old."""
     known_s: float = math.inf
-    """For so long; after that nothing is known of it."""
+    """Time for which the course is known; nothing is known after it."""
     doing: str = "in the air"
 
 

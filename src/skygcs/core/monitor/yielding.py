@@ -19,7 +19,7 @@ REACT_S = 1.5
 """From the decision to the first braking: a round of a busy radio each way, and the change of mode."""
 
 BRAKE_MPS2 = 2.0
-"""What a hold brakes with: PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
+"""Deceleration of a hold: PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
 
 YIELDER_SILENT_S = 2.0
 """A vehicle that was not heard for so long is not counted on: the order may not reach it."""

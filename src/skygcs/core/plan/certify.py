@@ -26,7 +26,7 @@ MAX_NAMED = 20
 """Pairs and walls named in one refusal."""
 
 HALVINGS = 3
-"""Of each piece, for its largest speed: eight parts of degree 7 bound it to some per mille."""
+"""Halvings of each piece for its largest speed: eight parts of degree 7 bound it to some per mille."""
 
 STILL = Motion()
 

@@ -42,7 +42,7 @@ TOLERANCE_M = 1e-4
 """The least clearance is found to this; where it decides on safe or not, to `RESOLUTION_M`."""
 
 RESOLUTION_M = 1e-9
-"""What is nearer to the margin than this counts as inside."""
+"""Distance to the margin below which a clearance counts as inside."""
 
 BATCH = 30_000
 """Pairs of pieces looked at together: some 30 MB of arrays."""
@@ -64,7 +64,7 @@ class Minimum:
     distance_m: float
     """At that time, in the downwash metric."""
     distance_at_least_m: float
-    """Of these two at any time; it holds for the clearance of all pairs."""
+    """Lower bound of the distance of these two at any time; it holds for the clearance of all pairs."""
     clearance_m: float
     clearance_at_least_m: float
 

@@ -279,7 +279,7 @@ class Execution:
         self._started = False
         """True if the step's clock was started."""
         self._rounds: list[tuple[str, ...]] | None = None
-        """Of a landing that was certified; the first is under way."""
+        """Rounds of a landing that was certified; the first is under way."""
         self._asked = False
         """True if the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()

@@ -22,7 +22,8 @@ MAX_VEHICLES = 255
 """There are that many system ids."""
 
 MAX_FLEET_PIECES = 100_000
-"""Of all vehicles together: 100 vehicles for ten minutes at 1.6 pieces a second. Certifying them takes seconds."""
+"""Most pieces of all vehicles together: 100 vehicles for ten minutes at 1.6 pieces a second. Certifying them takes
+seconds."""
 
 MAX_NAME = 64
 """Characters of a vehicle's name."""

@@ -14,7 +14,8 @@ from skygcs.core.plan.remedies import Remedy
 from skygcs.number_text import rounded
 
 DEFAULT_FLIGHT_TIME_S = 600.0
-"""Of a full battery, where nothing is measured or configured: ten minutes, which an F450 with 5000 mAh exceeds."""
+"""Flight time of a full battery, where nothing is measured or configured: ten minutes, which an F450 with 5000 mAh
+exceeds."""
 
 DEFAULT_RESERVE_PERCENT = 30.0
 """Left at the end: below 20 % LiPo cells sag, and a landing or a return still has to be flown."""
@@ -40,7 +41,7 @@ class Finding:
     level: Level
     text: str
     note: str = ""
-    """What to know of one that is no refusal."""
+    """Remark about a finding that is no refusal."""
     insist: bool = False
     remedy: Remedy | None = None
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 LEAST_DROP_PERCENT = 5.0
 LEAST_FLIGHT_S = 120.0
-"""Of a flight, before its consumption is believed: charges are whole percents, and sag at the take-off."""
+"""Least drop and duration of a flight before its consumption is believed: charges are whole percents, and sag at the
+take-off."""
 
 
 class FlightRecord:

@@ -48,7 +48,7 @@ class Prepared:
     problems: tuple[str, ...] = ()
     """Lines, each with its pair, time and place."""
     vehicles: tuple[str | None, ...] = ()
-    """Of each problem, if it is about one."""
+    """Vehicle of each problem, if it is about one."""
 
     @property
     def duration_s(self) -> float:

@@ -42,9 +42,9 @@ class WantedFormation:
     """Heading of a shape; by how much points are turned, counter-clockwise seen from above."""
     scale: float = 1.0
     spacing_m: float = 5.0
-    """Of a shape."""
+    """Least distance between neighbours of a shape."""
     points_m: tuple[Vector, ...] = ()
-    """Of `POINTS`: one for each vehicle."""
+    """Places of `POINTS`: one for each vehicle."""
 
     @property
     def exchangeable(self) -> bool:

@@ -89,7 +89,7 @@ class _PathReader:
         self._source = source
         self._home = home
         self._limits = limits
-        """As given; ``_now`` with the speeds that the mission has changed."""
+        """The given limits; ``_now`` has the speeds that the mission has changed."""
         self._now = limits
         self._legs: list[Vector] = []
         """The points since the last stop that is in `_pieces`, beginning with that place; empty: before the first."""

@@ -41,7 +41,7 @@ MAX_MEMBERS = 4096
 """Files in the zip: two for each of 255 drones, and pictures."""
 
 MAX_UNPACKED_BYTES = 64 << 20
-"""Of all members that are read together. A zip bomb claims, or unpacks to, more."""
+"""Most bytes of all members that are read together. A zip bomb claims, or unpacks to, more."""
 
 UNPACKED_IN_STEPS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Members that zipfile unpacks as they are read. A block of bzip2 or lzma unpacks whole: 2,469 bytes gave 3.1 GB."""

@@ -27,13 +27,13 @@ MAX_YAW_DEG = 36_000.0
 """A hundred turns."""
 
 YAW_ERROR_RAD = math.radians(0.1)
-"""Of the straight lines that are written in place of a curve: a tenth of what a compass is good to."""
+"""Largest error of the straight lines that are written in place of a curve: a tenth of a compass's accuracy."""
 
 JUMP_S = 2.0 * MIN_PIECE_S
 """From one setpoint to the next, where a yaw jumps: pieces may be as short."""
 
 MOST_LINES = 1000
-"""For a piece."""
+"""Most lines for a piece."""
 
 
 def with_yaw(source: str, where: str, trajectory: Trajectory, control: Mapping[str, Any]) -> Trajectory:

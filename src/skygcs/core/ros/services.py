@@ -9,7 +9,7 @@ from typing import Any
 Fields = Mapping[str, Any]
 
 MAV_RESULT = {"accepted": 0, "temporarily_rejected": 1, "denied": 2, "unsupported": 3, "failed": 4, "in_progress": 5}
-"""Of an outcome's word; any other one is failed."""
+"""Number of MAV_RESULT for an outcome's word; any other word is failed."""
 
 FAILED = 4
 

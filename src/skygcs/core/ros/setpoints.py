@@ -63,7 +63,7 @@ class LocalFrame:
     ekf_origin: Vector | None
     home_alt_amsl_m: float | None
     yaw_enu_rad: float
-    """Of the vehicle's nose, from east."""
+    """Yaw of the vehicle's nose, from east."""
 
     def place(self, local_m: Vector) -> list[float]:
         """A place of the local frame in the fleet's. Raises SetpointError."""

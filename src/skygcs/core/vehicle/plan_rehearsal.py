@@ -31,14 +31,14 @@ from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFl
 from skygcs.core.vehicle.way_out import LossReach, fence_ahead
 
 TICK_S = 0.2
-"""As `PlanFlight` looks at its vehicles, and position setpoints are sent."""
+"""Seconds between two looks at its vehicles, and between two position setpoints, as in `PlanFlight`."""
 
 SLACK_M = 0.1
 """The ticks of the control loop fall between those here; on a ramp of 2 m/s² the place that is asked about goes to and
 fro by less in half a tick."""
 
 LONGEST_S = 7_200.0
-"""Of a plan; a rehearsal that is not over by then never is."""
+"""Longest rehearsal of a plan; one that is not over by then never is."""
 
 SLOWER = (0.7, 0.5, 0.45, 0.35, 0.25, 0.17, 0.12)
 """Multiples of the speed that are tried for a step, or for a whole plan, that leads out of the fence too fast."""
@@ -69,7 +69,7 @@ class Stage:
     origin: Origin
     flown: Mapping[str, Flown]
     brake_mps2: float
-    """Of the clock: how fast it stops."""
+    """Deceleration with which the clock stops."""
     speed_factor: float
 
 

@@ -42,7 +42,7 @@ STATE_GROUPS = (
 )
 
 MOST_VEHICLES = 250
-"""As many as there are system ids; further names are those of vehicles that were renumbered again and again."""
+"""Number of system ids; further names are those of vehicles that were renumbered again and again."""
 
 MOST_REPORTED = 8000
 """Topics and services in a report; a line of the socket has 1 MiB."""

@@ -25,7 +25,7 @@ class RosConfig(Model):
     domain: Annotated[int, Field(ge=0, le=232)] | None = None
     """None: ROS_DOMAIN_ID of the environment, else 0."""
     network: Literal["localhost", "lan"] = "localhost"
-    """Who may read, and with ``commands`` fly: programs on this computer, or on its networks."""
+    """Programs that may read, and with ``commands`` fly: those on this computer, or those on its networks."""
     peers: tuple[Annotated[str, Field(min_length=1, max_length=253)], ...] = ()
     """Addresses that are asked instead of multicast, which many a Wi-Fi does not carry."""
     commands: Literal["none", "setpoints", "all"] = "none"

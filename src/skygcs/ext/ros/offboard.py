@@ -62,7 +62,7 @@ class Offboard:
     def __init__(self) -> None:
         self.state: Literal["idle", "wished", "engaging", "flying"] = "idle"
         self.shown_mode = ""
-        """What the topic state shows in place of the autopilot's mode; "": that."""
+        """Mode that the topic state shows in place of the autopilot's; "": the autopilot's own."""
         self._demand: Demand | None = None
         self._demand_at = -math.inf
         self._took_off = False

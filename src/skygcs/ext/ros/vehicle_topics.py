@@ -31,7 +31,7 @@ class VehicleTopics:
             for topic, made in TELEMETRY.items()
         }
         self.shown_mode = ""
-        """What the topic state shows as the mode; "": the autopilot's own."""
+        """Mode that the topic state shows; "": the autopilot's own."""
         self._shared = shared
         self._logger = self.mavros.strip("/").replace("/", ".")
         self._sends_tf = bool(prefix)
