@@ -30,6 +30,11 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
     "order-gate": {"core/federation/order_gate.py": ("core/federation/test_order_gate.py",)},
+    "outgoing-gate": {
+        "core/vehicle/gate.py": ("core/vehicle/test_gate.py", "core/vehicle/test_gate_table.py"),
+        "core/vehicle/stick_modes.py": ("core/vehicle/test_gate.py",),
+        "runtime/outgoing_gate.py": ("runtime/test_outgoing_gate.py",),
+    },
     "certificates": {
         "core/plan/certify.py": ("core/plan/test_certify.py",),
         "core/plan/closest_approach.py": ("core/plan/test_closest_approach.py", "core/plan/test_certify.py"),

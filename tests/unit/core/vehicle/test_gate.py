@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,12 +15,23 @@ from hypothesis import strategies as st
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.frame import check, encode
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import gate
-from skygcs.core.vehicle.gate import Level, clear_message, clear_param, clear_plan, command_rule, message_rule
+from skygcs.core.vehicle.gate import (
+    Clearance,
+    Level,
+    clear_command,
+    clear_message,
+    clear_param,
+    clear_plan,
+    command_rule,
+    message_rule,
+)
 from skygcs.core.vehicle.order_plan import Plan, Step
-from skygcs.core.vehicle.stick_modes import mode_refusal
+from skygcs.core.vehicle.stick_modes import mode_refusal, needs_sticks
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
 from skygcs.errors import RefusedError
 from support.source_trees import SRC, source_files, tree_of
@@ -178,6 +191,73 @@ def test_a_falling_mode_is_refused_by_every_door(family: str, fields: dict[str, 
         clear_plan(flies, Plan("command", (Step("mode", spec),), "", force=True))
     for why in (by_command, by_message, str(by_order.value), str(by_raw.value)):
         assert (why is not None and "would fall" in why) or "motors would idle" in (why or "")
+
+
+def answer(door: Callable[..., Clearance], *asked: Any, **options: Any) -> Clearance | str:
+    """Clearance that one way into the gate gives, or the text of its refusal."""
+    try:
+        return door(*asked, **options)
+    except RefusedError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("models", [(), (STANDING,), (FLYING,), (STANDING, FLYING), (FLYING, model("px4"))])
+def test_a_raw_command_gets_the_same_answer_by_every_door(models: tuple[VehicleModel, ...], force: bool) -> None:
+    """As a message, as a command to a component, and as the order of one vehicle."""
+    for number, name in COMMANDS.items():
+        for params in ((), (0.0,), (1.0, 0.0, 0.0), (1.0, 4.0, 3.0)):
+            spec, what = CommandSpec(number, params), f"COMMAND_LONG {name}"
+            plan = Plan("command", (Step(what, spec),), "", force=force)
+            fields, named = spec.values(1, 1, 0), DIALECT.enums["MAV_CMD"]
+            message = answer(clear_message, models, "COMMAND_LONG", fields, named, force=force)
+            component = answer(clear_command, models, plan)
+            doors = [component]
+            if len(models) == 1:
+                doors.append(answer(clear_plan, models[0], plan))
+            for door in doors:
+                if isinstance(message, str):
+                    assert door == message
+                else:
+                    assert door == Clearance("command", frozenset(), frozenset({number}))
+                    assert message == Clearance("message", frozenset({"COMMAND_LONG"}), frozenset({number}))
+
+
+def test_streams_and_transfers_have_the_clearance_of_their_row() -> None:
+    found = {}
+    for order in gate.ORDERS:
+        with contextlib.suppress(KeyError):
+            found[order] = gate.standing(order)
+    streams = {"setpoints", "poses", "corrections", "heartbeat"}
+    assert found.keys() == streams | {"mission upload", "param set", "calibrate", "logs", "signing"}
+    for order, clearance in found.items():
+        assert clearance == Clearance(order, gate.ORDERS[order].messages, gate.ORDERS[order].commands)
+
+
+def test_only_the_stop_order_is_sent_without_authority() -> None:
+    cleared = [answer(clear_plan, FLYING, Plan(order, (), "")) for order in gate.ORDERS if order != "command"]
+    clearances = [clearance for clearance in cleared if isinstance(clearance, Clearance)]
+    assert len(clearances) == len(gate.ORDERS) - 1
+    assert [clearance.order for clearance in clearances if gate.is_exempt(clearance)] == ["stop"]
+    assert not gate.is_exempt(None)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "mav_type"), [(12, 2), (12, 20), (12, 10), (3, 2), (3, 1), (3, 20), (3, 10), (3, 12)]
+)
+def test_a_mode_needs_sticks_where_the_gate_refuses_it_without_any(autopilot: int, mav_type: int) -> None:
+    vehicle = Vehicle(1, 1, DIALECT, name="alpha")
+    beat = {"type": mav_type, "autopilot": autopilot, "base_mode": 0x81, "mavlink_version": 3}
+    frame, _ = check(encode(DIALECT.by_name["HEARTBEAT"], beat, sysid=1, compid=1, seq=0), DIALECT.messages)
+    assert frame is not None
+    vehicle.on_frame(frame, 1.0)
+    flies = model(vehicle.family, vehicle.kind, custom_mode=-1)
+    names = modes.mode_names(autopilot, mav_type)
+    found = {name for name in names if needs_sticks(flies, vehicle, name)}
+    numbers = {name: modes.mode_number(autopilot, mav_type, name) for name in names}
+    assert found == {name for name in names if mode_refusal(flies, numbers[name], force=False) is not None}
+    assert set() < found < set(names)
+    assert not needs_sticks(flies, vehicle, "NO_MODE_OF_OURS")
 
 
 def test_an_order_sends_only_what_its_row_names() -> None:
