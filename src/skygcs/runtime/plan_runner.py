@@ -25,6 +25,7 @@ from skygcs.core.plan.execution import (
     Execution,
     PlanState,
     Sight,
+    Tubes,
     Why,
 )
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
@@ -66,6 +67,7 @@ from skygcs.runtime.plan_by_goto import GotoGuidance, MissionGuidance
 from skygcs.runtime.plan_by_setpoints import SetpointGuidance
 from skygcs.runtime.plan_checks import (
     Measured,
+    armed_together,
     battery_findings,
     bounds_findings,
     certificate_findings,
@@ -443,8 +445,14 @@ class PlanRunner:
         flight_s = climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
         findings += battery_findings(actors, flight_s, self._record)
         if prepared.tubes is not None and prepared.steps:
-            checked.execution = Execution(prepared.steps, measured.grounded, prepared.tubes, measured.places, by=by)
+            checked.execution = self._execution(prepared, prepared.tubes, measured, actors, by)
         return checked
+
+    def _execution(
+        self, prepared: Prepared, tubes: Tubes, measured: Measured, actors: Sequence[VehicleActor], by: Guidance
+    ) -> Execution:
+        places, together = measured.places, armed_together(actors, self._links)
+        return Execution(prepared.steps, measured.grounded, tubes, places, by=by, together=together)
 
     async def _write_heights(self, checked: _Checked) -> None:
         """Set the return heights that the check has found necessary; all of them, or none if one cannot be set or the

@@ -6,6 +6,10 @@
                  take-off; all in it, they arm; nobody moves         forgotten → aborted (disarm)
     takeoff      they climb vertically, each to its layer            all there → engaging; one is not, is lost or
                                                                      forgotten → stopped, who still stands is disarmed
+
+                 where the link is too slow to arm and take off all of them before the first disarms again, each takes
+                 off as soon as it is armed: the state begins with the first one, and one that does not arm → stopped
+
     engaging     each is taken under control (by goto: sent to its   all there → to_starts, returning or flying
                  place) and stands at its place
     to_starts    way there, step by step                             the last barrier → flying
@@ -251,14 +255,16 @@ class Execution:
         measured: Mapping[str, Vector],
         *,
         by: Guidance = Guidance.SETPOINTS,
+        together: bool = True,
     ) -> None:
         """``grounded``: vehicles that have to take off, to where the first step has them; ``measured``: the places that
-        were certified, where each is now."""
+        were certified, where each is now; ``together``: nobody takes off before all are armed."""
         self.steps = list(steps)
         self.tubes = tubes
         self.names = tuple(steps[0].trajectories)
         self.measured = dict(measured)
         self.by = by
+        self._together = together
         self._silent_s = SILENT_S.get(by, POSITION_SILENT_S)
         self.grounded = tuple(name for name in self.names if name in grounded)
         self.state = PlanState.ARMING if self.grounded else PlanState.ENGAGING
@@ -272,6 +278,8 @@ class Execution:
         """In the mode of their take-off, at the begin."""
         self._done: set[str] = set()
         """Vehicles whose order of this state has ended well."""
+        self._unarmed = set(self.grounded)
+        """Vehicles on the ground whose arming was not confirmed yet."""
         self._armed: set[str] = set()
         """Vehicles that this run has armed and that were not seen to leave the ground."""
         self._engaged: set[str] = set()
@@ -536,22 +544,26 @@ class Execution:
         return [Order(OrderKind.ARM, self.grounded)]
 
     def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
-        if self.state is not PlanState.ARMING:  # it came too late
+        one_by_one = self.state is PlanState.TAKEOFF and not self._together
+        if self.state is not PlanState.ARMING and not one_by_one:  # it came too late
             over = self.state in (PlanState.ABORTED, PlanState.ABORTING, PlanState.STOPPED)
             return [Order(OrderKind.DISARM, (name,))] if ok and over else []
+        if not ok and one_by_one:
+            return self._stop(name, f"{name} does not arm: {text}")
         if not ok:
             self._enter(PlanState.ABORTED, f"nobody takes off: {name} does not arm: {text}", name)
             return self._disarm()
         self._armed.add(name)
+        self._unarmed.discard(name)
         self._done.add(name)
         self.waits_for = tuple(n for n in self.grounded if n not in self._done)
-        if self.waits_for:
+        if self.waits_for and self._together:
             return []
-        self._enter(
-            PlanState.TAKEOFF, f"{_named(self.grounded)} take off" if len(self.grounded) > 1 else f"{name} takes off"
-        )
+        if not one_by_one:
+            several = len(self.grounded) > 1
+            self._enter(PlanState.TAKEOFF, f"{_named(self.grounded)} {'take off' if several else 'takes off'}")
         self.waits_for = self.grounded
-        return [Order(OrderKind.TAKEOFF, self.grounded)]
+        return [Order(OrderKind.TAKEOFF, self.grounded if self._together else (name,))]
 
     def _disarm(self) -> list[Order]:
         armed = tuple(sorted(self._armed))
@@ -560,7 +572,8 @@ class Execution:
     def _drop_takeoff(self, before: PlanState) -> list[Order]:
         """On an abort, disarm the vehicles that still stand and hold those that climb."""
         standing = self._disarm()
-        climbing = tuple(n for n in self.names if n not in self._armed) if before is PlanState.TAKEOFF else ()
+        standing_now = self._armed | self._unarmed
+        climbing = tuple(n for n in self.names if n not in standing_now) if before is PlanState.TAKEOFF else ()
         self._asked = True
         holding = self._hold(climbing)
         self._done = set(self.names) - {name for order in holding for name in order.vehicles}
@@ -751,9 +764,9 @@ class Execution:
     def _hold_now(self) -> list[Order]:
         self._asked = True
         self._done.clear()
-        staying = tuple(n for n in self.names if n not in self.left and n not in self._armed)
+        staying = tuple(n for n in self.names if n not in self.left and n not in self._armed | self._unarmed)
         standing = self._disarm()
-        self._done.update(self.left, self._armed, self._unexpected_modes)
+        self._done.update(self.left, self._armed, self._unarmed, self._unexpected_modes)
         holding = self._hold(staying)
         if not holding:
             self._enter(PlanState.ABORTED, "nobody follows it any more")

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 import re
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 from typing import Any, Literal
@@ -72,9 +73,11 @@ class Interfaces:
         """CDR (XCDR1, little endian) with its header of 4 bytes; ROS 1's own encoding in ROS 1. Raises
         InterfaceError."""
         message = self.make(type_, fields)
-        if self.ros1:
-            return bytes(self.store.serialize_ros1(message, type_))
-        return bytes(self.store.serialize_cdr(message, type_))
+        write = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        try:
+            return bytes(write(message, type_))
+        except struct.error as error:  # a number that its field does not take
+            raise InterfaceError(f"{type_}: {error}") from None
 
     def make(self, type_: str, fields: Fields) -> Any:
         """The object that rosbags writes. Raises InterfaceError."""

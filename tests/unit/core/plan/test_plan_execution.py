@@ -59,12 +59,13 @@ def steps() -> list[FlightStep]:
 class Told:
     """An execution, its clock and the vehicles, which do what they are ordered; a test changes what it wants."""
 
-    def __init__(self, grounded: tuple[str, ...] = NAMES) -> None:
+    def __init__(self, grounded: tuple[str, ...] = NAMES, *, together: bool = True) -> None:
         self.execution = Execution(
             steps(),
             grounded,
             tubes(),
             {n: GROUND[n] if n in grounded else place for n, place in steps()[0].starts().items()},
+            together=together,
         )
         self.now = 100.0
         self.clock: ClockState | None = None
@@ -189,6 +190,44 @@ def test_one_that_does_not_change_its_mode_keeps_all_on_the_ground_and_nobody_ar
     assert told.state is PlanState.ABORTED and "bravo does not change its mode: denied" in told.execution.reason
     assert told.done(OrderKind.MODE, "bravo") == [], "it comes too late"
     assert OrderKind.ARM not in told.kinds()
+
+
+def test_on_a_slow_link_each_takes_off_as_soon_as_it_is_armed() -> None:
+    told = Told(together=False)
+    told.done(OrderKind.MODE)
+    assert told.done(OrderKind.ARM, "alpha") == [Order(OrderKind.TAKEOFF, ("alpha",))]
+    assert told.state is PlanState.TAKEOFF and told.execution.waits_for == NAMES
+    told.see("alpha", armed=True, on_ground=False, takeoff="reached")
+    told.tick()
+    assert told.state is PlanState.TAKEOFF and told.execution.waits_for == ("bravo",)
+    assert told.done(OrderKind.ARM, "bravo") == [Order(OrderKind.TAKEOFF, ("bravo",))]
+    told.see("bravo", armed=True, takeoff="reached")
+    told.at(told.execution.step.starts())
+    told.tick()
+    assert told.state is PlanState.ENGAGING
+    states = [change.state for change in told.execution.changes]
+    assert states == [PlanState.ARMING, PlanState.TAKEOFF, PlanState.ENGAGING], "each state is reported once"
+
+
+def test_on_a_slow_link_one_that_does_not_arm_stops_the_rest_and_who_stands_is_disarmed() -> None:
+    told = Told(together=False)
+    told.done(OrderKind.MODE)
+    told.done(OrderKind.ARM, "alpha")
+    told.see("alpha", armed=True)
+    orders = told.done(OrderKind.ARM, "bravo", ok=False, text="denied")
+    assert told.state is PlanState.STOPPED and orders == [Order(OrderKind.DISARM, ("alpha",))]
+    assert "bravo does not arm: denied" in told.execution.reason
+    first = Told(together=False)
+    first.done(OrderKind.MODE)
+    assert first.done(OrderKind.ARM, "bravo", ok=False) == [] and first.state is PlanState.ABORTED
+    late = Told(together=False)
+    late.done(OrderKind.MODE)
+    late.done(OrderKind.ARM, "alpha")
+    late.see("alpha", armed=True, on_ground=False, takeoff="climbs")
+    late.tick()
+    held = late.take(late.execution.abort())
+    assert held == [Order(OrderKind.HOLD, ("alpha",))], "bravo stands, and was not armed"
+    assert late.done(OrderKind.ARM, "bravo") == [Order(OrderKind.DISARM, ("bravo",))], "it comes too late"
 
 
 def test_an_arming_that_comes_after_the_abort_is_undone() -> None:
@@ -402,13 +441,14 @@ WHATS = st.one_of(
 class Judged(Told):
     """Checks each order against what came before it."""
 
-    def __init__(self, grounded: tuple[str, ...]) -> None:
+    def __init__(self, grounded: tuple[str, ...], together: bool) -> None:
         self.grounded = grounded
+        self.together = together
         self.confirmed: dict[OrderKind, set[str]] = {kind: set() for kind in OrderKind}
         self.aborted = False
         self.asked = True
         self.late = False
-        super().__init__(grounded)
+        super().__init__(grounded, together=together)
         self.shown = dict(self.sights)
 
     def tick(self, by_s: float = 0.2) -> list[Order]:
@@ -423,7 +463,8 @@ class Judged(Told):
                 case OrderKind.ARM:
                     assert self.confirmed[OrderKind.MODE] >= set(self.grounded)
                 case OrderKind.TAKEOFF:
-                    assert self.confirmed[OrderKind.ARM] >= set(self.grounded)
+                    needed = self.grounded if self.together else order.vehicles
+                    assert self.confirmed[OrderKind.ARM] >= set(needed)
                 case OrderKind.FLY:
                     assert self.confirmed[OrderKind.ENGAGE] >= set(NAMES)
                     places = self.execution.step.starts()
@@ -498,11 +539,11 @@ class Judged(Told):
 
 
 @settings(max_examples=examples(400), deadline=None)
-@given(st.sampled_from([NAMES, ("alpha",), ()]), st.booleans(), st.lists(WHATS, max_size=60))
+@given(st.sampled_from([NAMES, ("alpha",), ()]), st.booleans(), st.booleans(), st.lists(WHATS, max_size=60))
 def test_whatever_comes_in_whatever_order(
-    grounded: tuple[str, ...], flying: bool, whats: list[tuple[Any, ...]]
+    grounded: tuple[str, ...], together: bool, flying: bool, whats: list[tuple[Any, ...]]
 ) -> None:
-    judged = Judged(grounded)
+    judged = Judged(grounded, together)
     if flying and grounded != ("alpha",):
         judged.confirmed = {kind: set(NAMES) for kind in OrderKind}
         judged.to_flying()

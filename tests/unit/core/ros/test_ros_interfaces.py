@@ -61,6 +61,12 @@ def test_a_message_of_another_shape_is_refused(fields: dict[str, object]) -> Non
         ros2_interfaces().encode("sensor_msgs/msg/Imu", fields)
 
 
+@pytest.mark.parametrize("number", [-1, 256, 2**40])
+def test_a_number_that_its_field_does_not_take_is_refused(number: int) -> None:
+    with pytest.raises(InterfaceError, match="mavros_msgs/msg/State"):
+        ros2_interfaces().encode("mavros_msgs/msg/State", {"system_status": number})
+
+
 def test_bytes_of_another_type_are_refused() -> None:
     known = ros2_interfaces()
     good = known.encode("mavros_msgs/msg/State", {"mode": "OFFBOARD"})
