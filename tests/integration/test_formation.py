@@ -198,6 +198,7 @@ class Program:
         self.call = gcs
 
 
+@pytest.mark.deep
 async def test_the_flock_of_the_examples_flies_in_its_box_and_stays_when_it_ends(tmp_path: Path) -> None:
     flock = runpy.run_path(str(ROOT / "configs" / "flock.py"))
     names = [*NAMES, "v5", "v6"]

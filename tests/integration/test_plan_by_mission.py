@@ -17,6 +17,8 @@ from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_e
 
 pytestmark = pytest.mark.looptime
 
+COSTS = "each test flies two vehicles from the ground through a whole plan"
+
 OVER = ("finished", "stopped", "aborted")
 BREAKS_OFF = {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}
 GOES_ON = {"FS_OPTIONS": 18.0, "COM_DLL_EXCEPT": 3.0}

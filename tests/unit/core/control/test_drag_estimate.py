@@ -130,8 +130,8 @@ def test_what_drag_takes_is_learned_within_a_lap(delay_s: float, wind_mps: float
 RESPONSE_S = 0.1
 
 
-@each("wind_mps", [-3.0, 0.0, 3.0])
-@each("timing_s", [-0.05, 0.0, 0.05])
+@each("wind_mps", [0.0, 3.0])
+@each("timing_s", [-0.05, 0.05])
 def test_the_end_of_a_long_straight_way_is_passed_less_and_less(wind_mps: float, timing_s: float) -> None:
     """An error of timing lasts on it, whatever is added. Learned from, the coefficient fell to its least, and ends of
     ways were passed by .24 m and, with the drag of SIH, .67 m; with nothing learned that is .13 and .51 m."""
@@ -143,7 +143,7 @@ def test_the_end_of_a_long_straight_way_is_passed_less_and_less(wind_mps: float,
 
 
 def test_what_a_straight_way_teaches_is_the_drag() -> None:
-    for drag_per_s in (0.0, 0.15, 0.4, 1.0):
+    for drag_per_s in (0.0, 0.4):
         observer = DragObserver(RESPONSE_S)
         passed_m(drag_per_s, observer, 0.0, RESPONSE_S)
         assert observer.estimate.along_per_s == pytest.approx(drag_per_s, abs=0.1 + 0.4 * drag_per_s)
