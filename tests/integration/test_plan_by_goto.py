@@ -87,6 +87,20 @@ async def test_a_lost_order_is_given_again_until_the_vehicle_shows_its_target(tm
         assert state(gcs) == "finished", plan_events(gcs)
 
 
+async def test_a_vehicle_that_does_not_hear_its_first_order_is_waited_for(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await run(gcs, swap(gcs), by="goto")
+        await gcs.until(lambda: state(gcs) == "takeoff", 120.0)
+        gcs.loses = frozenset({"COMMAND_INT"})
+        await gcs.until(lambda: state(gcs) == "engaging", 120.0)
+        began = gcs.now
+        await asyncio.sleep(25.0)  # the order gives up after four transmissions
+        assert state(gcs) == "engaging", plan_events(gcs, began)
+        gcs.loses = frozenset()
+        await gcs.until(lambda: state(gcs) in OVER, 120.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+
+
 async def test_a_pilot_stops_all_and_is_sent_nothing(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         since = await crossing(gcs)

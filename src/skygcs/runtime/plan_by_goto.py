@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.mission.item import MissionType
-from skygcs.core.plan.execution import Left, Why
-from skygcs.core.plan.goto_legs import GotoLegs
+from skygcs.core.plan.execution import LEG_S, Left, PlanState, Why
+from skygcs.core.plan.goto_legs import AGAIN_S, GotoLegs
 from skygcs.core.plan.guidance import Guidance
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
@@ -77,9 +77,23 @@ class GotoGuidance:
 
     async def engage(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:
         """To where its first step begins: the end of its take-off, or where it holds."""
-        if (why := flight.why_displaced(name, self._loop.time())) is not None:
-            return Outcome.refused(f"{why}: it is not sent to its start")
-        return await self._goto(flight, name, flight.execution.step.starts()[name])
+
+        async def sent() -> Outcome:
+            if (why := flight.why_displaced(name, self._loop.time())) is not None:
+                return Outcome.refused(f"{why}: it is not sent to its start")
+            return await self._goto(flight, name, flight.execution.step.starts()[name])
+
+        return await self._until_heard(flight, sent)
+
+    async def _until_heard(self, flight: PlanFlight, order: Callable[[], Awaitable[Outcome]]) -> Outcome:
+        """The outcome of an order of the engagement; one that was not heard is given again, as that of a leg is."""
+        until = self._loop.time() + LEG_S
+        while True:
+            outcome = await order()
+            taking = flight.execution.state is PlanState.ENGAGING and self._loop.time() < until
+            if outcome.ok or not _unheard(outcome) or not taking:
+                return outcome
+            await asyncio.sleep(AGAIN_S)
 
     def fly(self, flight: PlanFlight) -> str | None:
         """Order the first legs."""
@@ -137,7 +151,7 @@ class GotoGuidance:
         if stopped or flight.left_of(name, self._loop.time()) is not None:  # its pilot's: the next look says so
             return
         outcome = await self._order(flight, name, legs.goal_m(name))
-        unheard = outcome.result in UNHEARD or outcome.result in ("temporarily_rejected", "timeout")
+        unheard = _unheard(outcome)
         if not outcome.ok and not unheard and outcome.result != "cancelled":
             self._refused[name] = outcome.message
         legs.ended(name, ok=outcome.ok, unheard=unheard, now=self._loop.time())
@@ -181,6 +195,11 @@ class GotoGuidance:
             self._numbers[name] = max(self._numbers.get(name, 0), min(actor.order_number, expected))
 
 
+def _unheard(outcome: Outcome) -> bool:
+    """True of an order that may have been received or not, or that is not taken just now."""
+    return outcome.result in UNHEARD or outcome.result == "temporarily_rejected"
+
+
 class MissionGuidance(GotoGuidance):
     """See `plan_flight.FlightGuidance`. Of one flight. An order begins a mission, or goes on with it."""
 
@@ -199,7 +218,11 @@ class MissionGuidance(GotoGuidance):
         step = flight.execution.step
         places = step.corners.get(name) or (step.starts()[name],)
         mission = mission_along([flight.frame.to_geodetic(*place) for place in places])
-        return await self._ours(name, actor, actor.upload_plan(plan=mission, kinds=(MissionType.MISSION,)))
+
+        async def sent() -> Outcome:
+            return await self._ours(name, actor, actor.upload_plan(plan=mission, kinds=(MissionType.MISSION,)))
+
+        return await self._until_heard(flight, sent)
 
     def _goals(self, flight: PlanFlight) -> dict[str, Vector]:
         """Also of those that stay where they are: on a mission their firmware takes no notice of a lost ground."""
