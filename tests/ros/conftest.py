@@ -29,6 +29,7 @@ sysid = 3
 [ros]
 domain = {domain}
 commands = "{commands}"
+px4_msgs = "1.16"
 [ros.rates]
 LOCAL_POSITION_NED = 10
 ATTITUDE = 10

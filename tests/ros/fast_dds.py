@@ -8,6 +8,8 @@ from pathlib import Path
 
 from ros.idl import idl
 from skygcs.core.ros.interfaces import ros2_interfaces
+from skygcs.core.ros.px4_setpoints import ACK_TYPE, PX4_INPUTS
+from skygcs.core.ros.px4_telemetry import PX4_TELEMETRY
 
 BUILD = Path(__file__).parents[2] / "build" / "ros"
 SOURCE = Path(__file__).with_name("offboard_node.cpp")
@@ -18,6 +20,9 @@ TYPES = (
     "sensor_msgs/msg/NavSatFix",
     "sensor_msgs/msg/BatteryState",
     "geometry_msgs/msg/PoseStamped",
+    *PX4_TELEMETRY.values(),
+    *PX4_INPUTS.values(),
+    ACK_TYPE,
 )
 SERVICES = ("mavros_msgs/srv/CommandBool", "mavros_msgs/srv/SetMode")
 

@@ -3,6 +3,7 @@
 //
 //   offboard_node DOMAIN echo SECONDS NAMESPACE...
 //   offboard_node DOMAIN fly NAMESPACE LAND_MODE
+//   offboard_node DOMAIN px4 NAMESPACE          the same by PX4's own topics, as PX4's offboard_control example
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -262,11 +263,131 @@ static int fly(int domain, const std::string& ns, const std::string& land_mode) 
   return seen().armed() ? end(1, "it did not land") : end(0, "landed");
 }
 
+// PX4's topics: best effort, and the last sample for a reader that comes later, as PX4's examples ask for.
+template <class T, class Support>
+static void read_px4(Node& node, const std::string& name, std::function<void(const T&)> on_message) {
+  node.read<T, Support>("rt" + name, false, true, on_message);
+}
+
+static int fly_px4(int domain, const std::string& ns) {
+  using namespace px4_msgs::msg::dds_;
+  Node node(domain);
+  std::mutex mutex;
+  VehicleStatus_ status;
+  VehicleLocalPosition_ local;
+  VehicleAttitude_ attitude;
+  VehicleGlobalPosition_ global;
+  VehicleOdometry_ odometry;
+  BatteryStatus_ battery;
+  std::vector<VehicleCommandAck_> acks;
+  auto keep = [&mutex](auto& kept) {
+    return [&mutex, &kept](const auto& m) {
+      std::lock_guard<std::mutex> lock(mutex);
+      kept = m;
+    };
+  };
+  std::string out = ns + "/fmu/out/", in = "rt" + ns + "/fmu/in/";
+  read_px4<VehicleStatus_, VehicleStatus_PubSubType>(node, out + "vehicle_status_v1", keep(status));
+  read_px4<VehicleLocalPosition_, VehicleLocalPosition_PubSubType>(node, out + "vehicle_local_position", keep(local));
+  read_px4<VehicleAttitude_, VehicleAttitude_PubSubType>(node, out + "vehicle_attitude", keep(attitude));
+  read_px4<VehicleGlobalPosition_, VehicleGlobalPosition_PubSubType>(node, out + "vehicle_global_position", keep(global));
+  read_px4<VehicleOdometry_, VehicleOdometry_PubSubType>(node, out + "vehicle_odometry", keep(odometry));
+  read_px4<BatteryStatus_, BatteryStatus_PubSubType>(node, out + "battery_status", keep(battery));
+  read_px4<VehicleCommandAck_, VehicleCommandAck_PubSubType>(node, out + "vehicle_command_ack",
+                                                             [&](const VehicleCommandAck_& m) {
+                                                               std::lock_guard<std::mutex> lock(mutex);
+                                                               acks.push_back(m);
+                                                             });
+  auto* modes = node.write<OffboardControlMode_PubSubType>(in + "offboard_control_mode");
+  auto* setpoints = node.write<TrajectorySetpoint_PubSubType>(in + "trajectory_setpoint");
+  auto* commands = node.write<VehicleCommand_PubSubType>(in + "vehicle_command");
+  auto command = [&](uint32_t number, float param1, float param2, float param3, uint8_t target) {
+    VehicleCommand_ m;
+    m.command(number);
+    m.param1(param1);
+    m.param2(param2);
+    m.param3(param3);
+    m.target_system(target);
+    m.target_component(1);
+    m.source_system(1);
+    m.source_component(1);
+    m.from_external(true);
+    commands->write(&m);
+  };
+  auto seen = [&] {
+    std::lock_guard<std::mutex> lock(mutex);
+    return status;
+  };
+  double target[3] = {0, 0, -4};  // north, east, down
+  bool streaming = true;
+  std::thread stream([&] {
+    while (streaming) {
+      OffboardControlMode_ mode;
+      mode.position(true);
+      modes->write(&mode);
+      TrajectorySetpoint_ setpoint;
+      for (int i = 0; i < 3; i++) {
+        setpoint.position()[i] = target[i];
+        setpoint.velocity()[i] = setpoint.acceleration()[i] = setpoint.jerk()[i] = NAN;
+      }
+      setpoint.yaw(0);
+      setpoint.yawspeed(NAN);
+      setpoints->write(&setpoint);
+      pause_s(0.05);
+    }
+  });
+  auto end = [&](int code, const char* why) {
+    std::puts(why);
+    streaming = false;
+    stream.join();
+    return code;
+  };
+  double until = now_s() + 120;
+  while (!seen().system_id() && now_s() < until) pause_s(0.1);
+  uint8_t self = seen().system_id();
+  pause_s(2);
+  command(400, 1, 0, 0, self + 1);  // another vehicle's: nothing may come of it
+  pause_s(2);
+  if (seen().arming_state() != 1) return end(1, "another vehicle's command armed it");
+  for (; seen().arming_state() != 2 && now_s() < until; pause_s(4)) {
+    command(176, 1, 6, 0, self);
+    command(400, 1, 0, 0, self);
+  }
+  const double square[][3] = {{0, 0, -4}, {0, 4, -4}, {2, 4, -4}, {0, 0, -4}};
+  for (const auto& corner : square) {
+    for (int i = 0; i < 3; i++) target[i] = corner[i];
+    double error = 1e9, corner_until = now_s() + 120;
+    while (error > 0.5 && now_s() < corner_until) {
+      {
+        std::lock_guard<std::mutex> lock(mutex);
+        error = std::sqrt(std::pow(local.x() - corner[0], 2) + std::pow(local.y() - corner[1], 2) +
+                          std::pow(local.z() - corner[2], 2));
+      }
+      pause_s(0.05);
+    }
+    std::printf("corner %g %g %g error %.2f nav_state %d\n", corner[0], corner[1], corner[2], error, seen().nav_state());
+    if (error > 0.5) return end(1, "a corner was not reached");
+  }
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    std::printf("global %.7f %.7f %.2f\n", global.lat(), global.lon(), global.alt());
+    std::printf("battery %.3f %.3f\n", battery.voltage_v(), battery.remaining());
+    std::printf("q %.6f %.6f %.6f %.6f\n", attitude.q()[0], attitude.q()[1], attitude.q()[2], attitude.q()[3]);
+    std::printf("odometry %d %.3f %.3f %.3f\n", odometry.pose_frame(), odometry.position()[0], odometry.position()[1],
+                odometry.position()[2]);
+  }
+  command(21, 0, 0, 0, 0);
+  for (until = now_s() + 180; seen().arming_state() == 2 && now_s() < until;) pause_s(0.1);
+  for (const auto& ack : acks) std::printf("ack %u %d\n", ack.command(), ack.result());
+  return seen().arming_state() == 2 ? end(1, "it did not land") : end(0, "landed");
+}
+
 int main(int argc, char** argv) {
   std::setvbuf(stdout, nullptr, _IOLBF, 0);
   std::vector<std::string> args(argv + 1, argv + argc);
   if (args.size() >= 4 && args[1] == "echo")
     return echo(std::stoi(args[0]), std::stod(args[2]), {args.begin() + 3, args.end()});
+  if (args.size() == 3 && args[1] == "px4") return fly_px4(std::stoi(args[0]), args[2]);
   if (args.size() == 4 && args[1] == "fly") return fly(std::stoi(args[0]), args[2], args[3]);
   std::fprintf(stderr, "usage: offboard_node DOMAIN echo SECONDS NAMESPACE... | DOMAIN fly NAMESPACE LAND_MODE\n");
   return 2;

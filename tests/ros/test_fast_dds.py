@@ -55,6 +55,22 @@ def test_an_offboard_node_flies_a_square_and_lands(program: Path, fleet: RosFlee
     assert done.stdout.count("mode OFFBOARD") == 5
 
 
+def test_a_px4_node_flies_a_square_and_lands(program: Path, fleet: RosFleet) -> None:
+    """PX4's offboard_control example by its own topics; values of its telemetry are those of the daemon."""
+    place = fleet.vehicles()["bravo"]["position"]
+    done = ran(program, fleet, "px4", "/bravo")
+    assert done.returncode == 0, done.stdout + fleet.stderr[-3000:]
+    assert done.stdout.count("nav_state 14") == 4
+    values = {word: rest.split() for word, _, rest in (line.partition(" ") for line in done.stdout.splitlines())}
+    lat_deg, lon_deg, alt_m = map(float, values["global"])  # the square ended above where it stood
+    assert (lat_deg, lon_deg) == pytest.approx((place["lat_deg"], place["lon_deg"]), abs=1e-5)
+    assert alt_m == pytest.approx(place["alt_amsl_m"] + 4, abs=1)
+    assert values["odometry"][0] == "1" and float(values["odometry"][3]) == pytest.approx(-4, abs=0.7)
+    assert float(values["q"][0]) == pytest.approx(1, abs=0.05)  # level, its nose to the north
+    assert float(values["battery"][0]) > 5 and 0 < float(values["battery"][1]) <= 1
+    assert {"ack 176 0", "ack 400 0", "ack 21 0"} <= set(done.stdout.splitlines())
+
+
 def test_a_node_killed_in_flight_leaves_the_vehicle_hovering(program: Path, fleet: RosFleet) -> None:
     line = [str(program), str(fleet.domain), "fly", "/bravo/mavros", "AUTO.LAND"]
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as node:

@@ -44,6 +44,11 @@ class VehicleClock:
         self._at_ns, self._boot_ns = arrival_ns, boot_ns
         return min(boot_ns + self._offset_ns, arrival_ns)
 
+    def boot_us(self, unix_ns: int) -> int:
+        """The vehicle's time since boot at a time of this computer, in microseconds: the inverse of `stamp_ns`; 0
+        before its first message."""
+        return 0 if self._offset_ns is None else max((unix_ns - self._offset_ns) // 1000, 0)
+
 
 def time_fields(unix_ns: int) -> dict[str, Any]:
     """Fields of builtin_interfaces' Time."""

@@ -3,6 +3,7 @@
 sensor      best effort, the last 5          as rclcpp's SensorDataQoS
 default     reliable, the last 10
 latched     reliable, the last 10, and what was sent before for a reader that comes later (transient local)
+px4         best effort, the last one, which a later reader gets: what PX4's uxrce_dds_client writes by
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 from skygcs.core.ros import condition, inertial, position
 from skygcs.core.ros.memory import Sample, VehicleMemory
 
-Quality = Literal["sensor", "default", "latched"]
+Quality = Literal["sensor", "default", "latched", "px4"]
 
 
 class Topic(NamedTuple):

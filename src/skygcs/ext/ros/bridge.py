@@ -18,12 +18,14 @@ from typing import Any
 import structlog
 
 from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic
-from skygcs.core.ros.interfaces import InterfaceError
+from skygcs.core.ros.interfaces import InterfaceError, Interfaces, ros2_interfaces
+from skygcs.core.ros.px4_telemetry import PX4_SOURCES
 from skygcs.core.ros.ros_names import vehicle_root
 from skygcs.core.ros.stamps import header
 from skygcs.core.ros.topics import SOURCES
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import Node, SharedTopics, diagnostic
+from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
 from skygcs.ext.ros.vehicle_control import VehicleControl
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
@@ -69,6 +71,9 @@ class Bridge:
         self._refused: set[str] = set()
         self._counted: dict[str, int] = {}
         self._origin: Origin | None = None
+        self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
+        self._sources = list(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES})
+        """Names of the messages that topics are made of."""
 
     async def serve(self, gcs: Client) -> None:
         """Until the connection ends. Raises DaemonUnreachable, RpcError."""
@@ -78,7 +83,7 @@ class Bridge:
             self.on_state(state)
         requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
         work = (
-            self._messages(gcs, [name for name in SOURCES if name in known]),
+            self._messages(gcs, [name for name in self._sources if name in known]),
             self._states(gcs),
             self._reports(gcs, requests),
             self._count_readers(),
@@ -133,6 +138,8 @@ class Bridge:
         if vehicle is None:
             return
         vehicle.state = state
+        if self._px4 is not None and vehicle.px4 is None and state.get("autopilot") == "px4":
+            self._add_px4(vehicle, self._px4)
         if (control := self.controls.get(vehicle.name)) is not None:
             control.step()
         if not state["connected"]:
@@ -173,6 +180,11 @@ class Bridge:
                 _log.warning("a vehicle has no topics", vehicle=name, reason=str(error))
             return None
         return vehicle
+
+    def _add_px4(self, vehicle: VehicleTopics, known: Interfaces) -> None:
+        vehicle.px4 = Px4Topics(self.node, known, vehicle.root, vehicle.sysid)
+        if (control := self.controls.get(vehicle.name)) is not None:
+            control.add_px4(known, vehicle.px4)
 
     # -- reports
 

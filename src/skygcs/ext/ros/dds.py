@@ -30,7 +30,7 @@ from skygcs.errors import SkygcsError
 from skygcs.ext.ros.dds_reception import Reception
 from skygcs.ext.ros.graph import Handler
 
-DEPTHS: dict[str, int] = {"sensor": 5, "default": 10, "latched": 10, "service": 10}
+DEPTHS: dict[str, int] = {"sensor": 5, "default": 10, "latched": 10, "service": 10, "px4": 1}
 
 TAKE = 16
 """Samples of one reader in one turn of the loop; the others get their turn, then it goes on."""
@@ -270,11 +270,11 @@ def opened(network: Network, interfaces: Interfaces, loop: asyncio.AbstractEvent
 def _qos(quality: Quality | str, user_data: bytes) -> Qos:
     depth = DEPTHS[quality]
     parts: list[Any] = [Policy.History.KeepLast(depth), Policy.Userdata(user_data)]
-    if quality == "sensor":
+    if quality in ("sensor", "px4"):
         parts.append(Policy.Reliability.BestEffort)
     else:
         parts.append(Policy.Reliability.Reliable(duration(seconds=0)))  # never wait for a reader that does not answer
-    if quality == "latched":
+    if quality in ("latched", "px4"):
         parts.append(Policy.Durability.TransientLocal)
         parts.append(Policy.DurabilityService(0, Policy.History.KeepLast(depth), depth, 1, depth))
     return Qos(*parts)

@@ -60,7 +60,7 @@ class SetpointStream:
         self._waiting: Demand | None = None
         self._sending: asyncio.Task[None] | None = None
         for name, (topic, convert) in SETPOINTS.items():
-            node.subscribe(f"{vehicle.mavros}/{name}", topic.type, topic.quality, self._reader(convert))
+            node.subscribe(f"{vehicle.mavros}/{name}", topic.type, topic.quality, self.reader(convert))
         base = f"{vehicle.mavros}/setpoint_attitude"
         node.subscribe(f"{base}/thrust", "mavros_msgs/msg/Thrust", "default", self._on_thrust)
         pose, twist = self._pair.on_pose, self._pair.on_twist
@@ -68,19 +68,21 @@ class SetpointStream:
             f"{base}/attitude",
             "geometry_msgs/msg/PoseStamped",
             "default",
-            self._reader(lambda fields, frame: pose(fields, frame, clock())),
+            self.reader(lambda fields, frame: pose(fields, frame, clock())),
         )
         node.subscribe(
             f"{base}/cmd_vel",
             "geometry_msgs/msg/TwistStamped",
             "default",
-            self._reader(lambda fields, frame: twist(fields, clock())),
+            self.reader(lambda fields, frame: twist(fields, clock())),
         )
 
     def _on_thrust(self, fields: dict[str, Any]) -> None:
         self._pair.on_thrust(fields, self._clock())
 
-    def _reader(self, convert: Callable[[Mapping[str, Any], LocalFrame], Demand]) -> Callable[[dict[str, Any]], None]:
+    def reader(self, convert: Callable[[Mapping[str, Any], LocalFrame], Demand]) -> Callable[[dict[str, Any]], None]:
+        """Return what takes a topic's messages as setpoints; ``convert`` raises SetpointError for one that is none."""
+
         def on_message(fields: dict[str, Any]) -> None:
             try:
                 self.take(convert(fields, self.frame()))

@@ -7,10 +7,13 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from skygcs.core.geo import Origin
+from skygcs.core.ros.interfaces import Interfaces
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import Node
 from skygcs.ext.ros.offboard import Engage, TakeOff
+from skygcs.ext.ros.px4_control import Px4Commands, Px4Setpoints
+from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.setpoint_stream import SetpointStream
 from skygcs.ext.ros.vehicle_services import VehicleServices
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
@@ -40,8 +43,23 @@ class VehicleControl:
         self._unix_ns = unix_ns
         self._tasks: set[asyncio.Task[None]] = set()
         self._asks_origin_at = 0.0
+        self._node = node
+        self._services: VehicleServices | None = None
+        self._px4_commands: Px4Commands | None = None
         if config.commands == "all":
-            VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
+            self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
+
+    def add_px4(self, known: Interfaces, px4: Px4Topics) -> None:
+        """Take setpoints, and commands if services are allowed, from PX4's own topics as well."""
+        root = self._vehicle.root
+        Px4Setpoints(self._node, known, root, self.stream, self._clock)
+        if self._services is not None:
+
+            def boot_us() -> int:
+                return px4.memory.clock.boot_us(self._unix_ns())
+
+            sysid = self._vehicle.sysid
+            self._px4_commands = Px4Commands(self._node, known, root, sysid, self._services, boot_us, self._log)
 
     def step(self) -> None:
         """Do what is due."""
@@ -64,6 +82,8 @@ class VehicleControl:
         self.stream.offboard.end()
         for task in self._tasks:
             task.cancel()
+        if self._px4_commands is not None:
+            self._px4_commands.cancel()
 
     async def _take_off(self, height_m: float | None) -> None:
         gcs = self._gcs()

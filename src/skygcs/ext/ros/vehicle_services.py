@@ -48,7 +48,7 @@ class VehicleServices:
         self._unix_ns = unix_ns
         self._ros1 = ros1
         self._waypoints = node.publish(f"{vehicle.mavros}/mission/waypoints", "mavros_msgs/msg/WaypointList", "latched")
-        handlers: dict[str, Callable[[Fields], Awaitable[dict[str, Any]]]] = {
+        self._handlers: dict[str, Callable[[Fields], Awaitable[dict[str, Any]]]] = {
             "cmd/arming": self._arming,
             "cmd/command": self._command,
             "cmd/command_int": self._command_int,
@@ -69,14 +69,12 @@ class VehicleServices:
         }
         types = services.ROS1_SERVICES if ros1 else services.SERVICES
         for name, type_ in types.items():
-            node.serve(f"{vehicle.mavros}/{name}", type_, partial(self._answer, name, handlers[name]))
+            node.serve(f"{vehicle.mavros}/{name}", type_, partial(self.call, name))
 
-    async def _answer(
-        self, name: str, handler: Callable[[Fields], Awaitable[dict[str, Any]]], request: dict[str, Any]
-    ) -> dict[str, Any]:
-        """The response; of one that fails the empty one, whose success is false."""
+    async def call(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
+        """The response of a service; of one that fails the empty one, whose success is false."""
         try:
-            return await handler(request)
+            return await self._handlers[name](request)
         except (RequestError, RpcError, DaemonUnreachable) as error:
             self._log(ERROR, f"{name}: {error}")
         return {"result": FAILED} if name.startswith("cmd/") and name != "cmd/command_int" else {}

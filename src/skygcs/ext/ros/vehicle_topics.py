@@ -11,6 +11,7 @@ from skygcs.core.ros.ros_names import ros_name, vehicle_root
 from skygcs.core.ros.topics import SOURCES, TELEMETRY, samples
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import SharedTopics
+from skygcs.ext.ros.px4_topics import Px4Topics
 
 
 class VehicleTopics:
@@ -32,6 +33,8 @@ class VehicleTopics:
         }
         self.shown_mode = ""
         """Mode that the topic state shows; "": the autopilot's own."""
+        self.px4: Px4Topics | None = None
+        """PX4's own topics, once it is known to be a PX4 and if they are wanted."""
         self._shared = shared
         self._logger = self.mavros.strip("/").replace("/", ".")
         self._sends_tf = bool(prefix)
@@ -42,6 +45,8 @@ class VehicleTopics:
         ValueError for fields that are not those of the message in the common dialect."""
         for sample in samples(name, fields, arrival_ns, self.memory):
             self._publish(sample)
+        if self.px4 is not None:
+            self.px4.on_message(name, fields, arrival_ns, self.shown_mode)
         if name == "HEARTBEAT":
             self.connected = True
         elif name == "STATUSTEXT":
@@ -58,13 +63,16 @@ class VehicleTopics:
             before = self.memory
             self.memory = VehicleMemory(before.frames, before.geoid_m, before.clock)
             self._publish(disconnected(now_ns))
+            if self.px4 is not None:
+                self.px4.on_lost()
 
     def wanted_messages(self) -> set[str]:
         """MAVLink messages of which somebody reads a topic now."""
         read = {topic for topic, publication in self.publications.items() if publication.readers}
         if self._sends_tf and self._shared.transforms_wanted:
             read.add("local_position/pose")
-        return {name for name, source in SOURCES.items() if not read.isdisjoint(source.topics)}
+        wanted = {name for name, source in SOURCES.items() if not read.isdisjoint(source.topics)}
+        return wanted if self.px4 is None else wanted | self.px4.wanted_messages()
 
     def _publish(self, sample: Sample) -> None:
         publication = self.publications[sample.topic]
