@@ -353,7 +353,7 @@ static int fly_px4(int domain, const std::string& ns) {
     command(176, 1, 6, 0, self);
     command(400, 1, 0, 0, self);
   }
-  const double square[][3] = {{0, 0, -4}, {0, 4, -4}, {2, 4, -4}, {0, 0, -4}};
+  const double square[][3] = {{0, 0, -4}, {4, 0, -4}, {4, 2, -4}, {0, 0, -4}};
   for (const auto& corner : square) {
     for (int i = 0; i < 3; i++) target[i] = corner[i];
     double error = 1e9, corner_until = now_s() + 120;

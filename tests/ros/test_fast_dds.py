@@ -57,8 +57,8 @@ def test_an_offboard_node_flies_a_square_and_lands(program: Path, fleet: RosFlee
 
 def test_a_px4_node_flies_a_square_and_lands(program: Path, fleet: RosFleet) -> None:
     """PX4's offboard_control example by its own topics; values of its telemetry are those of the daemon."""
-    place = fleet.vehicles()["bravo"]["position"]
-    done = ran(program, fleet, "px4", "/bravo")
+    place = fleet.vehicles()["alpha"]["position"]
+    done = ran(program, fleet, "px4", "/alpha")
     assert done.returncode == 0, done.stdout + fleet.stderr[-3000:]
     assert done.stdout.count("nav_state 14") == 4
     values = {word: rest.split() for word, _, rest in (line.partition(" ") for line in done.stdout.splitlines())}

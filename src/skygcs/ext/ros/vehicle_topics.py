@@ -45,12 +45,12 @@ class VehicleTopics:
         ValueError for fields that are not those of the message in the common dialect."""
         for sample in samples(name, fields, arrival_ns, self.memory):
             self._publish(sample)
-        if self.px4 is not None:
-            self.px4.on_message(name, fields, arrival_ns, self.shown_mode)
         if name == "HEARTBEAT":
             self.connected = True
         elif name == "STATUSTEXT":
             self.log(fields["severity"], f"FCU: {fields['text']}", arrival_ns)
+        if self.px4 is not None:
+            self.px4.on_message(name, fields, arrival_ns, self.shown_mode)
 
     def log(self, severity: int, text: str, now_ns: int) -> None:
         """A message of the vehicle's on /rosout; ``severity``: a MAV_SEVERITY."""
