@@ -349,7 +349,8 @@ static int fly_px4(int domain, const std::string& ns) {
   command(400, 1, 0, 0, self + 1);  // another vehicle's: nothing may come of it
   pause_s(2);
   if (seen().arming_state() != 1) return end(1, "another vehicle's command armed it");
-  for (; seen().arming_state() != 2 && now_s() < until; pause_s(4)) {
+  // OFFBOARD is refused until its local frame's origin is known; an armed vehicle that waits on the ground disarms itself
+  for (; (seen().arming_state() != 2 || seen().nav_state() != 14) && now_s() < until; pause_s(3)) {
     command(176, 1, 6, 0, self);
     command(400, 1, 0, 0, self);
   }

@@ -57,12 +57,12 @@ def test_an_offboard_node_flies_a_square_and_lands(program: Path, fleet: RosFlee
 
 def test_a_px4_node_flies_a_square_and_lands(program: Path, fleet: RosFleet) -> None:
     """PX4's offboard_control example by its own topics; values of its telemetry are those of the daemon."""
-    place = fleet.vehicles()["alpha"]["position"]
     done = ran(program, fleet, "px4", "/alpha")
     assert done.returncode == 0, done.stdout + fleet.stderr[-3000:]
     assert done.stdout.count("nav_state 14") == 4
+    place = fleet.vehicles()["alpha"]["position"]  # it has landed where it began
     values = {word: rest.split() for word, _, rest in (line.partition(" ") for line in done.stdout.splitlines())}
-    lat_deg, lon_deg, alt_m = map(float, values["global"])  # the square ended above where it stood
+    lat_deg, lon_deg, alt_m = map(float, values["global"])
     assert (lat_deg, lon_deg) == pytest.approx((place["lat_deg"], place["lon_deg"]), abs=1e-5)
     assert alt_m == pytest.approx(place["alt_amsl_m"] + 4, abs=1)
     assert values["odometry"][0] == "1" and float(values["odometry"][3]) == pytest.approx(-4, abs=0.7)

@@ -50,7 +50,7 @@ class Rig:
         self.daemon = Daemon()
         self.bridge = Bridge(self.node, RosConfig(**{"px4_msgs": "1.16", "commands": "all", **config}), lambda: NOW_NS)
         self.bridge._gcs = self.daemon  # type: ignore[assignment]
-        self.bridge._origin = Origin(*PLACE.values(), x_heading_deg=EAST_DEG)
+        self.bridge._origin = Origin(**PLACE, x_heading_deg=EAST_DEG)
         self.state("alpha", 1, "px4")
         self.state("charlie", 3, "ardupilot")
 
