@@ -48,7 +48,7 @@ PX4_INPUTS: dict[str, str] = {
 ACK_TYPE = "px4_msgs/msg/VehicleCommandAck"
 
 PARTS = ("position", "velocity", "acceleration")
-"""Of a setpoint, the outermost loop first."""
+"""Parts of a setpoint, the outermost loop first."""
 
 DO_SET_MODE = 176
 CUSTOM_MODE_ENABLED = 1

@@ -234,7 +234,11 @@ def test_every_release_takes_every_message_and_no_field_is_of_none(release: Px4R
     everywhere: dict[str, set[str]] = {}
     for type_ in PX4_TELEMETRY.values():
         everywhere[type_] = {name for each in PX4_RELEASES for name in ros2_interfaces(each).fields_of(type_)}
-    messages: dict[str, dict[str, Any]] = {"LOCAL_POSITION_NED": LOCAL, "HEARTBEAT": HEARTBEAT, "GLOBAL_POSITION_INT": GLOBAL}
+    messages: dict[str, dict[str, Any]] = {
+        "LOCAL_POSITION_NED": LOCAL,
+        "HEARTBEAT": HEARTBEAT,
+        "GLOBAL_POSITION_INT": GLOBAL,
+    }
     topics = set()
     for name, fields in {**messages, "BATTERY_STATUS": BATTERY, "ODOMETRY": ODOMETRY}.items():
         for sample in px4_samples(name, fields, NOW, Px4Memory(1)):
