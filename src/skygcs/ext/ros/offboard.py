@@ -5,6 +5,8 @@
     idle         set_mode OFFBOARD, setpoints come                 wished
     idle         set_mode OFFBOARD, none came for SETPOINT_S       idle; refused, as PX4 does
     wished       setpoints stop for SETPOINT_S                     idle: a node that stops, stops
+    idle,        a PX4's offboard_control_mode comes               as if a setpoint did: PX4's own example sends its
+    wished                                                         first setpoint once OFFBOARD is shown
     wished       armed on the ground, a setpoint CLIMB_M above     wished; take off to its height, once
     wished       in the air, not under control                     engaging: control.set in the setpoints' mode
     engaging     control is engaged                                flying
@@ -65,6 +67,8 @@ class Offboard:
         """Mode that the topic state shows in place of the autopilot's; "": the autopilot's own."""
         self._demand: Demand | None = None
         self._demand_at = -math.inf
+        self._proof_at = -math.inf
+        """When a node last showed that it lives, beside its setpoints."""
         self._took_off = False
         self._attempts = 0
         self._again_at = -math.inf
@@ -78,6 +82,10 @@ class Offboard:
         """A setpoint that came."""
         self._demand, self._demand_at = demand, now
 
+    def on_proof(self, now: float) -> None:
+        """offboard_control_mode came."""
+        self._proof_at = now
+
     def wish_guided(self) -> None:
         """set_mode to GUIDED of an ArduPilot, which has it itself: it needs no setpoints, and takes off by an order."""
         self.end()
@@ -85,7 +93,7 @@ class Offboard:
 
     def wish(self, mode: str, now: float) -> str | None:
         """set_mode to OFFBOARD. Why it is refused; None: it is not."""
-        if now - self._demand_at > SETPOINT_S:
+        if now - max(self._demand_at, self._proof_at) > SETPOINT_S:
             return f"no setpoint came in the last {SETPOINT_S} s: stream them before {mode}"
         if self.state == "idle":
             self.state, self._took_off, self._attempts, self._again_at = "wished", False, 0, -math.inf
@@ -102,7 +110,7 @@ class Offboard:
         """Return what is to be done now, by the vehicle's state as the daemon sends it; answer `Engage` by
         `on_engaged`."""
         demand = self._demand
-        if self.state == "idle" or demand is None:
+        if self.state == "idle":
             return None
         controlled = (vehicle.get("control") or {}).get("state") in UNDER_CONTROL
         armed = bool(vehicle.get("armed"))
@@ -110,7 +118,7 @@ class Offboard:
             self.end()
             return None
         self._was_armed = armed
-        if self.state == "flying":
+        if self.state == "flying" and demand is not None:
             if not controlled and now - self._engaged_at > SEEN_S:
                 self.end()
             elif demand.mode != self._engaged_mode and now >= self._again_at:
@@ -118,8 +126,8 @@ class Offboard:
             return None
         if self.state == "engaging":
             return None
-        if now - self._demand_at > SETPOINT_S:
-            if not self._patient:
+        if demand is None or now - self._demand_at > SETPOINT_S:
+            if not self._patient and now - self._proof_at > SETPOINT_S:
                 self.end()
             return None
         if not armed:

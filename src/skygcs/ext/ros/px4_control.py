@@ -37,8 +37,13 @@ class Px4Setpoints:
         self, node: Node, known: Interfaces, root: str, stream: SetpointStream, clock: Callable[[], float]
     ) -> None:
         self._mode = OffboardControlMode()
+
+        def on_mode(fields: dict[str, Any]) -> None:
+            self._mode.on_message(fields, clock())
+            stream.offboard.on_proof(clock())
+
         for topic, on_message in {
-            "offboard_control_mode": lambda fields: self._mode.on_message(fields, clock()),
+            "offboard_control_mode": on_mode,
             "trajectory_setpoint": stream.reader(lambda fields, frame: self._mode.demand(fields, frame, clock())),
         }.items():
             type_ = PX4_INPUTS[topic]

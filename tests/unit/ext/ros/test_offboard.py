@@ -46,6 +46,21 @@ def test_without_setpoints_it_is_refused() -> None:
     assert (offboard.state, offboard.shown_mode) == ("idle", "")
 
 
+def test_a_px4_node_may_set_offboard_before_its_first_setpoint_while_it_shows_that_it_lives() -> None:
+    """As PX4's own example in Python does: it waits for OFFBOARD in vehicle_status."""
+    offboard = Offboard()
+    offboard.on_proof(0.0)
+    assert offboard.wish("OFFBOARD", 0.1) is None and offboard.shown_mode == "OFFBOARD"
+    assert offboard.next_step(ARMED, 0.4) is None and offboard.state == "wished"
+    offboard.on_proof(0.5)
+    offboard.on_demand(CLIMB, 0.6)
+    assert isinstance(offboard.next_step(ARMED, 0.6), TakeOff)
+    silent = Offboard()
+    silent.on_proof(0.0)
+    assert silent.wish("OFFBOARD", 0.1) is None
+    assert silent.next_step(ARMED, 0.7) is None and silent.state == "idle", "a node that stops, stops"
+
+
 def test_it_takes_off_once_when_armed_and_is_engaged_in_the_air() -> None:
     offboard = wished()
     assert offboard.next_step(GROUND, 0.1) is None
