@@ -161,7 +161,7 @@ def test_a_mixed_fleet_flies_missions_and_losing_the_ground_loses_nothing(
     row["seconds"] = [round(killed - began, 1), round(time.monotonic() - began, 1)]
     assert row["measured_least_m"] >= row["certified_least_m"] > 0.0, row
     fleet.daemon.start()
-    fleet.wait(lambda: fleet.daemon.known() == len(fleet.names), 30, "all are heard again")
+    fleet.wait(fleet.connected, 30, "all are heard again")
     fleet.order("vehicles.land", "all")
     fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 120, "all have landed")
     for name, values in before.items():
