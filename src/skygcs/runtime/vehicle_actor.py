@@ -26,6 +26,7 @@ from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENT
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.calibration import Sensor
@@ -75,6 +76,9 @@ if TYPE_CHECKING:  # only some vehicles have them
     from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
 
 SHUTDOWN = "skygcs is shutting down"
+
+PROBE = "uplink probe"
+"""Key of a vehicle's probe in the queue of a slow link."""
 
 
 class VehicleActor:
@@ -804,13 +808,17 @@ class VehicleActor:
             if uplink.verdict(now, last_frame_at) is not None:
                 self._on_uplink("lost")
         armed = self.vehicle.armed
-        if not uplink.due(now, armed=armed, thin=False):  # so most ticks do not ask what the links carry
+        if not uplink.due(now, armed=armed):  # so most ticks do not ask what the links carry
             return
-        narrow = math.isfinite(self._services.links.setpoint_bytes_per_s(self.vehicle, self._services.flown))
-        if uplink.due(now, armed=armed, thin=narrow):
-            token = uplink.token()
-            if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
-                uplink.sent(token, now)
+        links, key = self._services.links, (PROBE, self.vehicle.key)
+        share = links.setpoint_bytes_per_s(self.vehicle, self._services.flown)
+        if not uplink.due(now, armed=armed, share_bytes_per_s=share):
+            return
+        if math.isfinite(share) and links.holds(self.vehicle, Priority.COMMAND, key):
+            return  # the last one has not left yet: another one behind it measures nothing
+        token = uplink.token()
+        if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}, key=key):
+            uplink.sent(token, now)
 
     def _on_timesync(self, frame: Frame, now: float) -> None:
         """An answer to a probe or a ping of ours; others are ignored."""

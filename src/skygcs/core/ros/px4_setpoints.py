@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.modes import px4_mode_name
 from skygcs.core.ros.rotations import enu_from_ned, xyz
 from skygcs.core.ros.services import ARM_DISARM, RequestError
@@ -50,7 +51,6 @@ ACK_TYPE = "px4_msgs/msg/VehicleCommandAck"
 PARTS = ("position", "velocity", "acceleration")
 """Parts of a setpoint, the outermost loop first."""
 
-DO_SET_MODE = 176
 CUSTOM_MODE_ENABLED = 1
 
 LAST_COMMAND = 0xFFFF
@@ -110,7 +110,7 @@ def service_call(command: Fields) -> tuple[str, dict[str, Any]]:
         raise RequestError(f"command {number} is one of PX4's own, which MAVLink does not carry")
     if number == ARM_DISARM:
         return "cmd/arming", {"value": command["param1"] == 1}
-    if number == DO_SET_MODE:
+    if number == mav_cmd.DO_SET_MODE:
         return "set_mode", {"base_mode": 0, "custom_mode": _mode(command)}
     params = {f"param{n}": command[f"param{n}"] for n in range(1, 8)}
     return "cmd/command", {"broadcast": False, "command": number, "confirmation": 0, **params}

@@ -6,6 +6,7 @@ sent quickly until one is answered, or until so many in a row were not answered 
 
     base period    armed 0.5 s, on a radio 2 s; disarmed 5 s, on a radio 10 s (30 bytes each way)
     in doubt       armed every 0.2 s, on a radio every 0.35 s or half a round trip; disarmed every 1 s, on a radio 2 s
+    crowded        never more than `PROBE_SHARE` of the vehicle's share of a radio, in doubt `DOUBT_SHARE`
     dead           after N probes without an answer, with p^N below FALSE_RUN: 5 to 18 probes
 
 p, the share of unanswered probes, is measured over the last 50 of them, beginning with 0.2. A run of N
@@ -28,6 +29,12 @@ THIN_ARMED_S, THIN_DISARMED_S = 2.0, 10.0
 
 DOUBT_S, THIN_DOUBT_S = 0.2, 0.35
 """Period while they are not answered."""
+
+PROBE_BYTES = 30
+PROBE_SHARE, DOUBT_SHARE = 0.1, 0.3
+"""Shares of what a slow link leaves a vehicle. Without them 14 vehicles behind a radio of 64 kbit/s filled it: what
+waits behind probes is answered late, which brings vehicles in doubt, which sends more probes. No parameter was read
+within 126 s."""
 
 EARLY_S = 0.02
 """Tolerance, so that a caller with a period of 0.2 s does not miss a probe by rounding."""
@@ -73,9 +80,12 @@ class UplinkWatch:
         self._number = first & 0xFFFF
         self._outcomes: deque[bool] = deque(maxlen=PROBES_KEPT)
 
-    def due(self, now: float, *, armed: bool, thin: bool) -> bool:
-        """True if a probe is to be sent now."""
-        return now - self._sent_at >= self._period_s(armed=armed, thin=thin) - EARLY_S
+    def due(self, now: float, *, armed: bool, share_bytes_per_s: float = math.inf) -> bool:
+        """True if a probe is to be sent now; ``share_bytes_per_s``: what a slow link leaves this vehicle."""
+        thin = share_bytes_per_s < math.inf
+        in_doubt = bool(self.unanswered) or self.lost
+        least_s = PROBE_BYTES / (max(share_bytes_per_s, 1.0) * (DOUBT_SHARE if in_doubt else PROBE_SHARE))
+        return now - self._sent_at >= max(self._period_s(armed=armed, thin=thin), least_s) - EARLY_S
 
     def token(self) -> int:
         """ts1 of the next probe."""

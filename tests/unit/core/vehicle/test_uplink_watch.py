@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import random
 
-from skygcs.core.vehicle.uplink_watch import UplinkWatch
+from skygcs.core.vehicle.uplink_watch import DOUBT_SHARE, PROBE_BYTES, PROBE_SHARE, UplinkWatch
 from support.examples import seeds
 from support.table import each
 
 TICK_S = 0.2
+ROOMY = 1_000.0
+"""Bytes per second of a radio with one vehicle."""
 
 
 class Air:
@@ -36,7 +39,7 @@ class Air:
                     self.changes.append((self.now, change))
             if (verdict := self.watch.verdict(self.now, last_frame_at)) is not None:
                 self.changes.append((self.now, verdict))
-            if self.watch.due(self.now, armed=armed, thin=self.thin):
+            if self.watch.due(self.now, armed=armed, share_bytes_per_s=ROOMY if self.thin else math.inf):
                 token = self.watch.token()
                 self.watch.sent(token, self.now)
                 self.sent += 1
@@ -86,6 +89,22 @@ def test_what_it_costs() -> None:
         air.sent = 0
         air.run(600, armed=armed)
         assert air.sent / 600 <= most
+
+
+@each("share_bytes_per_s", [1.0, 10.0, 40.0, 134.0])
+def test_on_a_crowded_radio_probes_keep_to_their_share_also_in_doubt(share_bytes_per_s: float) -> None:
+    watch, sent = UplinkWatch(), {True: 0, False: 0}
+    for dead in (False, True):
+        for n in range(round(1200 / TICK_S)):
+            now = 2000.0 * dead + n * TICK_S
+            if watch.due(now, armed=True, share_bytes_per_s=share_bytes_per_s):
+                token = watch.token()
+                watch.sent(token, now)
+                sent[dead] += 1
+                if not dead:
+                    watch.answered(token, now + 0.1)
+    assert PROBE_BYTES * (sent[False] - 1) <= 1200 * PROBE_SHARE * share_bytes_per_s
+    assert PROBE_BYTES * (sent[True] - 1) <= 1200 * DOUBT_SHARE * share_bytes_per_s
 
 
 def test_one_that_never_answers_and_one_that_is_not_heard_are_not_said_to_be_deaf() -> None:
