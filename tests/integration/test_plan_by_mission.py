@@ -28,7 +28,7 @@ def parallel(gcs: Flown) -> PhasedPlan:
     """Each to the north, up, and to the side; nobody's way is near another's."""
     names = [f"v{sim.sysid}" for sim in gcs.sims]
     homes = {name: gcs.place_of_home(name) for name in names}
-    north = {name: (x, y + 25.0 + 15.0 * i, UP_M) for i, (name, (x, y, _)) in enumerate(homes.items())}
+    north = {name: (x, y + 12.0 + 33.0 * i, UP_M) for i, (name, (x, y, _)) in enumerate(homes.items())}
     aside = {name: (x + (4.0 if i else -4.0), y, UP_M + 4.0) for i, (name, (x, y, _)) in enumerate(north.items())}
     return phased(
         homes, ("climb", {n: (x, y, UP_M) for n, (x, y, _) in homes.items()}), ("north", north), ("aside", aside)
@@ -157,6 +157,40 @@ async def test_a_pause_holds_all_and_they_go_on_where_they_are(tmp_path: Path) -
         await gcs.until(lambda: state(gcs) in OVER, 120.0)
         assert state(gcs) == "finished" and at_goals(gcs, plan), plan_events(gcs)
         assert len([s for s in gcs.sent if s.name == "MISSION_COUNT"]) == uploads
+
+
+async def test_one_that_has_ended_its_mission_stays_when_the_others_go_on_after_a_pause(tmp_path: Path) -> None:
+    """A PX4 holds in AUTO.LOITER then, and would fly an ended mission again, from its begin."""
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        plan = await begun(gcs)
+        goal = plan.legs()[-1][1]["v1"][1]
+        first = next(actor for actor in gcs.daemon.fleet.vehicles.values() if actor.name == "v1")
+        await gcs.until(lambda: first.vehicle.mode == "AUTO.LOITER" and math.dist(gcs.place("v1"), goal) < 0.5, 90.0)
+        assert state(gcs) == "flying", plan_events(gcs)
+        since = gcs.now
+        await gcs("plan.pause")
+        await asyncio.sleep(10.0)
+        answer = await gcs("plan.resume")
+        assert answer["ok"], answer
+        await gcs.until(lambda: state(gcs) in OVER, 120.0)
+        assert state(gcs) == "finished" and at_goals(gcs, plan), plan_events(gcs)
+        assert all(math.dist(t.pos_m, goal) < 1.0 for t in gcs.truth[1] if t.at >= since)
+
+
+async def test_an_abort_while_an_order_is_repeated_is_the_last_word(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await run(gcs, parallel(gcs), by="mission")
+        await gcs.until(lambda: state(gcs) == "takeoff", 120.0)
+        gcs.loses = frozenset({"COMMAND_INT", "MISSION_COUNT"})
+        await gcs.until(lambda: state(gcs) == "engaging", 120.0)
+        await gcs.until(lambda: any(t.kind == "command" and "no answer" in t.text for t in gcs.told), 40.0)
+        await gcs("plan.abort")  # between two of them
+        gcs.loses = frozenset()
+        await gcs.until(lambda: state(gcs) == "aborted", 40.0)
+        since = gcs.now
+        await asyncio.sleep(70.0)
+        late = [s for s in gcs.sent if s.at > since and s.name in ("COMMAND_INT", "MISSION_COUNT")]
+        assert not late, [(s.at - since, s.name) for s in late]
 
 
 async def test_a_pilot_stops_the_others_and_it_is_not_resumed(tmp_path: Path) -> None:

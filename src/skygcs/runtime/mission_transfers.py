@@ -396,8 +396,16 @@ class Missions:
         of = f" of {count}" if count else ""
         self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
 
+    @property
+    def complete(self) -> bool:
+        """True if it has reported the last item of the mission that is on board as reached."""
+        count = self.counts.get(MissionType.MISSION)
+        return self._reached is not None and bool(count) and number_of(self._vehicle, self._reached) == count
+
     def _keep(self, outcome: MissionOutcome, count: int) -> None:
         self.counts[outcome.kind] = count
+        if outcome.kind is MissionType.MISSION:
+            self._reached = None  # what was reached was of the one before
         if outcome.opaque_id is None:
             self.opaque_ids.pop(outcome.kind, None)
         else:

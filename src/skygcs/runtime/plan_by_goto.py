@@ -90,10 +90,11 @@ class GotoGuidance:
         until = self._loop.time() + LEG_S
         while True:
             outcome = await order()
-            taking = flight.execution.state is PlanState.ENGAGING and self._loop.time() < until
-            if outcome.ok or not _unheard(outcome) or not taking:
+            if outcome.ok or not _unheard(outcome):
                 return outcome
             await asyncio.sleep(AGAIN_S)
+            if flight.execution.state is not PlanState.ENGAGING or self._loop.time() >= until:
+                return outcome
 
     def fly(self, flight: PlanFlight) -> str | None:
         """Order the first legs."""
@@ -236,9 +237,12 @@ class MissionGuidance(GotoGuidance):
         return MISSION_MODES | STANDS_IN if legs.there(name, sight.place_m) else MISSION_MODES
 
     async def _order(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
-        """From the first item on; what has begun goes on where it is."""
+        """From the first item on. What has begun goes on where it is, and what has ended is left alone: both firmwares
+        would fly an ended mission again, from its begin."""
         actor = flight.actors[name]
         if name in self._begun:
+            if actor.missions.complete or actor.vehicle.mode in MISSION_MODES:
+                return Outcome(True, "accepted", "it flies its mission, or has")
             return await self._ours(name, actor, actor.resume_mission())
         order = actor.start_mission(arm=False, force=flight.settings.force)
         outcome = await self._ours(name, actor, order)
