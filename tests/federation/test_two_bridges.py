@@ -50,7 +50,8 @@ async def two(hub: Hub, folder: Path) -> AsyncIterator[tuple[Site, Site, FakeDae
     async with site(hub, "south", folder, daemon=south) as first:
         await until(lambda: state(first) == "active", "the first one acts")
         async with site(hub, "south", folder / "twin", daemon=twin) as second:
-            await until(lambda: state(second) == "standby" and other(first), "the second one stands by")
+            await until(lambda: state(second) == "standby", "the second one stands by")
+            await until(lambda: (other(first) or {}).get("state") == "standby", "the first one knows it")
             yield first, second, south, twin
 
 

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.models import FleetConfig
-from skygcs.federation.process import FederationOptions, FederationProcess
+from skygcs.core.federation.bridge_election import BridgeState
+from skygcs.federation.metrics import ORDERS_TAKEN
+from skygcs.federation.process import ONE_BRIDGE, FederationOptions, FederationProcess
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
@@ -25,6 +27,11 @@ class Site:
         self.server = server
         self.socket = str(process.station.socket_path)
 
+    def serves(self) -> bool:
+        """True if it takes orders of other stations, or stands by for the bridge that does."""
+        one, orders = (self.process.parts[name].status() for name in (ONE_BRIDGE, ORDERS_TAKEN))
+        return bool(one["state"] == BridgeState.STANDBY or orders["daemon"]["connected"])
+
     @contextlib.asynccontextmanager
     async def client(self) -> AsyncIterator[Client]:
         async with connect(self.socket) as gcs:
@@ -35,7 +42,8 @@ class Site:
 async def site(
     hub: Hub, name: str, folder: Path, *, daemon: FakeDaemon | None = None, role: str = "site", **federation: Any
 ) -> AsyncIterator[Site]:
-    """A running bridge of this user of the hub; with ``daemon`` behind its socket, or none."""
+    """A running bridge of this user of the hub; with ``daemon`` behind its socket, or none. One with a daemon takes
+    orders from the begin, if the hub is there."""
     table = {"servers": [hub.url], "nkey": str(hub.key_file(name)), "role": role, **federation}
     if role == "site":
         table["site"] = name
@@ -50,7 +58,10 @@ async def site(
     try:
         await ready.wait()
         await until(lambda: process.station.socket_path.exists() or task.done(), f"{name} serves its socket")
-        yield Site(process, daemon, server)
+        found = Site(process, daemon, server)
+        if daemon is not None and hub.process.process is not None:
+            await until(lambda: found.serves() or task.done(), f"{name} takes orders")
+        yield found
     finally:
         process.stop()
         await asyncio.gather(task)

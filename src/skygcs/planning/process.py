@@ -96,10 +96,7 @@ class PlanningProcesses:
         self, request: bytes, on_progress: OnProgress | None = None, limits: ProcessLimits = ProcessLimits()
     ) -> bytes:
         """See the function of this name."""
-        answer = await self._answer(REQUEST, request, on_progress, limits)
-        if answer.startswith(REFUSED):
-            raise RefusedError(json.loads(answer)["refused"])
-        return answer
+        return await self._answer(REQUEST, request, on_progress, limits)
 
     async def call(self, function: Callable[..., T], *arguments: Any, limits: ProcessLimits = ProcessLimits()) -> T:
         """Call a function like `asyncio.to_thread`, in a planning process: a function of a module, arguments and result
@@ -121,7 +118,7 @@ class PlanningProcesses:
             await process.end()
 
     async def _answer(self, kind: str, request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
-        """The line with which a process answers."""
+        """The line with which a process answers. Raises RefusedError with the reason if that is the answer."""
         process = self._taken()
         if process is None or not process.alive:
             if process is not None:
@@ -143,6 +140,8 @@ class PlanningProcesses:
                 self._ending = asyncio.get_running_loop().call_later(KEPT_S, self._end_idle)
             else:
                 text = await process.end()
+        if answer.startswith(REFUSED):
+            raise RefusedError(json.loads(answer)["refused"])
         if answer:
             return answer
         raise _failure(process.code, text, limits)

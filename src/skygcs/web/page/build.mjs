@@ -1,6 +1,6 @@
 // Builds the page into ../static: index.html, assets/app.js with its chunks, assets/app.css, assets/licenses.txt.
 // `--tests` bundles the unit tests into build/tests instead.
-import { cpSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { cpSync, existsSync, mkdirSync, readFileSync, readdirSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
@@ -63,7 +63,8 @@ function licences(names) {
 }
 
 async function page() {
-  const out = resolve(here, "../static");
+  const shown = resolve(here, "../static");
+  const out = `${shown}.new`; // a page that is being served is replaced in one piece, when it is whole
   rmSync(out, { recursive: true, force: true });
   mkdirSync(join(out, "assets"), { recursive: true });
   const result = await build({
@@ -88,9 +89,13 @@ async function page() {
   const names = new Set([...packagesOf(result.metafile), ...packagesOf(styles.metafile)]);
   writeFileSync(join(out, "assets", "licenses.txt"), licences([...names].sort()));
   cpSync(join(here, "public"), out, { recursive: true });
+  rmSync(`${shown}.old`, { recursive: true, force: true });
+  if (existsSync(shown)) renameSync(shown, `${shown}.old`);
+  renameSync(out, shown);
+  rmSync(`${shown}.old`, { recursive: true, force: true });
   let total = 0;
-  for (const name of readdirSync(join(out, "assets"))) {
-    if (/\.(js|css)$/.test(name)) total += gzipSync(readFileSync(join(out, "assets", name)), { level: 9 }).length;
+  for (const name of readdirSync(join(shown, "assets"))) {
+    if (/\.(js|css)$/.test(name)) total += gzipSync(readFileSync(join(shown, "assets", name)), { level: 9 }).length;
   }
   console.log(`page: ${(total / 1000).toFixed(1)} kB of scripts and styles, compressed`);
 }
