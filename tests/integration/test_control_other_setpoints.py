@@ -56,9 +56,9 @@ async def test_a_takeoff_may_be_ordered_before_the_vehicle_knows_where_it_is(tmp
     task = asyncio.create_task(daemon.run())
     try:
         await asyncio.sleep(1.5)  # the first heartbeat came, no position yet
-        at_once = (await daemon.fleet.command_all("all", VehicleActor.takeoff, 5.0))["v1"]
+        at_once = (await daemon.fleet.orders.command_all("all", VehicleActor.takeoff, 5.0))["v1"]
         assert not at_once.ok and at_once.message.startswith("not ready: its position is not known yet")
-        assert (await daemon.fleet.command_all("all", VehicleActor.takeoff, 5.0, wait_s=30.0))["v1"].ok
+        assert (await daemon.fleet.orders.command_all("all", VehicleActor.takeoff, 5.0, wait_s=30.0))["v1"].ok
     finally:
         daemon.stop()
         await task

@@ -64,7 +64,7 @@ async def test_orders_do_not_wait_for_corrections(tmp_path: Path) -> None:
 
         sending = asyncio.create_task(base())
         await asyncio.sleep(10)
-        outcomes = await air.daemon.fleet.command_all("all", VehicleActor.set_mode, name="AUTO.LOITER")
+        outcomes = await air.daemon.fleet.orders.command_all("all", VehicleActor.set_mode, name="AUTO.LOITER")
         sending.cancel()
         (outcome,) = outcomes.values()
         up = air.air()["up"]

@@ -246,7 +246,7 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
         event = daemon.event_log.recent[-1]
         assert (event["kind"], event["vehicle"], event["sysid"]) == ("duplicate", "v7", 7)
         assert "give it another id" in event["text"]
-        [outcome] = (await daemon.fleet.command_all("7", VehicleActor.arm)).values()
+        [outcome] = (await daemon.fleet.orders.command_all("7", VehicleActor.arm)).values()
         assert outcome.result == "refused"
         assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is True
         daemon.hub.router.notes.append(RouteNote("duplicate_over", 7, 1, channel))
@@ -262,7 +262,7 @@ async def test_a_landing_takes_every_link_to_its_vehicle_at_once(tmp_path: Path)
     async with with_vehicles(tmp_path) as daemon:
         peer_of(daemon, "other").send(heartbeat(7, seq=9))
         await until(lambda: len(daemon.hub.router.channels_of(7 << 8 | 1)) == 2)
-        landing = asyncio.create_task(daemon.fleet.command_all("7", VehicleActor.land))
+        landing = asyncio.create_task(daemon.fleet.orders.command_all("7", VehicleActor.land))
         await until(lambda: sent_to(daemon, "radio", "COMMAND_LONG") and sent_to(daemon, "other", "COMMAND_LONG"))
         attempts = [f["confirmation"] for link in ("radio", "other") for f in sent_to(daemon, link, "COMMAND_LONG")]
         assert attempts == [0, 0], "not only when it is repeated"
@@ -276,7 +276,7 @@ async def test_no_broadcast_goes_out_while_a_link_keeps_sources_out(tmp_path: Pa
         peer_of(daemon, "radio").send(heartbeat(7) + heartbeat(8))
         await until(lambda: len(daemon.fleet.vehicles) == 2)
         await daemon.links.add("kept", {"type": "memory", key: [1]})
-        landing = asyncio.create_task(daemon.fleet.command_all("all", VehicleActor.land))
+        landing = asyncio.create_task(daemon.fleet.orders.command_all("all", VehicleActor.land))
         await until(lambda: len(sent_to(daemon, "radio", "COMMAND_LONG")) >= 2)
         targets = {f["target_system"] for f in sent_to(daemon, "radio", "COMMAND_LONG") if f["command"] == 21}
         assert targets == {7, 8}

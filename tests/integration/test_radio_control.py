@@ -18,11 +18,11 @@ async def test_two_copters_flown_by_position_over_a_fast_radio_hold_and_step_wit
     async with on_air(tmp_path, px4=0, ardupilot=2, radio={"air_kbps": 250}, link={"stream_profile": "nav"}) as air:
         await air.settled(2)
         fleet = air.daemon.fleet
-        reported = await fleet.command_all("all", VehicleActor.takeoff, height_m=5.0, wait_s=90.0)
+        reported = await fleet.orders.command_all("all", VehicleActor.takeoff, height_m=5.0, wait_s=90.0)
         assert all(o.ok for o in reported.values()), reported
         await air.until(lambda: all(s.motion.up_m > 4.5 for s in air.link.vehicles))
         await asyncio.sleep(8)
-        reported = await fleet.command_all("all", VehicleActor.control, mode="velocity")
+        reported = await fleet.orders.command_all("all", VehicleActor.control, mode="velocity")
         assert all(o.ok for o in reported.values()), reported
         await asyncio.sleep(15)
         status = air.air()
@@ -33,7 +33,7 @@ async def test_two_copters_flown_by_position_over_a_fast_radio_hold_and_step_wit
         await asyncio.sleep(5)
         assert air.air()["up"]["classes"]["setpoint"]["sent"] > sent + 20
         assert air.radio.network.stats(0).overflow_bytes == 0
-        reported = await fleet.command_all("all", VehicleActor.control, mode="off")
+        reported = await fleet.orders.command_all("all", VehicleActor.control, mode="off")
         assert all(o.ok for o in reported.values()), reported
         await asyncio.sleep(20)
         assert [v["weight"] for v in air.air()["vehicles"]] == [NORMAL, NORMAL]

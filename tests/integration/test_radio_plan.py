@@ -81,7 +81,7 @@ async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(t
         await asyncio.sleep(phase_s)  # wherever the round of 0.91 s is
         flood(air)
         ordered = air.daemon.now()
-        stop = asyncio.create_task(air.daemon.fleet.command_all("all", VehicleActor.stop, action="land"))
+        stop = asyncio.create_task(air.daemon.fleet.orders.command_all("all", VehicleActor.stop, action="land"))
         for _ in range(30):
             flood(air)
             await asyncio.sleep(0.1)
@@ -223,11 +223,13 @@ async def test_what_is_lost_while_vehicles_still_flood_does_not_count_against_th
 async def test_what_the_radio_cannot_carry_is_refused_with_the_figures_and_what_can(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
         await air.settled(10)
-        (told,) = (await air.daemon.fleet.command_all("1", VehicleActor.takeoff, height_m=5.0, wait_s=60.0)).values()
+        (told,) = (
+            await air.daemon.fleet.orders.command_all("1", VehicleActor.takeoff, height_m=5.0, wait_s=60.0)
+        ).values()
         assert told.ok
         await air.until(lambda: air.sim(1).motion.up_m > 4.5)
         await asyncio.sleep(5)
-        (told,) = (await air.daemon.fleet.command_all("1", VehicleActor.control, mode="position")).values()
+        (told,) = (await air.daemon.fleet.orders.command_all("1", VehicleActor.control, mode="position")).values()
         assert told.result == "refused"
         assert "every 0.91 s; PX4 wants setpoints at 2 Hz" in told.message and "goto" in told.message
         assert not air.daemon.fleet.find("1").streams.position_hz

@@ -109,7 +109,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
             (VehicleActor.land, {}),
             (VehicleActor.disarm, {"force": True}),
         ):
-            [outcome] = (await daemon.fleet.command_all("2", order, **arguments)).values()
+            [outcome] = (await daemon.fleet.orders.command_all("2", order, **arguments)).values()
             assert outcome.result == "refused"
             assert "recording" in outcome.message
         try:

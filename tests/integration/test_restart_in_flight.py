@@ -82,7 +82,7 @@ async def test_one_that_is_lost_in_the_air_is_still_shown_and_in_the_way(tmp_pat
         )
         # another is not sent there
         to_m = [place[0], place[1], place[2]]
-        (outcome,) = (await gcs.daemon.fleet.command_all("v1", VehicleActor.goto, enu_m=to_m)).values()
+        (outcome,) = (await gcs.daemon.fleet.orders.command_all("v1", VehicleActor.goto, enu_m=to_m)).values()
         assert outcome.result == "refused" and "v2" in outcome.message, outcome
         assert "skygcs-cli forget v2" in outcome.message
 

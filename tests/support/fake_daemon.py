@@ -36,7 +36,7 @@ from skygcs.extension import Extensions
 from skygcs.planning.process import OnProgress, ProcessLimits
 from skygcs.planning.worker import answered
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.fleet import Order, Reports, Unreported
+from skygcs.runtime.fleet_orders import Order, Reports, Unreported
 from skygcs.runtime.plan_runner import ChosenWay
 from skygcs.runtime.planning_queue import PlanningQueue
 
@@ -504,6 +504,10 @@ class FakeFleet:
                 )
             found.update({v.sysid: v for v in matching})
         return list(found.values())
+
+    @property
+    def orders(self) -> FakeFleet:
+        return self
 
     async def command_all(
         self, targets: str | list[str], order: Order, /, *, reports: Reports | None = None, **arguments: Any

@@ -311,8 +311,8 @@ async def test_the_command_prints_a_further_address_of_a_role(
     done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as browser:
-        async with browser.get(done.stdout.strip()) as answer:
-            assert answer.status == 200
+        async with browser.get(done.stdout.strip(), allow_redirects=False) as answer:
+            assert answer.status == 303
         async with browser.ws_connect(f"{station.base}/ws", origin=station.base) as ws:
             await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.hello"})
             while (reply := await ws.receive_json(timeout=30)).get("id") != 1:

@@ -19,7 +19,8 @@ from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
-from skygcs.runtime.fleet import CARRIED_ON, Fleet, Order
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet_orders import CARRIED_ON, Order
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
@@ -137,9 +138,9 @@ def as_json(outcomes: Mapping[str, HasDict]) -> JsonObject:
 
 
 async def command(context: Context, targets: str | list[str], order: Order, **arguments: Any) -> JsonObject:
-    """Give one order to all targets at the same time, and report each outcome; see `Fleet.command_all`."""
+    """Give one order to all targets at the same time, and report each outcome; see `FleetOrders.command_all`."""
     fleet = context.services.fleet
-    return as_json(await fleet.command_all(targets, order, reports=context.reports, **arguments))
+    return as_json(await fleet.orders.command_all(targets, order, reports=context.reports, **arguments))
 
 
 async def command_with(context: Context, order: Order, params: TargetsParams) -> JsonObject:

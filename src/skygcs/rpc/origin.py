@@ -83,7 +83,7 @@ async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     skygcs does not need it: it moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only
     while it has no origin yet.
     """
-    push = context.services.fleet.push_origin
+    push = context.services.fleet.orders.push_origin
     return as_json(await push(params.targets, home=params.home, force=params.force, reports=context.reports))
 
 

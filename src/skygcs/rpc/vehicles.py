@@ -1,7 +1,7 @@
 """The methods of vehicles: their state and their orders. `METHODS` is their part of the table.
 
 An order whose arguments are its parameters is one row of the table: it names the method of `VehicleActor` that carries
-it out, and the daemon calls that for every target (`Fleet.command_all`).
+it out, and the daemon calls that for every target (`FleetOrders.command_all`).
 """
 
 from __future__ import annotations

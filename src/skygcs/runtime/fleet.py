@@ -5,40 +5,34 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
-from skygcs.core.geo import Origin, world_from_enu
+from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.flight_record import FlightRecord
-from skygcs.core.protocols.command import CommandSpec, Outcome
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
-from skygcs.core.vehicle import mission_orders, orders, stop, targets
+from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
 from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, lost_place
-from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
-from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
-from skygcs.core.vehicle.order_plan import Plan
-from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
-from skygcs.errors import RefusedError, TargetError
+from skygcs.errors import TargetError
 from skygcs.events import Event
 from skygcs.links.base import Channel, StateUpdate
-from skygcs.runtime.command_client import BroadcastCommand, SendFn
-from skygcs.runtime.components import ComponentActor, Components
-from skygcs.runtime.fence_orders import FenceOutcome
+from skygcs.runtime.command_client import SendFn
+from skygcs.runtime.components import Components
+from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.param_cache import ParamCache
@@ -47,7 +41,7 @@ from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.sleep_watch import SleepWatch
-from skygcs.runtime.task_set import TaskSet, fault
+from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
@@ -69,63 +63,12 @@ MAX_VEHICLES_OF_LINK = 250
 MAX_VEHICLES = 300
 """... which leaves room for vehicles of other links. One that the fleet file names always has its place."""
 
-Order = Callable[..., Coroutine[Any, Any, Any]]
-"""An order is the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome; orders of the
-fence return a FenceOutcome, those of the onboard logs a LogsOutcome."""
-
-COMPONENT_ORDERS: Mapping[Order, Order] = {
-    VehicleActor.command: ComponentActor.command,
-    VehicleActor.request_message: ComponentActor.request_message,
-    VehicleActor.set_message_interval: ComponentActor.set_message_interval,
-    VehicleActor.request_stream: ComponentActor.request_stream,
-}
-"""Orders that components other than autopilots take, too, and their methods."""
-
-BROADCAST: Mapping[Order, Callable[[Vehicle, float], Plan]] = {
-    VehicleActor.land: orders.land,
-    VehicleActor.rtl: orders.rtl,
-}
-"""Orders for all vehicles that may be sent as one frame, with the functions that plan them. A broadcast also reaches
-vehicles that were never heard here and must be safe for them. A disarming would drop a flying vehicle, and a mode has
-different numbers on different vehicle types."""
-
-CARRIED_ON = frozenset[Order](
-    {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
-)
-"""Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
-
-MAX_KEPT = 64
-"""Kept orders in progress at one time; further ones end when their client disconnects. Each lasts seconds."""
-
-
 UNKNOWN_S = 60.0
 """After a start with a journal that cannot be read, a vehicle that is heard within this time may have been flown by the
 daemon before; later ones have flown without us for as long."""
 
 OWN_IDS_AGAIN_S = 60.0
 """Between two reports of an autopilot that has our own ids."""
-
-
-class Reports(Protocol):
-    """Receiver that gets the outcomes of an order as they come. Must not raise."""
-
-    def begun(self, vehicles: Iterable[str], /) -> None:
-        """The order goes to these vehicles, by name."""
-        ...
-
-    def ended(self, vehicle: str, outcome: Any, /) -> None:
-        """The order has ended for one of them, with what the order returns for it."""
-        ...
-
-
-class Unreported:
-    """`Reports` to nothing."""
-
-    def begun(self, vehicles: Iterable[str], /) -> None:
-        return
-
-    def ended(self, vehicle: str, outcome: Any, /) -> None:
-        return
 
 
 class Expected(NamedTuple):
@@ -136,10 +79,6 @@ class Expected(NamedTuple):
     link: str
     until: float
     when_lost: bool = False
-
-
-Actor = VehicleActor | ComponentActor
-"""A vehicle or component, which takes orders."""
 
 
 class Fleet:
@@ -167,11 +106,10 @@ class Fleet:
         """Called with the seconds after a sleep of the computer."""
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
-        self._links, self._kept = links or WideLinks(), TaskSet(loop, on_event)
+        self._links = links or WideLinks()
         self.locks = FlightLocks(self._links.links_to)  # of the flights under way
         self.world = World(_origin(config), self.vehicles, self.locks, on_event)
         self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
-        self._ending = False
         own = config.daemon
         self._own_key = own.sysid << 8 | own.compid
         self._own_ids_at = -math.inf
@@ -183,6 +121,7 @@ class Fleet:
         param_cache = param_cache or ParamCache(None)
         param_cache.disk = self.disk
         self._services = self._new_services(param_cache, probes=probes)
+        self.orders = FleetOrders(self, self._services, self.monitor, self.returns)
         self.sleep = SleepWatch(self._woke)
         self.flights = FlightJournal(own.log_dir, self.disk, on_event)
         self._owed: dict[int, str] = {}
@@ -273,7 +212,7 @@ class Fleet:
     async def wind_down(self, timeout_s: float) -> None:
         """The daemon ends: accept only orders that end a flight, cancel orders that undo themselves, and wait this long
         for the undo. Changes that are not undone stay in the journal."""
-        self._ending = True
+        self.orders.ends_only = True
         tasks = {
             self._loop.create_task(actor.wind_down(), name=f"{actor.name} undo") for actor in self.vehicles.values()
         }
@@ -305,7 +244,7 @@ class Fleet:
         self.monitor.close()
         self.returns.close()
         self.plans.close()
-        self._kept.close()
+        self.orders.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
         """Note where two autopilots send as ``key`` (sysid << 8 | compid), known or not: most orders to it are refused.
@@ -482,65 +421,6 @@ class Fleet:
         """See `World.set_from_vehicle`. Raises TargetError, too."""
         self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
 
-    async def push_origin(
-        self,
-        expression: str | int | Sequence[str | int],
-        *,
-        home: bool = False,
-        force: bool = False,
-        reports: Reports | None = None,
-    ) -> dict[str, Outcome]:
-        """Send the origin to each vehicle; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
-        if self.origin is None:
-            raise RefusedError("there is no origin to send; set one first")
-        order = VehicleActor.push_origin
-        return await self.command_all(expression, order, self.origin, reports=reports, home=home, force=force)
-
-    async def command_all(
-        self,
-        expression: str | int | Sequence[str | int],
-        order: Order,
-        /,
-        *args: Any,
-        reports: Reports | None = None,
-        **arguments: Any,
-    ) -> dict[str, Outcome]:
-        """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
-
-        Raises TargetError before anything is sent. An order to all vehicles that fits in one frame is broadcast; each
-        vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
-        cancelled, the orders of `CARRIED_ON` go on, all others end. Raises RefusedError for a stop, or a disarming of a
-        duplicate system id, without the confirmation it needs (``confirm``, see `core.vehicle.stop`). ``reports`` gets
-        each vehicle's outcome when it comes.
-        """
-        name = order.__name__
-        if self._ending and order not in CARRIED_ON:
-            raise RefusedError("skygcs is shutting down: it takes no further orders but land, rtl, hold, stop, disarm")
-        vehicles = [] if order in COMPONENT_ORDERS else self.resolve(expression)
-        actors: list[Actor] = [*vehicles] or self.resolve_any(expression)
-        if order in (VehicleActor.stop, VehicleActor.disarm):
-            action = arguments["action"] if order is VehicleActor.stop else "disarm"
-            twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
-            stop.require_confirmed(action, twice, arguments.pop("confirm", None))
-        work = self._command(actors, order, args, arguments, reports or Unreported())
-        if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
-            return await work
-        return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
-
-    def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
-        """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError, and RefusedError for
-        one position for several vehicles.
-        """
-        actors = self.resolve(expression)
-        if len(actors) > 1 and setpoint.get("pos_enu_m") is not None:
-            one_place = "several vehicles were sent to one position; send each its own setpoint"
-            return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
-        return {actor.name: self._setpoint(actor, setpoint) for actor in actors}
-
-    def _setpoint(self, actor: VehicleActor, setpoint: dict[str, Any]) -> Outcome:
-        why = self._links.authority_refusal(actor.sysid)
-        return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
-
     def authority_gained(self, sysid: int) -> None:
         """Repeat the stream requests to each autopilot of this system: the gate has blocked them until now."""
         for key in sorted(self._of_system.get(sysid, ())):
@@ -590,221 +470,6 @@ class Fleet:
     def flown_vehicles(self) -> list[Vehicle]:
         """The state of each vehicle to which setpoints are sent over the daemon's links."""
         return [actor.vehicle for actor in self.vehicles.values() if actor.offboard.sends_setpoints]
-
-    async def _command(
-        self,
-        actors: list[Actor],
-        order: Order,
-        args: tuple[Any, ...],
-        arguments: dict[str, Any],
-        reports: Reports,
-    ) -> dict[str, Outcome]:
-        reports.begun([actor.name for actor in actors])
-        vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
-        climbing = await self._takeoffs_ended(vehicles, arguments) if order is VehicleActor.goto else {}
-        own_arguments, staying, places = (
-            self._going([actor for actor in vehicles if actor not in climbing], arguments)
-            if order is VehicleActor.goto
-            else ({}, {}, {})
-        )
-        refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
-        for actor in actors if order is not VehicleActor.stop else ():
-            if (why := self._links.authority_refusal(actor.sysid)) is not None:
-                refusals[actor] = why
-        waiting = await self._returns(vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
-        free = [actor for actor in vehicles if actor not in refusals]
-        refusals.update((await self._mission_refusals(free, order, arguments)).items())
-        refused = {
-            actor.name: _shaped(order, actor.refuse(order.__name__, reason)) for actor, reason in refusals.items()
-        }
-        for name, outcome in refused.items():
-            reports.ended(name, outcome)
-        broadcast = None if waiting else self._broadcast_command(vehicles, order)
-        names = {actor: actor.name for actor in actors}
-        tasks: dict[Actor, asyncio.Task[Outcome]] = {}
-        try:
-            async with asyncio.TaskGroup() as group:
-                for actor in actors:
-                    if actor in refusals:
-                        continue
-                    own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
-                    if isinstance(actor, VehicleActor) and actor in waiting:
-                        work = self._guarded(actor, order, self.returns.wait, (waiting[actor],), {})
-                    else:
-                        method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
-                        work = self._guarded(actor, order, method, args, {**arguments, **own})
-                    call = _reported(reports, actor.name, work)
-                    tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
-                if broadcast is not None:
-                    await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
-                    self._broadcast(broadcast)
-        finally:
-            for vehicle in vehicles:
-                vehicle.commands.end_broadcast(broadcast)
-            self.returns.run()
-            for actor in places:
-                self.monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
-        return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
-
-    async def _guarded(
-        self, actor: Actor, order: Order, method: Order, args: tuple[Any, ...], arguments: dict[str, Any]
-    ) -> Outcome:
-        """Contain an internal fault in the order to one vehicle. ``method``: what carries it out."""
-        try:
-            outcome: Outcome = await method(actor, *args, **arguments)
-        except Exception as error:
-            self._on_event(
-                Event("fault", actor.name, actor.sysid, f"{order.__name__} failed inside skygcs: {error!r}", {})
-            )
-            failed: Outcome = _shaped(order, Outcome(False, "failed", f"failed inside skygcs: {error!r}"))
-            return failed
-        return outcome
-
-    async def _mission_refusals(
-        self, actors: list[VehicleActor], order: Order, arguments: Mapping[str, Any]
-    ) -> dict[VehicleActor, str]:
-        """Why missions are not begun or gone on with, by whatever order, unless ``force``: they lead too near each
-        other, or to others that fly."""
-        now, starting = self._loop.time(), dict[VehicleActor, int]()
-        for actor in actors:
-            first = mission_orders.flown_from(actor.vehicle, now, order.__name__, arguments)
-            if first is not None and actor.vehicle.connected and not actor.vehicle.replayed:
-                starting[actor] = first
-        others = [a for a in self.vehicles.values() if a not in starting and is_flying(a.vehicle, now)]
-        if arguments.get("force") or self.monitor.mode == "off" or not starting or len(starting) + len(others) < 2:
-            return {}
-        read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
-        known = {
-            a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None
-        }
-        text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
-        unread = {actor: text for actor in starting if actor not in known}
-        return {**unread, **await self.monitor.mission_refusals(known)}
-
-    async def _returns(
-        self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
-    ) -> dict[VehicleActor, str]:
-        """Before the order to return: who has to wait, and for whom. A single vehicle never has to."""
-        at_end = arguments.pop("at_end", "hold")
-        returning = [actor for actor in actors if actor not in refusals]
-        return await self.returns.begin(returning, at_end=at_end) if len(returning) > 1 else {}
-
-    async def _takeoffs_ended(
-        self, actors: list[VehicleActor], arguments: Mapping[str, Any]
-    ) -> dict[VehicleActor, str]:
-        """Before a goto: wait until no take-off of these vehicles is under way, unless ``force``, so that they leave
-        together from where they will be; returns why some do not go."""
-        waiting = {actor: why for actor in actors if (why := actor.takeoffs.under_way()) is not None}
-        if arguments.get("force") or not waiting:
-            return {}
-        for actor, why in waiting.items():
-            text, data = f"goto: waits until its take-off has ended: {why}", {"order": "goto", "result": "in_progress"}
-            self._on_event(Event("command", actor.name, actor.sysid, text, data))
-        ends = await asyncio.gather(*(actor.takeoffs.ended() for actor in waiting))
-        return {actor: why for actor, why in zip(waiting, ends, strict=True) if why is not None}
-
-    def _going(
-        self, actors: list[VehicleActor], arguments: dict[str, Any]
-    ) -> tuple[
-        dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str], dict[VehicleActor, tuple[float, float, float]]
-    ]:
-        """Split a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
-
-        One that would come too close to a vehicle that is not sent with it stays, unless ``force``. ``together``:
-        vehicles that the caller keeps apart from these itself.
-        """
-        together = arguments.pop("together", None)
-        own_arguments, staying = self._formation(actors, arguments)
-        apart = [*actors, *(() if together is None else self.resolve(together))]
-        keys = frozenset(actor.vehicle.key for actor in apart)
-        places: dict[VehicleActor, tuple[float, float, float]] = {}
-        for actor in actors:
-            if actor in staying:
-                continue
-            where = {**arguments, **own_arguments.get(actor, {})}
-            try:
-                to = orders.destination(actor.vehicle, self._loop.time(), limit_m=actor.config.goto_limit_m, **where)
-            except RefusedError:
-                continue  # the order itself says why
-            place = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
-            why = None if where.get("force") else self.monitor.goto_refusal(actor.vehicle, place, keys)
-            if why is None:
-                places[actor] = place
-            else:
-                staying[actor] = why
-        for actor, place in places.items():
-            self.monitor.sent_to(actor, place)
-        return own_arguments, staying, places
-
-    def _formation(
-        self, actors: list[VehicleActor], arguments: dict[str, Any]
-    ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
-        """The targets of several vehicles that are sent to one position, and the refusals of those that cannot fly.
-
-        They keep their positions relative to each other; their mean goes to the given position. Only vehicles that can
-        fly now count for the mean: an old position would shift the others. ``same_place`` sends all to the same point.
-        """
-        if arguments.pop("same_place", False) or len(actors) < 2:
-            return {}, {}
-        now = self._loop.time()
-        here: dict[VehicleActor, tuple[float, float, float]] = {}
-        ends: dict[VehicleActor, tuple[float, float, float]] = {}
-        staying: dict[VehicleActor, str] = {}
-        height_m, enu_m = arguments.get("height_m"), arguments.get("enu_m")
-        for actor in actors:
-            try:
-                here[actor], home_amsl_m = orders.require_going(actor.vehicle, now)
-            except RefusedError as error:
-                staying[actor] = str(error)
-                continue
-            own_amsl_m = here[actor][2] if height_m is None else home_amsl_m + height_m
-            # all move by the same horizontal offset and keep their distances; with enu_m all get one height
-            ends[actor] = (*here[actor][:2], own_amsl_m if enu_m is None else 0.0)
-        close = None if arguments.get("force") else too_close(ends)
-        if close is not None:
-            text = f"{close[0].name} and {close[1].name} would end {close[2]:.1f} m apart at about the same height"
-            text += "; move them apart first, or insist with same_place (--same-place) or force (--force)"
-            return {}, staying | dict.fromkeys(ends, text)
-        places: dict[VehicleActor, dict[str, Any]] = {}
-        for actor, (east_m, north_m) in offsets_en_m({a: place[:2] for a, place in here.items()}).items():
-            lat_deg, lon_deg = arguments.get("lat_deg"), arguments.get("lon_deg")
-            if enu_m is not None and len(enu_m) == 3 and self.origin is not None:
-                x_m, y_m, _ = world_from_enu((east_m, north_m, 0.0), self.origin)
-                places[actor] = {"enu_m": [enu_m[0] + x_m, enu_m[1] + y_m, enu_m[2]]}
-            elif lat_deg is not None and lon_deg is not None and is_place(lat_deg, lon_deg):
-                # an impossible position stays as it is: every vehicle refuses it with the reason
-                lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
-                places[actor] = {"lat_deg": lat, "lon_deg": lon}
-        return places, staying
-
-    def _broadcast_command(self, actors: list[VehicleActor], order: Order) -> BroadcastCommand | None:
-        """A broadcast if all vehicles are targets, none refuses, all get the same frame, and no other vehicle hears it.
-
-        ArduPilot acts on it. PX4 does not: it accepts commands for its own system id only (MavlinkReceiver,
-        evaluate_target_ok), and gets its own frame at once.
-        """
-        hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
-        if order not in BROADCAST or len(hearers) < 2 or not self._links.may_broadcast():
-            return None
-        if len(actors) != len(self.vehicles) or self.refused_vehicles:
-            return None  # an autopilot was heard that is not a target
-        specs: set[CommandSpec] = set()
-        for actor in actors:
-            plan = actor.plan(BROADCAST[order])
-            if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
-                return None
-            specs.add(plan.steps[0].command)
-        if len(specs) != 1 or not HARMLESS_COMMANDS.issuperset(spec.command for spec in specs):
-            return None  # a mode has another meaning to the next vehicle
-        broadcast = BroadcastCommand(specs.pop())
-        for actor in hearers:
-            actor.commands.expect_broadcast(broadcast)
-        return broadcast
-
-    def _broadcast(self, broadcast: BroadcastCommand) -> None:
-        broadcast.sent = True
-        info = self._dialect.by_name[broadcast.spec.message]
-        self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _refuse_own_ids(self, frame: Frame, channel_label: str, now: float) -> None:
         """An autopilot has our own ids: it would take our orders for its own words, and we its for ours."""
@@ -1036,28 +701,5 @@ class Fleet:
         return config
 
 
-async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Outcome:
-    """Await the outcome of an order to one vehicle, and report it."""
-    outcome = await work
-    reports.ended(name, outcome)
-    return outcome
-
-
-def _shaped(order: Order, outcome: Outcome) -> Any:
-    """An outcome that the order itself did not make, with the keys of those that it makes."""
-    if order in (VehicleActor.set_fence, VehicleActor.read_fence, VehicleActor.test_fence):
-        return FenceOutcome(outcome)
-    if order in (VehicleActor.list_logs, VehicleActor.get_logs):
-        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.onboard_logs has imported it
-
-        return LogsOutcome.without_logs(outcome)
-    return outcome
-
-
 def _origin(config: FleetConfig) -> Origin | None:
     return None if config.origin is None else Origin(**config.origin.model_dump())
-
-
-def _succeeded(task: asyncio.Task[Outcome]) -> bool:
-    """True if an order ended well."""
-    return task.done() and not task.cancelled() and task.exception() is None and task.result().ok

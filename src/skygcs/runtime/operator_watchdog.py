@@ -11,7 +11,8 @@ from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.runtime.fleet import Fleet, Order
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet_orders import Order
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -79,4 +80,4 @@ class OperatorWatchdog:
     async def _order(self, fired: Fired, names: list[str]) -> None:
         # each vehicle reports its outcome as an event; nobody is there for one whose way home does not become clear
         at_end: dict[str, Any] = {"at_end": "land"} if fired.action == "rtl" else {}
-        await self._fleet.command_all(names, ACTIONS[fired.action], **at_end)
+        await self._fleet.orders.command_all(names, ACTIONS[fired.action], **at_end)

@@ -32,7 +32,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.runtime.fleet import Fleet, Reports, Unreported
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet_orders import Reports, Unreported
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.signing_keys import Signing
 

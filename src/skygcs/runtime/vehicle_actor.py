@@ -458,7 +458,7 @@ class VehicleActor:
 
     async def stop(self, action: Action) -> Outcome:
         """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
-        (`Fleet.command_all`)."""
+        (`FleetOrders.command_all`)."""
         return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:

@@ -151,7 +151,7 @@ class _Cell:
         flood = asyncio.create_task(self._flood(channel))
         await asyncio.sleep(10)
         ordered = self.daemon.now()
-        stop = asyncio.create_task(self.daemon.fleet.command_all("all", VehicleActor.stop, action="land"))
+        stop = asyncio.create_task(self.daemon.fleet.orders.command_all("all", VehicleActor.stop, action="land"))
         await asyncio.sleep(20)
         stop.cancel()
         flood.cancel()

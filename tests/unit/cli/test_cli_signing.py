@@ -19,7 +19,7 @@ from skygcs.cli.process import configure_logging
 from skygcs.core.protocols.command import Outcome
 from skygcs.errors import KeyFileError
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.fleet import Reports
+from skygcs.runtime.fleet_orders import Reports
 from support.fake_daemon import FakeDaemon
 
 CHANNEL = {

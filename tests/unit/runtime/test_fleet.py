@@ -21,7 +21,8 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
-from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet, Order
+from skygcs.runtime.fleet import MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet
+from skygcs.runtime.fleet_orders import MAX_KEPT, Order
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.public_data import present, public_file
 from support.vehicles import (
@@ -352,7 +353,7 @@ class TestOrdersForMany:
         """PX4 takes commands for its own system id only, so each PX4 is sent its own, at once."""
         async with Ground() as ground:
             await self.swarm(ground)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.land)
             assert {n: o.result for n, o in outcomes.items()} == {f"v{n}": "accepted" for n in range(1, 5)}
             *own, sent = self.commands(ground)
             assert [s.sysid for s in own] == [1, 2]
@@ -369,7 +370,7 @@ class TestOrdersForMany:
                     accept_everything(v, sent)
 
             vehicles[2].script = deaf_once
-            outcomes = await ground.fleet.command_all("all", VehicleActor.rtl)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.rtl)
             assert outcomes["v1"].attempts == 1
             assert outcomes["v3"].attempts == 2
             assert heard == [0, 3]
@@ -379,13 +380,13 @@ class TestOrdersForMany:
         async with Ground() as ground:
             vehicles = await self.swarm(ground)
             vehicles[1].script = lambda v, sent: v.reply(sent, 2)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.land)
             assert [outcomes[f"v{n}"].result for n in range(1, 5)] == ["accepted", "denied", "accepted", "accepted"]
 
     async def test_hold_of_a_mixed_fleet_is_sent_to_each_because_it_is_another_command(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.hold)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.hold)
             assert all(o.ok for o in outcomes.values())
             # BRAKE and then GUIDED to the copters
             assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 3, 4, 4]
@@ -398,7 +399,7 @@ class TestOrdersForMany:
             for vehicle in vehicles:
                 vehicle.flying, vehicle.status = order == "hold", 3
             await asyncio.sleep(1.5)
-            assert all(o.ok for o in (await ground.fleet.command_all("all", ORDERS[order], **force)).values())
+            assert all(o.ok for o in (await ground.fleet.orders.command_all("all", ORDERS[order], **force)).values())
             # BRAKE and then GUIDED, to each as soon as it has answered
             assert sorted(s.sysid for s in self.commands(ground)) == sorted([1, 2, 3] * (2 if order == "hold" else 1))
 
@@ -406,11 +407,11 @@ class TestOrdersForMany:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=3)
             ground.links.broadcast = False
-            assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.land)).values())
+            assert all(o.ok for o in (await ground.fleet.orders.command_all("all", VehicleActor.land)).values())
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
             ground.links.broadcast = True
             ground.fleet.refused_vehicles = 1  # an autopilot was met that found no place in the fleet
-            assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.rtl)).values())
+            assert all(o.ok for o in (await ground.fleet.orders.command_all("all", VehicleActor.rtl)).values())
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3] * 2
 
     @pytest.mark.parametrize(("order", "command"), [("land", 21), ("rtl", 20), ("hold", 192), ("disarm", 400)])
@@ -424,7 +425,7 @@ class TestOrdersForMany:
                 vehicle.flying = False
             await asyncio.sleep(1.5)
             vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.confirmation == 2 else None
-            caller = asyncio.create_task(ground.fleet.command_all("1", ORDERS[order]))
+            caller = asyncio.create_task(ground.fleet.orders.command_all("1", ORDERS[order]))
             await asyncio.sleep(0.3)
             caller.cancel()
             with pytest.raises(asyncio.CancelledError):
@@ -433,13 +434,13 @@ class TestOrdersForMany:
             assert [c for c, _ in vehicle.commands()] == [command] * 3
             (reported,) = [e for e in ground.events if e.kind == "command"]
             assert (reported.data["order"], reported.data["ok"]) == (order, True)
-            assert not ground.fleet._kept
+            assert not ground.fleet.orders._kept
 
     async def test_other_orders_end_with_their_caller_and_that_is_told(self) -> None:
         async with Ground() as ground:
             (vehicle,) = await self.swarm(ground, px4=1, copters=0)
             vehicle.script = lambda v, sent: None
-            caller = asyncio.create_task(ground.fleet.command_all("1", VehicleActor.reboot, force=True))
+            caller = asyncio.create_task(ground.fleet.orders.command_all("1", VehicleActor.reboot, force=True))
             await asyncio.sleep(0.3)
             caller.cancel()
             await asyncio.gather(caller, return_exceptions=True)
@@ -453,13 +454,14 @@ class TestOrdersForMany:
             (vehicle,) = await self.swarm(ground, px4=1, copters=0)
             vehicle.script = lambda v, sent: None
             callers = [
-                asyncio.create_task(ground.fleet.command_all("1", VehicleActor.land)) for _ in range(MAX_KEPT + 5)
+                asyncio.create_task(ground.fleet.orders.command_all("1", VehicleActor.land))
+                for _ in range(MAX_KEPT + 5)
             ]
             await asyncio.sleep(0)
-            assert len(ground.fleet._kept) == MAX_KEPT
+            assert len(ground.fleet.orders._kept) == MAX_KEPT
             ground.fleet.close()
             await asyncio.sleep(0.1)
-            assert not ground.fleet._kept
+            assert not ground.fleet.orders._kept
             for caller in callers:
                 caller.cancel()
             await asyncio.gather(*callers, return_exceptions=True)
@@ -469,12 +471,12 @@ class TestOrdersForMany:
             (vehicle,) = await self.swarm(ground, px4=1, copters=0)
             vehicle.script = lambda v, sent: None
             for _ in range(3):  # one in flight, two that wait for it
-                caller = asyncio.create_task(ground.fleet.command_all("1", VehicleActor.land))
+                caller = asyncio.create_task(ground.fleet.orders.command_all("1", VehicleActor.land))
                 await asyncio.sleep(0.1)
                 caller.cancel()
             vehicle.script = accept_everything
             there = {"lat_deg": HOME[0] + 1e-4, "lon_deg": HOME[1]}
-            assert (await ground.fleet.command_all("1", VehicleActor.goto, **there))["v1"].ok
+            assert (await ground.fleet.orders.command_all("1", VehicleActor.goto, **there))["v1"].ok
             await asyncio.sleep(10)
             assert [c for c, _ in vehicle.commands()] == [21, 192]
             reported = [e.data["result"] for e in ground.events if e.kind == "command" and e.data["order"] == "land"]
@@ -490,27 +492,27 @@ class TestOrdersForMany:
             assert actor.state(ground.loop.time())["duplicate_sysid"] is True
             arguments = {"set_mode": ("POSCTL",), "command": (183, [1.0])}
             for order in ("arm", "set_mode", "command"):
-                outcome = (await fleet.command_all("1", ORDERS[order], *arguments.get(order, ())))["v1"]
+                outcome = (await fleet.orders.command_all("1", ORDERS[order], *arguments.get(order, ())))["v1"]
                 assert outcome.result == "refused"
                 said = "two vehicles with system id 1 are on the air (on udp and on radio); give one of them another"
                 assert said in outcome.message
             assert vehicle.got == []
             for order in ("land", "rtl", "hold"):
-                assert (await fleet.command_all("1", ORDERS[order]))["v1"].ok
+                assert (await fleet.orders.command_all("1", ORDERS[order]))["v1"].ok
             for force in (False, True):
                 with pytest.raises(RefusedError, match=r"v1 \(two vehicles: on udp and on radio\).*'disarm-2'"):
-                    await fleet.command_all("1", VehicleActor.disarm, force=force)
+                    await fleet.orders.command_all("1", VehicleActor.disarm, force=force)
             assert 400 not in [c for c, _ in vehicle.commands()]
-            assert (await fleet.command_all("1", VehicleActor.disarm, force=True, confirm="disarm-2"))["v1"].ok
+            assert (await fleet.orders.command_all("1", VehicleActor.disarm, force=True, confirm="disarm-2"))["v1"].ok
             fleet.set_duplicate(1 << 8 | 1, None)
             assert actor.state(ground.loop.time())["duplicate_sysid"] is False
-            assert (await fleet.command_all("1", VehicleActor.set_mode, "AUTO.RTL"))["v1"].ok
+            assert (await fleet.orders.command_all("1", VehicleActor.set_mode, "AUTO.RTL"))["v1"].ok
 
     async def test_a_duplicate_found_in_the_middle_of_a_takeoff_ends_it(self) -> None:
         async with Ground() as ground:
             vehicle = ScriptedVehicle(ground, 1, ARDUPILOT)
             await ground.met(vehicle)
-            takeoff = asyncio.create_task(ground.fleet.command_all("1", VehicleActor.takeoff, 5.0))
+            takeoff = asyncio.create_task(ground.fleet.orders.command_all("1", VehicleActor.takeoff, 5.0))
             await asyncio.sleep(0.3)
             ground.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
             outcome = (await takeoff)["v1"]
@@ -527,7 +529,7 @@ class TestOrdersForMany:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=3)
             ground.fleet.set_duplicate(2 << 8 | 1, "on udp and on radio")
-            outcomes = await ground.fleet.command_all("all", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.land)
             assert all(outcomes[f"v{n}"].ok for n in (1, 2, 3))
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
 
@@ -537,13 +539,13 @@ class TestOrdersForMany:
             for vehicle in vehicles:
                 vehicle.armed, vehicle.flying, vehicle.status = False, False, 3
             await asyncio.sleep(1.5)
-            assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.arm)).values())
+            assert all(o.ok for o in (await ground.fleet.orders.command_all("all", VehicleActor.arm)).values())
             assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 4]
 
     async def test_an_order_for_some_is_never_broadcast(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=4)
-            outcomes = await ground.fleet.command_all("1-3", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("1-3", VehicleActor.land)
             assert list(outcomes) == ["v1", "v2", "v3"]
             assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3]
 
@@ -553,7 +555,7 @@ class TestOrdersForMany:
             vehicles[0].script = lambda v, sent: ground.loop.call_later(0.5, accept_everything, v, sent)
             alone = asyncio.create_task(ground.fleet.find(1).land())
             await asyncio.sleep(0.1)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.land)
             assert (await alone).ok
             assert [o.attempts for o in outcomes.values()] == [1, 1, 1]
             assert [s.sysid for s in self.commands(ground)] == [1, 0, 1]
@@ -563,7 +565,7 @@ class TestOrdersForMany:
             vehicles = await self.swarm(ground)
             vehicles[0].armed, vehicles[0].flying = True, False
             await asyncio.sleep(1.5)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.disarm)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.disarm)
             assert outcomes["v1"].ok
             assert [outcomes[f"v{n}"].result for n in (2, 3, 4)] == ["refused"] * 3
             assert [s.sysid for s in self.commands(ground)] == [1]
@@ -574,7 +576,7 @@ class TestOrdersForMany:
             vehicles[3].silent = True
             await asyncio.sleep(8)
             assert not ground.fleet.find(4).vehicle.connected
-            outcomes = await ground.fleet.command_all("all", VehicleActor.disarm, force=True)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.disarm, force=True)
             sent = self.commands(ground)
             assert [(s.sysid, s.param2) for s in sent[:4]] == [(n, 21196.0) for n in (1, 2, 3, 4)]
             assert {s.priority for s in sent} == {Priority.EMERGENCY}
@@ -587,7 +589,7 @@ class TestOrdersForMany:
             vehicles = await self.swarm(ground)
             for vehicle in vehicles:
                 vehicle.script = lambda v, sent: None
-            task = asyncio.create_task(ground.fleet.command_all("all", VehicleActor.land))
+            task = asyncio.create_task(ground.fleet.orders.command_all("all", VehicleActor.land))
             await asyncio.sleep(0.5)
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
@@ -600,7 +602,7 @@ class TestOrdersForMany:
     async def test_every_vehicle_gets_its_own_mode_number(self) -> None:
         async with Ground() as ground:
             vehicles = await self.swarm(ground)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.set_mode, "LOITER", force=True)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.set_mode, "LOITER", force=True)
             assert all(o.ok for o in outcomes.values())
             assert vehicles[0].mode == PX4_LOITER
             assert vehicles[2].mode == 5
@@ -616,7 +618,7 @@ class TestOrdersForMany:
                 raise ZeroDivisionError
 
             monkeypatch.setattr(broken.commands, "run", fail)
-            outcomes = await ground.fleet.command_all("all", VehicleActor.land)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.land)
             assert [outcomes[f"v{n}"].ok for n in range(1, 5)] == [True, False, True, True]
             assert "ZeroDivisionError" in outcomes["v2"].message
             assert [e.kind for e in ground.events if e.vehicle == "v2"].count("fault") == 1
@@ -628,13 +630,17 @@ class TestOrdersForMany:
                 vehicle.place = (HOME[0], HOME[1] + n * 1e-4)
             await asyncio.sleep(1.5)
             there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
-            assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.goto, **there)).values())
+            assert all(
+                o.ok for o in (await ground.fleet.orders.command_all("all", VehicleActor.goto, **there)).values()
+            )
             first, second = (s.y / 1e7 for s in self.commands(ground)[:2])
             assert second - first == pytest.approx(1e-4, abs=2e-7)
             assert (first + second) / 2 == pytest.approx(HOME[1], abs=1e-7)
-            await ground.fleet.command_all("all", VehicleActor.goto, **there, same_place=True)
+            await ground.fleet.orders.command_all("all", VehicleActor.goto, **there, same_place=True)
             assert {s.y for s in self.commands(ground)[2:]} == {round(HOME[1] * 1e7)}
-            refused = await ground.fleet.command_all("all", VehicleActor.goto, lat_deg=91.0, lon_deg=8.0, force=True)
+            refused = await ground.fleet.orders.command_all(
+                "all", VehicleActor.goto, lat_deg=91.0, lon_deg=8.0, force=True
+            )
             assert {o.result for o in refused.values()} == {"refused"}
 
     async def spread(self, ground: Ground, *east_deg: float) -> list[ScriptedVehicle]:
@@ -654,7 +660,7 @@ class TestOrdersForMany:
             unplaced.pulse = lambda: unplaced.tell(unplaced.beat(PX4, armed=True, status=4))  # type: ignore[method-assign]
             await asyncio.sleep(11)
             there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
-            outcomes = await ground.fleet.command_all("all", VehicleActor.goto, **there)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.goto, **there)
             assert list(outcomes) == [f"v{n}" for n in range(1, 6)]
             assert [o.result for o in outcomes.values()] == ["accepted"] * 2 + ["refused"] * 3
             for name, said in {"v3": "on the ground", "v4": "lost", "v5": "position is not known"}.items():
@@ -667,17 +673,17 @@ class TestOrdersForMany:
         async with Ground() as ground:
             await self.spread(ground, 0.0, 2e-5)  # 1.5 m
             there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
-            outcomes = await ground.fleet.command_all("all", VehicleActor.goto, **there)
+            outcomes = await ground.fleet.orders.command_all("all", VehicleActor.goto, **there)
             assert {o.result for o in outcomes.values()} == {"refused"}
             assert "v1 and v2 would end 1.5 m apart" in outcomes["v1"].message
             assert self.commands(ground) == []
             for insisted in ({"force": True}, {"same_place": True}):
-                outcomes = await ground.fleet.command_all("all", VehicleActor.goto, **there, **insisted)
+                outcomes = await ground.fleet.orders.command_all("all", VehicleActor.goto, **there, **insisted)
                 assert all(o.ok for o in outcomes.values())
 
     async def test_an_order_to_a_vehicle_that_does_not_exist_is_refused(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground)
             with pytest.raises(TargetError):
-                await ground.fleet.command_all("77", VehicleActor.land)
+                await ground.fleet.orders.command_all("77", VehicleActor.land)
             assert self.commands(ground) == []

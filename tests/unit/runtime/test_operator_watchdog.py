@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.control.deadman import DeadMan, DeadManAction
 from skygcs.events import Event
-from skygcs.runtime.fleet import Fleet, Order
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet_orders import Order
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from support.vehicles import Voice
 
@@ -27,15 +28,19 @@ class FakeFleet:
 
     def __init__(self) -> None:
         self.names: list[str] = []
-        self.orders: list[tuple[float, list[str], str]] = []
+        self.given: list[tuple[float, list[str], str]] = []
         self.fails: Exception | None = None
         self.lasts_s = 0.0
 
     def flown(self) -> list[Actor]:
         return [Actor(name) for name in self.names]
 
+    @property
+    def orders(self) -> FakeFleet:
+        return self
+
     async def command_all(self, names: list[str], order: Order) -> dict[str, Any]:
-        self.orders.append((asyncio.get_running_loop().time(), names, order.__name__))
+        self.given.append((asyncio.get_running_loop().time(), names, order.__name__))
         await asyncio.sleep(self.lasts_s)
         if self.fails is not None:
             raise self.fails
@@ -58,7 +63,7 @@ class Watch:
         await asyncio.sleep(0.01)
 
     def orders(self) -> list[tuple[list[str], str]]:
-        return [(names, order) for _, names, order in self.fleet.orders]
+        return [(names, order) for _, names, order in self.fleet.given]
 
 
 async def test_silence_over_what_is_flown_is_acted_upon_once_and_told() -> None:

@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.runtime.fleet import Order
+from skygcs.runtime.fleet_orders import Order
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.vehicles import ARDUPILOT, Ground, ScriptedVehicle
 
@@ -67,7 +67,7 @@ async def test_each_order_does_its_own_thing_or_says_why_not(
             await asyncio.sleep(3)
             before = len(vehicle.got)
             order, arguments = ORDERS[name]
-            (outcome,) = (await ground.fleet.command_all("all", order, **arguments)).values()
+            (outcome,) = (await ground.fleet.orders.command_all("all", order, **arguments)).values()
             sent = [
                 s
                 for s in vehicle.got[before:]

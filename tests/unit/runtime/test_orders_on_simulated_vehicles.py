@@ -27,9 +27,9 @@ class Field(SimField):
 
     async def ready(self) -> None:
         """Until every vehicle would arm: ArduPilot's estimator takes its time."""
-        outcomes = await self.fleet.command_all("all", VehicleActor.arm, wait_s=60.0)
+        outcomes = await self.fleet.orders.command_all("all", VehicleActor.arm, wait_s=60.0)
         assert all(o.ok for o in outcomes.values()), outcomes
-        outcomes = await self.fleet.command_all("all", VehicleActor.disarm)
+        outcomes = await self.fleet.orders.command_all("all", VehicleActor.disarm)
         assert all(o.ok for o in outcomes.values()), outcomes
 
     def up_m(self, actor: VehicleActor) -> float:
@@ -48,7 +48,7 @@ async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
         fleet = field.fleet
         assert [a.vehicle.family for a in fleet.resolve("all")] == ["px4", "px4", "ardupilot", "ardupilot"]
         await field.ready()
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 8.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 8.0))
         await asyncio.sleep(25)
         for actor in fleet.resolve("all"):
             assert actor.vehicle.in_air(field.loop.time())
@@ -60,10 +60,10 @@ async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
         await asyncio.sleep(30)
         for sysid, (east, north) in goals.items():
             assert fleet.find(sysid).vehicle.enu_m() == pytest.approx([east, north, 12.0], abs=1.5)
-        assert done(await fleet.command_all("all", VehicleActor.hold))
+        assert done(await fleet.orders.command_all("all", VehicleActor.hold))
         await asyncio.sleep(3)
         assert {a.vehicle.mode for a in fleet.resolve("all")} == {"AUTO.LOITER", "GUIDED"}
-        assert done(await fleet.command_all("all", VehicleActor.land))
+        assert done(await fleet.orders.command_all("all", VehicleActor.land))
         await asyncio.sleep(60)
         for actor in fleet.resolve("all"):
             assert not actor.vehicle.armed
@@ -75,11 +75,11 @@ async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -
     async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet
         await field.ready()
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 10.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 10.0))
         await asyncio.sleep(25)
-        assert done(await fleet.command_all("all", VehicleActor.goto, enu_m=[150.0, 0.0, 10.0]))
+        assert done(await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[150.0, 0.0, 10.0]))
         await asyncio.sleep(6)
-        assert done(await fleet.command_all("all", VehicleActor.hold))
+        assert done(await fleet.orders.command_all("all", VehicleActor.hold))
         await asyncio.sleep(10)
         held = {a.sysid: a.vehicle.enu_m() for a in fleet.resolve("all")}
         await asyncio.sleep(10)
@@ -87,7 +87,7 @@ async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -
             assert actor.vehicle.enu_m() == pytest.approx(held[actor.sysid], abs=0.5)
             assert 0 < held[actor.sysid][0] < 140  # type: ignore[index]
         place = {"enu_m": [0.0, 30.0, 10.0], "yaw_deg": 90.0}
-        assert done(await fleet.command_all("all", VehicleActor.goto, same_place=True, **place))
+        assert done(await fleet.orders.command_all("all", VehicleActor.goto, same_place=True, **place))
         await asyncio.sleep(40)
         for actor in fleet.resolve("all"):
             assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
@@ -98,9 +98,9 @@ async def test_a_setpoint_that_arrives_after_a_goto_does_not_end_it() -> None:
     async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet
         await field.ready()
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 10.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 10.0))
         await asyncio.sleep(25)
-        assert done(await fleet.command_all("all", VehicleActor.hold))
+        assert done(await fleet.orders.command_all("all", VehicleActor.hold))
         for actor in fleet.resolve("all"):
             here = actor.vehicle.telemetry("position")
             assert here is not None
@@ -115,7 +115,7 @@ async def test_a_setpoint_that_arrives_after_a_goto_does_not_end_it() -> None:
             }
             stale = encode(field.dialect.by_name["SET_POSITION_TARGET_GLOBAL_INT"], values, sysid=255, compid=25, seq=0)
             field.loop.call_later(1.2, field.deliver, stale)
-        outcomes = await fleet.command_all("all", VehicleActor.goto, enu_m=[0.0, 30.0, 10.0], same_place=True)
+        outcomes = await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[0.0, 30.0, 10.0], same_place=True)
         assert done(outcomes)
         assert [o.attempts for o in outcomes.values()] == [1, 2]
         await asyncio.sleep(30)
@@ -127,10 +127,10 @@ async def test_several_vehicles_sent_to_one_place_keep_their_distance() -> None:
     async with Field(px4=1, ardupilot=2) as field:
         fleet = field.fleet
         await field.ready()
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 10.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 10.0))
         await asyncio.sleep(25)
         before = [a.vehicle.enu_m() for a in fleet.resolve("all")]
-        assert done(await fleet.command_all("all", VehicleActor.goto, enu_m=[40.0, 30.0, 12.0]))
+        assert done(await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[40.0, 30.0, 12.0]))
         await asyncio.sleep(40)
         after = [a.vehicle.enu_m() for a in fleet.resolve("all")]
         for a, b in itertools.combinations(range(3), 2):
@@ -144,11 +144,11 @@ async def test_return_to_launch_ends_where_it_began() -> None:
         fleet = field.fleet
         await field.ready()
         start = {a.sysid: a.vehicle.enu_m() for a in fleet.resolve("all")}
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 10.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 10.0))
         await asyncio.sleep(25)
-        assert done(await fleet.command_all("all", VehicleActor.goto, enu_m=[30.0, 30.0, 15.0]))
+        assert done(await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[30.0, 30.0, 15.0]))
         await asyncio.sleep(25)
-        assert done(await fleet.command_all("all", VehicleActor.rtl))
+        assert done(await fleet.orders.command_all("all", VehicleActor.rtl))
         await asyncio.sleep(180)
         for actor in fleet.resolve("all"):
             assert not actor.vehicle.armed
@@ -172,11 +172,11 @@ async def test_a_flying_vehicle_is_not_disarmed_unless_forced() -> None:
     async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet
         await field.ready()
-        assert done(await fleet.command_all("all", VehicleActor.takeoff, 5.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 5.0))
         await asyncio.sleep(20)
-        outcomes = await fleet.command_all("all", VehicleActor.disarm)
+        outcomes = await fleet.orders.command_all("all", VehicleActor.disarm)
         assert {o.result for o in outcomes.values()} == {"refused"}
-        assert done(await fleet.command_all("all", VehicleActor.disarm, force=True))
+        assert done(await fleet.orders.command_all("all", VehicleActor.disarm, force=True))
         assert not any(a.vehicle.armed for a in fleet.resolve("all"))
 
 
@@ -211,9 +211,9 @@ async def test_modes_home_intervals_and_single_messages_work_on_both() -> None:
             outcome = await actor.set_mode(mode)
             assert outcome.ok, outcome.message
             assert actor.vehicle.mode == mode
-        assert done(await fleet.command_all("all", VehicleActor.set_home))
-        assert done(await fleet.command_all("all", VehicleActor.set_message_interval, "ATTITUDE", 10.0))
+        assert done(await fleet.orders.command_all("all", VehicleActor.set_home))
+        assert done(await fleet.orders.command_all("all", VehicleActor.set_message_interval, "ATTITUDE", 10.0))
         await asyncio.sleep(10)
         for actor in fleet.resolve("all"):
             assert actor.state(field.loop.time())["messages"]["ATTITUDE"]["rate_hz"] == pytest.approx(10, abs=1.5)
-        assert done(await fleet.command_all("all", VehicleActor.request_message, "AUTOPILOT_VERSION"))
+        assert done(await fleet.orders.command_all("all", VehicleActor.request_message, "AUTOPILOT_VERSION"))

@@ -161,7 +161,7 @@ async def test_a_stop_goes_on_after_its_client_and_to_a_vehicle_that_is_lost_mea
     async with Ground() as ground:
         vehicle, actor = await flying(ground)
         vehicle.silent = True
-        order = asyncio.create_task(ground.fleet.command_all("1", VehicleActor.stop, action="land"))
+        order = asyncio.create_task(ground.fleet.orders.command_all("1", VehicleActor.stop, action="land"))
         await asyncio.sleep(1)
         order.cancel()
         await asyncio.sleep(10)
@@ -179,9 +179,9 @@ async def test_a_kill_of_the_fleet_wants_the_word_for_all_of_it_and_sends_nothin
         two, _ = await flying(ground, 2, ARDUPILOT)
         for word in (None, "kill-1"):
             with pytest.raises(RefusedError, match="'kill-2'"):
-                await ground.fleet.command_all("all", VehicleActor.stop, action="kill", confirm=word)
+                await ground.fleet.orders.command_all("all", VehicleActor.stop, action="kill", confirm=word)
         assert one.commands() == two.commands() == []
-        outcomes = await ground.fleet.command_all("all", VehicleActor.stop, action="kill", confirm="kill-2")
+        outcomes = await ground.fleet.orders.command_all("all", VehicleActor.stop, action="kill", confirm="kill-2")
         assert [o.ok for o in outcomes.values()] == [True, True]
         assert one.commands() == two.commands() == [(DISARM, (0.0, 21196.0))]
 
@@ -191,7 +191,7 @@ async def test_each_vehicle_of_a_stop_has_an_outcome_of_its_own() -> None:
         await flying(ground, 1)
         two, _ = await flying(ground, 2)
         two.silent = True
-        outcomes = await ground.fleet.command_all("all", VehicleActor.stop, action="hold")
+        outcomes = await ground.fleet.orders.command_all("all", VehicleActor.stop, action="hold")
         assert {name: o.result for name, o in outcomes.items()} == {"v1": "accepted", "v2": "timeout"}
 
 

@@ -94,7 +94,7 @@ async def test_each_vehicle_is_told_as_itself_and_asked_what_it_has() -> None:
         vehicles[1].origin = (round(HOME[0] * 1e7) + 10_000, round(HOME[1] * 1e7), 0)
         await asyncio.sleep(3)
         ground.fleet.set_origin(HERE)
-        outcomes = await ground.fleet.push_origin("all")
+        outcomes = await ground.fleet.orders.push_origin("all")
         assert outcomes["v1"].ok, outcomes
         assert (outcomes["v2"].result, outcomes["v2"].attempts) == ("denied", 1)
         assert "ArduPilot has an origin already" in outcomes["v2"].message
@@ -112,7 +112,7 @@ async def test_one_that_got_lost_is_told_again_and_one_that_never_takes_it_fails
         never.origin = (round(HOME[0] * 1e7) + 10_000, round(HOME[1] * 1e7), 488_100)
         await asyncio.sleep(3)
         ground.fleet.set_origin(HERE)
-        outcomes = await ground.fleet.push_origin("all")
+        outcomes = await ground.fleet.orders.push_origin("all")
         assert outcomes["v1"].ok and outcomes["v1"].attempts > 1
         assert (outcomes["v2"].ok, outcomes["v2"].attempts) == (False, 3)
         assert "it still has 47.3987420" in outcomes["v2"].message
@@ -124,8 +124,8 @@ async def test_home_is_set_there_only_if_asked_for_and_both_are_told() -> None:
         alpha = Told(ground, 1, PX4, willing=True)
         await asyncio.sleep(3)
         ground.fleet.set_origin(HERE)
-        await ground.fleet.push_origin("1")
+        await ground.fleet.orders.push_origin("1")
         assert not [s for s in alpha.got if getattr(s, "command", 0) == 179]
-        outcome = (await ground.fleet.push_origin("1", home=True))["v1"]
+        outcome = (await ground.fleet.orders.push_origin("1", home=True))["v1"]
         assert outcome.ok and "origin: " in outcome.message and "home: " in outcome.message
         assert [s for s in alpha.got if s.name.startswith("COMMAND") and s.command == 179]

@@ -155,7 +155,7 @@ class Formation(Extension[FormationConfig]):
         names = [actor.name for actor in actors if not actor.offboard.flying]
         if not names:
             return
-        outcomes = await self.core.fleet.command_all(names, VehicleActor.control, mode=FLOWN_IN[0])
+        outcomes = await self.core.fleet.orders.command_all(names, VehicleActor.control, mode=FLOWN_IN[0])
         failed = [f"{name}: {outcome.message}" for name, outcome in outcomes.items() if not outcome.ok]
         if failed:
             more = f"; {len(names) - len(failed)} are under control and hold" if len(names) > len(failed) else ""
@@ -319,7 +319,7 @@ class Formation(Extension[FormationConfig]):
         seen = {name: there for name in flight.members if (there := self._measured(self._actors[name], now))}
         references = flight.step(seen, self._led(flight, now), list(self._obstacles(self.keys, now)), dt_s, now)
         for name, (pos, vel, acc) in references.items():
-            outcome = self.core.fleet.setpoint(
+            outcome = self.core.fleet.orders.setpoint(
                 name, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
             )[name]
             if not outcome.ok:
