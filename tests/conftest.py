@@ -163,7 +163,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Whole daemons live in virtual time; a test's own marker wins over this one. Tests marked ``deep``, and most cases
     of flights, are left to the deep run."""
     for item in items:
-        daemon = item.path.is_relative_to(WHOLE_DAEMONS) and item.get_closest_marker("real_time") is None
+        daemon = item.path.is_relative_to(WHOLE_DAEMONS)
         if daemon or item.get_closest_marker("looptime") is not None:
             item.add_marker(pytest.mark.looptime(noop_cycles=NOOP_CYCLES), append=False)
     if not config.getoption("--deep"):

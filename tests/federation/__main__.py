@@ -16,7 +16,9 @@ def main(words: list[str]) -> int:
     except SkygcsError as error:
         print(error)
         return 1
-    return subprocess.call([sys.executable, "-m", "pytest", str(Path(__file__).parent), *words])
+    # most of them wait: two at a time on any machine
+    side_by_side = ("-n", "2", "--dist", "worksteal")
+    return subprocess.call([sys.executable, "-m", "pytest", str(Path(__file__).parent), *side_by_side, *words])
 
 
 if __name__ == "__main__":

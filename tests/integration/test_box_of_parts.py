@@ -94,6 +94,7 @@ async def least_distance(air: OnAir, found: list[float]) -> None:
         await asyncio.sleep(0.2)
 
 
+@pytest.mark.deep
 async def test_step_9_flies_with_four_vehicles_on_the_radio_of_step_3(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

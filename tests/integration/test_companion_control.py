@@ -68,6 +68,7 @@ async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02
     assert found[0.8] < found[0.02] + 0.1 and found[0.8] < 0.3, found
 
 
+@pytest.mark.deep
 async def test_a_trajectory_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tmp_path: Path) -> None:
     found, kind = {}, {"px4": 0, "ardupilot": 1}
     for delay_s in (0.02, 0.8):

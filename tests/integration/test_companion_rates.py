@@ -37,6 +37,7 @@ def watch_requests(pair: Pair) -> list[tuple[float, int]]:
     return found
 
 
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize(("ground_hz", "companion_hz"), [(2.0, 8.0), (8.0, 2.0)])
 async def test_two_that_want_other_rates_do_not_take_turns(

@@ -134,6 +134,7 @@ def test_an_uplink_that_swings_about_the_limit_changes_the_mode_once(tmp_path: P
     fly(tmp_path, kind, scenario)
 
 
+@pytest.mark.deep
 def test_one_that_returns_by_itself_does_not_swing_with_the_uplink(tmp_path: Path) -> None:
     async def scenario(gcs: Flown) -> None:
         await gcs.fly("attitude")

@@ -16,6 +16,7 @@ from support.flown import flown
 pytestmark = pytest.mark.looptime
 
 
+@pytest.mark.deep
 async def test_at_20_hz_it_recovers_from_wind_as_fast_as_at_50(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the beginning of 5 m/s of wind until it stays within 0.1 m of its place."""
     recovered_s = []

@@ -39,6 +39,7 @@ async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
         assert gcs.place() == pytest.approx((start[0] + 8.0, start[1], start[2]), abs=0.5)
 
 
+@pytest.mark.deep
 async def test_five_percent_of_loss_each_way_is_no_delay(tmp_path: Path) -> None:
     links = {"air": {"type": "memory", "role": "radio", "delay_s": 0.01, "loss": 0.05}}
     async with flown(tmp_path, links=links) as gcs:

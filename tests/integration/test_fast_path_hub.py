@@ -27,6 +27,7 @@ HANGS_S = 600.0
 """A batch takes seconds; each scenario has a watchdog of its own."""
 
 
+@pytest.mark.deep
 @native
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_whatever_comes_ends_as_without_the_fast_path(batch: int) -> None:

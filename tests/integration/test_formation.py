@@ -178,6 +178,7 @@ async def test_a_velocity_ends_by_itself(tmp_path: Path) -> None:
         assert (await status(gcs))["state"] == "flying"
 
 
+@pytest.mark.deep
 async def test_a_vehicle_in_the_way_is_flown_around(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=3) as gcs:
         since, names = gcs.now, NAMES[:2]
@@ -225,6 +226,7 @@ async def test_the_flock_of_the_examples_flies_in_its_box_and_stays_when_it_ends
         assert flight["leader"] == "virtual" and flight["settled"]
 
 
+@pytest.mark.deep
 async def test_a_new_shape_takes_over_from_a_programs_places(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)

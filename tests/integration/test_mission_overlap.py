@@ -93,6 +93,7 @@ async def test_every_order_that_goes_on_with_a_mission_is_checked_as_its_start_i
         await gcs.done("missions.set_current", targets="v1", item=4, force=True)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 async def test_a_vehicle_lost_in_the_air_is_in_the_way_of_everything_that_goes_on_by_itself(
     tmp_path: Path, kind: dict[str, int]

@@ -81,6 +81,7 @@ async def test_each_flies_its_whole_way_by_itself_and_is_sent_nothing_on_it(tmp_
         assert all(gcs.is_safe(f"v{sim.sysid}") for sim in gcs.sims)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("silent_s", [20.0, 400.0])
 async def test_losing_the_ground_loses_nothing(tmp_path: Path, silent_s: float) -> None:
     """For a while, or for good: both come to their goals in the time that it takes."""

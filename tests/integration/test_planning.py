@@ -147,6 +147,7 @@ async def test_what_cannot_be_planned_is_refused_with_a_reason(tmp_path: Path) -
         assert (await ask("plan.make", goals={"v1": [0, 0, 10]}, starts={"v1": [9, 0, 10]}))["unknown"] == ["v2"]
 
 
+@pytest.mark.deep
 async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, delay_s=0.05) as gcs:
         ask = planning(gcs)

@@ -207,6 +207,7 @@ async def test_a_stream_that_will_not_stop_is_told_with_what_to_do(tmp_path: Pat
         assert "VFR_HUD" in text and "MAV_0_MODE" in text
 
 
+@pytest.mark.deep
 async def test_what_is_lost_while_vehicles_still_flood_does_not_count_against_the_plan(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=7, ardupilot=8, radio={"air_kbps": 125}, **NAV) as air:
         for sim in air.link.vehicles[7:]:

@@ -55,6 +55,7 @@ async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind
         assert any("it climbs by" in text for name in ("v1", "v2") for text in gcs.texts(since, "command", name))
 
 
+@pytest.mark.deep
 async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
     settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}
     async with flown(tmp_path, px4=1, ardupilot=1, settings=settings, conditions=WINDY) as gcs:
@@ -96,6 +97,7 @@ async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_pat
         await all_down(gcs)
 
 
+@pytest.mark.deep
 async def test_what_waits_for_one_that_does_not_move_is_given_up_with_a_word(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, conditions=WINDY) as gcs:
         await swapped(gcs)

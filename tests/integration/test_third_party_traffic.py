@@ -126,6 +126,7 @@ def listening(sim: SimVehicle, name: str, hear: Callable[[Frame, float], None]) 
     sim.on_frame = on_frame  # type: ignore[method-assign]
 
 
+@pytest.mark.deep
 async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(tmp_path: Path) -> None:
     async with field(tmp_path, parameters=900) as flown:
         (station,) = stations_of(flown)
@@ -250,6 +251,7 @@ async def send_corrections(base: GroundStation) -> None:
         await asyncio.sleep(1.0)
 
 
+@pytest.mark.deep
 async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_path: Path) -> None:
     """756 bytes a second, of which the radio's share carries a quarter."""
     async with field(tmp_path) as flown:

@@ -65,6 +65,7 @@ def true_error_m(gcs: Flown) -> float | None:
     return math.dist(frame.from_geodetic(lat, lon, FIELD.alt_amsl_m + up), flight.reference(gcs.now, 0.0).pos_enu_m)
 
 
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("delay_s", [0.02, 0.15])
 async def test_what_is_recorded_on_a_circle_is_what_was_flown(

@@ -86,6 +86,7 @@ def message() -> st.SearchStrategy[tuple[MessageInfo, dict[str, Any]]]:
     )
 
 
+@pytest.mark.deep
 @each("make", [px4, copter])
 def test_every_command_survives_every_nasty_number_in_every_place(make: type[SimVehicle]) -> None:
     for command in thinned(COMMANDS, len(COMMANDS) // 2, turn=make is copter):

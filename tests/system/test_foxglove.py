@@ -18,6 +18,8 @@ from skygcs.ext.logs.foxglove import serve
 from skygcs.ext.logs.foxglove_schemas import SCHEMAS
 from skygcs.rpc.client import connect
 
+pytestmark = pytest.mark.system
+
 WANTED = {"/v1/pose", "/v1/path", "/v1/location", "/v1/battery", "/v1/velocity", "/tf"}
 
 
@@ -47,7 +49,6 @@ async def read(port: int) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
     return channels, got
 
 
-@pytest.mark.real_time
 async def test_the_fleet_is_seen_live(tmp_path: Path) -> None:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),
