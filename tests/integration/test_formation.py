@@ -24,6 +24,8 @@ from support.process import ROOT
 
 pytestmark = pytest.mark.looptime
 
+COSTS = "formations of three and four vehicles, each from the ground to its end"
+
 MARGIN_M = WINGSPAN_M + 2 * POSITION_ERROR_M
 
 NAMES = ["v1", "v2", "v3", "v4"]
