@@ -9,11 +9,13 @@ import { OrdersPanel } from "./orders_panel.tsx";
 import { OrderList } from "./order_list.tsx";
 import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
+import { PlanBar } from "./plan_bar.tsx";
 import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
 import { StopButton } from "./stop.tsx";
 import { StopBoard } from "./stop_board.tsx";
 import type { State, Store } from "./store.ts";
 import { FleetTable } from "./table.tsx";
+import { TroubleStrip } from "./trouble_strip.tsx";
 import { FleetView } from "./view/fleet_view.ts";
 import { Shortcuts } from "./shortcuts.tsx";
 
@@ -47,9 +49,11 @@ export function App({ store, connection }: { store: Store; connection: Connectio
         <FleetSummary store={store} />
         <ThemeButton />
         <Shortcuts store={store} view={view} />
+        <TroubleStrip store={store} view={view} />
         <StopButton store={store} connection={connection} />
       </header>
       <StopBoard store={store} />
+      <PlanBar store={store} connection={connection} />
       <Banner store={store} connection={connection} />
       {panels.filter((panel) => panel.place === "dock").map((panel) => (
         <section key={panel.id} class="dock" aria-label={panel.title}><LazyPanel panel={panel} {...props} /></section>

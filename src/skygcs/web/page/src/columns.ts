@@ -2,6 +2,7 @@
 
 import { ageText, fixed, percentText } from "./format.ts";
 import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
+import { DEAF, EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT } from "./trouble.ts";
 
 export type Tone = "" | "muted" | "warning" | "danger" | "good";
 
@@ -31,8 +32,6 @@ export interface Column {
   sortBy: (vehicle: Vehicle, now_s: number) => number | string | null;
 }
 
-const LOW_BATTERY_PERCENT = 25;
-const EMPTY_BATTERY_PERCENT = 10;
 const HIGH_LOSS = 0.05;
 /** A group of telemetry that did not come for so long is grey although the vehicle is heard. */
 const OLD_GROUP_S = 4;
@@ -110,7 +109,7 @@ function armedCell(v: Vehicle): Cell {
   if (v.replayed) return cell("replay", "muted");
   if (v.armed === null) return UNKNOWN;
   if (v.separation !== null && v.separation.level !== "notice") return cell(`${v.armed ? "armed, " : ""}NEAR ${v.separation.with}`, "danger");
-  if (v.uplink?.heard === false) return cell(v.armed ? "ARMED, DEAF" : "deaf", "danger", "It does not answer: it hears nothing of us");
+  if (v.uplink?.heard === false) return cell(v.armed ? `armed, ${DEAF}` : DEAF, "danger", "It answers nothing of ours");
   if (!v.armed) return cell("no", "muted");
   return cell(v.separation === null ? "armed" : `armed, near ${v.separation.with}`, v.separation === null ? "good" : "warning");
 }
@@ -178,12 +177,6 @@ function companionCell(v: Vehicle, now_s: number): Cell {
   const age = age_s === null ? null : ageOf(v, { age_s }, now_s);
   if (age === null) return cell("not heard", "warning", title);
   return age > SILENT_S ? cell(`silent ${ageText(age)}`, "warning", title) : cell("heard", "", title);
-}
-
-/** What needs a person, besides not being heard; the server counts the same (fleet_digest.py). */
-export function isProblem(v: Vehicle): boolean {
-  const near = v.separation !== null && v.separation.level !== "notice";
-  return v.failsafe || near || v.uplink?.heard === false || (v.battery?.percent ?? 100) <= EMPTY_BATTERY_PERCENT;
 }
 
 function planCell(v: Vehicle): Cell {

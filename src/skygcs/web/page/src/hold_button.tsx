@@ -5,6 +5,8 @@ import type { ComponentChildren } from "preact";
 import { isSeen, isTextField } from "./stop_key.ts";
 
 export const HOLD_MS = 1_000;
+/** A press that was too short is told what to do for so long. */
+const HINT_MS = 2_000;
 
 export interface HoldButtonProps {
   /** What it does, with its targets: "Arm alpha and bravo". Shown while it is held, and read aloud. */
@@ -23,6 +25,7 @@ export interface HoldButtonProps {
 
 export function HoldButton({ what, act, children, targets = [], disabled = false, hotkey, danger = false, title, ...rest }: HoldButtonProps) {
   const [holding, setHolding] = useState(false);
+  const [tooShort, setTooShort] = useState(false);
   const timer = useRef<ReturnType<typeof setTimeout> | null>(null);
   const button = useRef<HTMLButtonElement>(null);
   const action = useRef(act);
@@ -33,9 +36,15 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
     timer.current = null;
     setHolding(false);
   };
+  /** A person let go: too early, as a hold that acted has no timer any more. */
+  const letGo = (): void => {
+    if (timer.current !== null) setTooShort(true);
+    release();
+  };
   const press = (): void => {
     if (disabled || timer.current !== null) return;
     setHolding(true);
+    setTooShort(false);
     timer.current = setTimeout(() => {
       // a page that stood still has the release in its queue, perhaps behind this timer: input comes before a frame
       requestAnimationFrame(() => {
@@ -47,13 +56,18 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
     }, HOLD_MS);
   };
   useEffect(() => release, []);
+  useEffect(() => {
+    if (!tooShort) return undefined;
+    const over = setTimeout(() => setTooShort(false), HINT_MS);
+    return () => clearTimeout(over);
+  }, [tooShort]);
   useLayoutEffect(() => {
     if (disabled) release();
   }, [disabled]);
   // what it is for changed under the finger: begin anew, before the timer can act for the new ones
   const about = `${what}\n${targets.join("\n")}`;
   useLayoutEffect(() => release, [about]);
-  useHotkey(hotkey, button, press, release, disabled);
+  useHotkey(hotkey, button, press, letGo, disabled);
 
   const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";
   return (
@@ -71,7 +85,7 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
         event.currentTarget.setPointerCapture(event.pointerId);
         press();
       }}
-      onPointerUp={release}
+      onPointerUp={letGo}
       onPointerCancel={release}
       onContextMenu={(event) => event.preventDefault()}
       onKeyDown={(event) => {
@@ -80,19 +94,20 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
         if (!event.repeat && event.isTrusted) press();
       }}
       onKeyUp={(event) => {
-        if (isKey(event)) release();
+        if (isKey(event)) letGo();
       }}
       onBlur={release}
     >
       {children}
-      {holding && <HoldHint what={what} />}
+      {holding && <HoldHint text={`${what}: keep holding`} />}
+      {tooShort && !holding && <HoldHint text={`${what}: hold for ${HOLD_MS / 1000} s`} />}
     </button>
   );
 }
 
 /** What is about to happen and to whom, large, where no finger covers it. */
-function HoldHint({ what }: { what: string }) {
-  return <span class="holdhint" role="status">{what}: keep holding</span>;
+function HoldHint({ text }: { text: string }) {
+  return <span class="holdhint" role="status">{text}</span>;
 }
 
 function useHotkey(

@@ -1,8 +1,9 @@
 // The table by site: a row with counts for each, which unfolds to its vehicles. Pure.
 
-import { isProblem, type Row } from "./columns.ts";
+import type { Row } from "./columns.ts";
 import { siteOf } from "./levels.ts";
 import { isHeard, silenceOf, type State, type Vehicle } from "./store.ts";
+import { isInAir, isProblem } from "./trouble.ts";
 import type { SiteCounts } from "./types.ts";
 
 export type SiteRow = { kind: "site"; counts: SiteCounts; names: string[]; unfolded: boolean };
@@ -39,10 +40,6 @@ function countsOf(state: State, now_s: number): readonly SiteCounts[] {
       oldest_age_s: Math.max(...here.map((vehicle) => silenceOf(vehicle, now_s) ?? Infinity)),
     };
   });
-}
-
-export function isInAir({ landed }: Pick<Vehicle, "landed">): boolean {
-  return landed === "in_air" || landed === "takeoff" || landed === "landing";
 }
 
 export interface FleetFigures {

@@ -57,7 +57,7 @@ test("failsafe, low battery, conflicts and deaf vehicles stand out", () => {
   const battery = (percent: number) => cell("battery", heard("a", 1, { battery: { volts: 14, amps: null, percent, remaining_s: null, age_s: 0 } }));
   assert.deepEqual([battery(80).tone, battery(20).tone, battery(8).tone], ["", "warning", "danger"]);
   assert.equal(cell("armed", heard("a", 1, { separation: { level: "action", with: "b" } })).text, "armed, NEAR b");
-  assert.equal(cell("armed", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "ARMED, DEAF");
+  assert.equal(cell("armed", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "armed, does not hear us");
 });
 
 test("sorting: numbers as numbers, unknown last either way, the system id decides", () => {

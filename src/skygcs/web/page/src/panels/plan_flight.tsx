@@ -5,6 +5,7 @@ import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
+import { AT_REST, FAILED, HALTED, planText } from "../plan_status.ts";
 import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
 import { Choice, Failure, NumberField } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
@@ -24,15 +25,6 @@ interface Report {
 }
 
 type Mode = "position" | "velocity" | "attitude";
-
-/** Nothing is being flown. */
-const AT_REST = new Set(["none", "loaded", "checked", "aborted", "landed", "finished"]);
-
-/** Its reason says what went wrong; in every other state it says what is being done. */
-const FAILED = new Set(["stopped", "aborting", "aborted"]);
-
-/** It ended as it was ordered: no step is left. */
-const DONE = new Set(["landed", "finished"]);
 
 export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; follow: (t_s: number) => void }) {
   const { store, checked, follow } = props;
@@ -57,15 +49,9 @@ export function PlanFlight(props: PanelProps & { checked: CheckedPlan | null; fo
 }
 
 function StatusView({ status }: { status: PlanStatus }) {
-  const done = DONE.has(status.state);
   return (
     <>
-      <p>
-        <b>{status.name ?? "plan"}</b>: {status.state.replaceAll("_", " ")}
-        {!done && status.phase !== null && status.phase !== "" ? `, ${status.phase}` : ""}
-        {!done && status.step !== null && status.steps !== null && status.steps > 0 ? ` (step ${status.step} of ${status.steps})` : ""}
-        {!done && status.clock?.finishes_in_s != null ? `, ${status.clock.finishes_in_s.toFixed(0)} s more` : ""}
-      </p>
+      <p><b>{status.name ?? "plan"}</b>: {planText(status)}</p>
       {status.reason !== null && status.reason !== "" && <p class={FAILED.has(status.state) ? "failure" : "muted"}>{status.reason}</p>}
       {status.waits_for.length > 0 && <p class="muted">Waits for {namesText(status.waits_for)}.</p>}
       {status.vehicles.length > 0 && !AT_REST.has(status.state) && (
@@ -103,7 +89,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
   return (
     <>
       <div class="row wrap">
-        {status.state === "paused" || status.state === "stopped" ? (
+        {HALTED.has(status.state) ? (
           <HoldButton targets={targets} what={`Resume the plan of ${whom}`} act={() => order("Resume plan", "plan.resume")}>
             Resume
           </HoldButton>

@@ -1,0 +1,108 @@
+"""Trouble in a real browser: a pill for each vehicle left of STOP, and the bar of the plan in flight on every page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from support.browser import until
+from support.page_steps import fits
+from support.web_station import WebStation
+
+OpenPage = Callable[..., Page]
+Shot = Callable[[Page, str], Path]
+
+IN_TROUBLE = """() => {
+    const { store } = skygcs, { clock, vehicles } = store.state, like = vehicles.get("v1");
+    const now_s = clock.now_s + (performance.now() - clock.atMs) / 1000;
+    const come = (heard_s, ...made) => store.dispatch({ type: "batch", atMs: performance.now(), batch: {
+        seq: 1, full: false, now_s, heard_s, gone: [], vehicles: made.map(more => ({ ...like, ...more })) } });
+    const battery = { volts: 20.1, amps: null, percent: 6, remaining_s: null, age_s: 0 };
+    const uplink = { heard: false, unanswered: 3, rtt_s: null, age_s: 0 };
+    // as heard from the future: they stay heard while the test lasts
+    come(now_s + 3600, { name: "u04", sysid: 104, battery }, { name: "u09", sysid: 109, uplink },
+        { name: "u07", sysid: 107, failsafe: true });
+    come(now_s, { name: "u02", sysid: 102, connected: false, last_heartbeat_age_s: 21, landed: "in_air",
+        links: {}, position: { ...like.position, alt_rel_m: 9.7 } });
+}"""
+"""Four vehicles more: an empty battery, one that is deaf, a failsafe, and one that was lost in the air."""
+
+PLAN = """more => skygcs.store.dispatch({ type: "plan", plan: {
+    plan: "1", name: "show", kind: "phased", state: "running", phase: "cross", step: 2, steps: 3, reason: null,
+    speed: 1, clock: { trajectory_s: 10, duration_s: 44, finishes_in_s: 34 }, waits_for: [], vehicles: [
+        { vehicle: "v1", state: "flying", error_m: 0.2, tube_m: 1, left: null },
+        { vehicle: "v2", state: "flying", error_m: 0.61, tube_m: 0.5, left: null }], ...more } })"""
+
+
+@pytest.fixture(params=["dark", "light"])
+def theme(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.mark.parametrize(("width", "height", "shown"), [(1600, 900, 3), (1280, 800, 3), (390, 844, 1)])
+def test_trouble_stands_left_of_stop_worst_first(
+    station: WebStation, open_page: OpenPage, shot: Shot, theme: str, width: int, height: int, shown: int
+) -> None:
+    page = open_page(station, width=width, height=height, theme=theme, touch=width < 500)
+    until(page, "skygcs.store.state.vehicles.size === 3")
+    expect(page.locator(".troubles")).to_have_count(0)
+    page.evaluate(IN_TROUBLE)
+    pills = page.locator(".pill[data-severity]:visible")
+    expect(pills).to_have_count(shown)
+    expect(pills.first).to_have_text(re.compile(r"^! u02 lost at 9\.7 m, \d+ s$"))
+    expect(page.locator(".pill.more:visible")).to_have_text(f"+{4 - shown} more")
+    stop = page.get_by_role("button", name="Stop all vehicles").bounding_box()
+    assert stop is not None and stop["x"] + stop["width"] <= width
+    assert fits(page)
+    shot(page, f"trouble-{width}-{theme}")
+
+
+def test_a_pill_selects_its_vehicle_and_shows_it(station: WebStation, open_page: OpenPage) -> None:
+    page = open_page(station, path="/#events")
+    until(page, "skygcs.store.state.vehicles.size === 3")
+    page.evaluate(IN_TROUBLE)
+    page.locator(".pill", has_text="u02").click()
+    until(page, "[...skygcs.store.state.selection].join() === 'u02' && location.hash === '#fleet'")
+    page.locator(".pill.more:visible").click()
+    until(page, "skygcs.store.state.selection.size === 4")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
+def test_the_plan_that_is_flown_is_on_every_page(
+    station: WebStation, open_page: OpenPage, shot: Shot, theme: str, width: int, height: int
+) -> None:
+    page = open_page(station, width=width, height=height, theme=theme, touch=width < 500)
+    until(page, "skygcs.store.state.vehicles.size === 3")
+    page.evaluate(PLAN, {})
+    bar = page.get_by_role("region", name="Plan in flight")
+    for tab in ("Events", "Fleet"):
+        page.locator(".pages .tab", has_text=tab).click()
+        expect(bar).to_contain_text("show running, cross (step 2 of 3), 34 s more")
+        expect(bar).to_contain_text("! v2 0.61 m off, 0.50 m allowed")
+    assert fits(page)
+    shot(page, f"plan-bar-{width}-{theme}")
+    bar.get_by_role("button", name="Pause the plan").click()
+    until(page, "skygcs.store.state.orders[0]?.method === 'plan.pause'")
+    page.evaluate(PLAN, {"state": "stopped", "reason": "v2: left its tube"})
+    expect(bar.get_by_role("alert")).to_contain_text("v2: left its tube")
+    expect(bar.get_by_role("button", name=re.compile("^Resume the plan"))).to_be_visible()
+    page.evaluate(PLAN, {"state": "finished"})
+    expect(bar).to_have_count(0)
+
+
+def test_a_press_that_is_too_short_says_what_to_do(station: WebStation, open_page: OpenPage) -> None:
+    page = open_page(station)
+    until(page, "skygcs.store.state.vehicles.size === 3")
+    page.evaluate(PLAN, {"state": "paused"})
+    resume = page.get_by_role("region", name="Plan in flight").get_by_role("button", name=re.compile("^Resume"))
+    resume.hover()
+    page.mouse.down()
+    page.mouse.up()
+    hint = page.locator(".holdhint")
+    expect(hint).to_have_text("Resume the plan of v1 and v2: hold for 1 s")
+    expect(hint).to_have_count(0)
+    assert page.evaluate("skygcs.store.state.orders.length") == 0
