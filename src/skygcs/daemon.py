@@ -50,12 +50,8 @@ from skygcs.runtime.unattended_holds import STATION_MESSAGES
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:  # see above
-    from pathlib import Path
-
-    from skygcs.config.federation import FederationConfig
     from skygcs.core.vehicle.vehicle import Vehicle
     from skygcs.runtime.supervised_child import SupervisedChild
-    from skygcs.runtime.vehicle_services import OnEvent
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
@@ -162,10 +158,10 @@ class Daemon:
         if self.config.federation is None:
             return None
         from skygcs.rpc import authority  # noqa: F401 - a grant or a revocation must wait for no import
+        from skygcs.runtime.supervised_child import federation_child
 
-        return federation_child(
-            self.config.federation, self.source, self.socket_path, self.loop, self.event_log.publish
-        )
+        config, publish = self.config.federation, self.event_log.publish
+        return federation_child(config, self.source, self.socket_path, self.loop, publish)
 
     def _new_hub(self) -> Hub:
         gate = _authority_gate(self.config)
@@ -389,18 +385,6 @@ class Daemon:
             "to_undo": self.fleet.journal.number_left,
             **self.extensions.info(),
         }
-
-
-def federation_child(
-    config: FederationConfig, fleet_file: str, socket_path: Path, loop: asyncio.AbstractEventLoop, on_event: OnEvent
-) -> SupervisedChild:
-    """`skygcs federation run` for this fleet file. It reads the file itself, and ends if that cannot be read."""
-    from skygcs.config.station_path import station_socket
-    from skygcs.runtime.supervised_child import SupervisedChild
-
-    line = ["federation", "run", "--supervised", "--socket", os.fspath(socket_path), fleet_file]
-    more = {"site": config.site, "role": config.role, "socket": station_socket(str(socket_path))}
-    return SupervisedChild("the bridge to other stations", "federation", line, loop, on_event, more=more)
 
 
 def _authority_gate(config: FleetConfig) -> AuthorityGate | None:

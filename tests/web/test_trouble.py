@@ -48,12 +48,14 @@ def test_trouble_stands_left_of_stop_worst_first(
     station: WebStation, open_page: OpenPage, shot: Shot, theme: str, width: int, height: int, shown: int
 ) -> None:
     page = open_page(station, width=width, height=height, theme=theme, touch=width < 500)
-    until(page, "skygcs.store.state.vehicles.size === 3")
+    until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m != null")
     expect(page.locator(".troubles")).to_have_count(0)
     page.evaluate(IN_TROUBLE)
     pills = page.locator(".pill[data-severity]:visible")
     expect(pills).to_have_count(shown)
     expect(pills.first).to_have_text(re.compile(r"^! u02 lost at 9\.7 m, \d+ s$"))
+    if shown > 1:
+        assert [text.split()[1] for text in pills.all_inner_texts()] == ["u02", "u07", "u09"]
     expect(page.locator(".pill.more:visible")).to_have_text(f"+{4 - shown} more")
     stop = page.get_by_role("button", name="Stop all vehicles").bounding_box()
     assert stop is not None and stop["x"] + stop["width"] <= width
@@ -63,7 +65,7 @@ def test_trouble_stands_left_of_stop_worst_first(
 
 def test_a_pill_selects_its_vehicle_and_shows_it(station: WebStation, open_page: OpenPage) -> None:
     page = open_page(station, path="/#events")
-    until(page, "skygcs.store.state.vehicles.size === 3")
+    until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m != null")
     page.evaluate(IN_TROUBLE)
     page.locator(".pill", has_text="u02").click()
     until(page, "[...skygcs.store.state.selection].join() === 'u02' && location.hash === '#fleet'")
@@ -85,7 +87,7 @@ def test_the_plan_that_is_flown_is_on_every_page(
         expect(bar).to_contain_text("! v2 0.61 m off, 0.50 m allowed")
     assert fits(page)
     shot(page, f"plan-bar-{width}-{theme}")
-    bar.get_by_role("button", name="Pause the plan").click()
+    bar.get_by_role("button", name="Pause").click()
     until(page, "skygcs.store.state.orders[0]?.method === 'plan.pause'")
     page.evaluate(PLAN, {"state": "stopped", "reason": "v2: left its tube"})
     expect(bar.get_by_role("alert")).to_contain_text("v2: left its tube")

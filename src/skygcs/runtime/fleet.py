@@ -1,4 +1,5 @@
-"""The fleet: adds vehicles by their heartbeats, names them by the fleet file, and gives orders to one, some or all."""
+"""The fleet: adds vehicles by their heartbeats, names them by the fleet file, finds them by what orders name, and notes
+what flies. Orders to them: `runtime.fleet_orders`."""
 
 from __future__ import annotations
 

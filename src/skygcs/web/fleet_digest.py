@@ -40,7 +40,7 @@ VEHICLE_SILENT_S = 5.0
 """A vehicle of which nothing came for so long is not heard: the page's own limit (store.ts)."""
 
 EMPTY_BATTERY_PERCENT = 10.0
-"""A problem; the page's own limit (columns.ts)."""
+"""A problem; the page's own limit (trouble.ts)."""
 
 IN_AIR = frozenset({"in_air", "takeoff", "landing"})
 

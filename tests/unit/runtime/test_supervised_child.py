@@ -15,10 +15,9 @@ import pytest
 
 from skygcs.cli.serve import new_parser
 from skygcs.config.federation import FederationConfig
-from skygcs.daemon import federation_child
 from skygcs.events import Event
 from skygcs.runtime import supervised_child
-from skygcs.runtime.supervised_child import SupervisedChild
+from skygcs.runtime.supervised_child import SupervisedChild, federation_child
 from support.hub import until
 
 SOCKET = Path("/run/x y.sock")

@@ -2,7 +2,7 @@
 
 import { ageText, fixed, percentText } from "./format.ts";
 import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
-import { DEAF, EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT } from "./trouble.ts";
+import { DEAF, EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT, nearTo } from "./trouble.ts";
 
 export type Tone = "" | "muted" | "warning" | "danger" | "good";
 
@@ -108,7 +108,8 @@ function withUnit(text: string | null, unit: string): string | null {
 function armedCell(v: Vehicle): Cell {
   if (v.replayed) return cell("replay", "muted");
   if (v.armed === null) return UNKNOWN;
-  if (v.separation !== null && v.separation.level !== "notice") return cell(`${v.armed ? "armed, " : ""}NEAR ${v.separation.with}`, "danger");
+  const near = nearTo(v);
+  if (near !== null) return cell(`${v.armed ? "armed, " : ""}NEAR ${near.with}`, "danger");
   if (v.uplink?.heard === false) return cell(v.armed ? `armed, ${DEAF}` : DEAF, "danger", "It answers nothing of ours");
   if (!v.armed) return cell("no", "muted");
   return cell(v.separation === null ? "armed" : `armed, near ${v.separation.with}`, v.separation === null ? "good" : "warning");

@@ -5,7 +5,7 @@ import type { ComponentChildren } from "preact";
 import { isSeen, isTextField } from "./stop_key.ts";
 
 export const HOLD_MS = 1_000;
-/** A press that was too short is told what to do for so long. */
+/** Time for which a press that was too short shows how long to hold. */
 const HINT_MS = 2_000;
 
 export interface HoldButtonProps {

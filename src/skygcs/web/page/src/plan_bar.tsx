@@ -21,7 +21,7 @@ export function PlanBar({ store, connection }: { store: Store; connection: Conne
         {failed && status.reason ? `: ${status.reason}` : ""}
       </p>
       <LargestError status={status} />
-      {orders && <Buttons store={store} connection={connection} status={status} />}
+      {orders && <span class="buttons"><PlanButtons store={store} connection={connection} status={status} /></span>}
     </section>
   );
 }
@@ -37,17 +37,18 @@ function LargestError({ status }: { status: PlanStatus }) {
   );
 }
 
-function Buttons({ store, connection, status }: { store: Store; connection: Connection; status: PlanStatus }) {
+/** Pause or Resume, and Land: also in the plan's own panel. */
+export function PlanButtons({ store, connection, status }: { store: Store; connection: Connection; status: PlanStatus }) {
   const targets = status.vehicles.map(({ vehicle }) => vehicle);
   const order = (label: string, method: string): void => void orderWith(store, connection, { label, method, params: {}, targets }, readMessage);
   return (
-    <span class="buttons">
+    <>
       {HALTED.has(status.state) ? (
         <HoldButton targets={targets} what={`Resume the plan of ${namesText(targets)}`} act={() => order("Resume plan", "plan.resume")}>Resume</HoldButton>
       ) : (
-        <button type="button" aria-label="Pause the plan" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>
+        <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>
       )}
-      <button type="button" aria-label="Land the plan's vehicles" onClick={() => order("Land the plan's vehicles", "plan.land")}>Land</button>
-    </span>
+      <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>Land</button>
+    </>
   );
 }

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { vehicleOf } from "../src/levels.ts";
-import { isProblem, troubleOf, troublesOf } from "../src/trouble.ts";
+import { isProblem, troublesOf } from "../src/trouble.ts";
 import { position, vehicle } from "./fleet.ts";
 
 const NOW_S = 1000;
@@ -10,7 +10,7 @@ const silent = (name: string, sysid: number, age_s: number, more: object = {}) =
   vehicleOf(vehicle(name, sysid, { connected: false, last_heartbeat_age_s: age_s, links: { radio: { frames: 1, lost: 0, loss_ratio: 0, age_s } }, ...more }), NOW_S);
 
 test("a vehicle's trouble says what is wrong, all of it and the worst first", () => {
-  const text = (more: object) => troubleOf(heard("u04", 4, more), NOW_S)?.text;
+  const text = (more: object) => troublesOf([heard("u04", 4, more)], NOW_S)[0]?.text;
   assert.equal(text({}), undefined);
   const battery = { volts: 20.1, amps: null, percent: 6, remaining_s: null, age_s: 0.1 };
   const uplink = { heard: false, unanswered: 3, rtt_s: null, age_s: 1 };
@@ -36,9 +36,21 @@ test("one lost in the air comes first with its height, one that is silent on the
   ]);
 });
 
+test("of those that are heard a failsafe comes before one that is near, deaf, or has an empty battery", () => {
+  const battery = { volts: 20.1, amps: null, percent: 6, remaining_s: null, age_s: 0.1 };
+  const found = troublesOf([
+    heard("a", 1, { battery }),
+    heard("b", 2, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 }, battery }),
+    heard("c", 3, { separation: { level: "action", with: "a" } }),
+    heard("d", 4, { failsafe: true }),
+    heard("e", 5, { battery }),
+  ], NOW_S);
+  assert.deepEqual(found.map(({ name }) => name), ["d", "c", "b", "a", "e"]);
+});
+
 test("what the strip shows of a vehicle that is heard is what is counted as a problem", () => {
   for (const more of [{}, { failsafe: true }, { battery: { volts: 1, amps: null, percent: 10, remaining_s: null, age_s: 0 } }]) {
     const one = heard("a", 1, more);
-    assert.equal(isProblem(one), troubleOf(one, NOW_S) !== null);
+    assert.equal(isProblem(one), troublesOf([one], NOW_S).length === 1);
   }
 });

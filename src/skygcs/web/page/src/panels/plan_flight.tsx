@@ -5,7 +5,8 @@ import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
-import { AT_REST, FAILED, HALTED, planText } from "../plan_status.ts";
+import { PlanButtons } from "../plan_bar.tsx";
+import { AT_REST, FAILED, planText } from "../plan_status.ts";
 import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
 import { Choice, Failure, NumberField } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
@@ -89,18 +90,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
   return (
     <>
       <div class="row wrap">
-        {HALTED.has(status.state) ? (
-          <HoldButton targets={targets} what={`Resume the plan of ${whom}`} act={() => order("Resume plan", "plan.resume")}>
-            Resume
-          </HoldButton>
-        ) : (
-          <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>
-            Pause
-          </button>
-        )}
-        <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>
-          Land
-        </button>
+        <PlanButtons store={store} connection={connection} status={status} />
         <HoldButton danger targets={targets} what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort")}>
           Abort
         </HoldButton>
