@@ -14,8 +14,7 @@ from support.web_station import WebStation
 OpenPage = Callable[..., Page]
 Shot = Callable[[Page, str], Path]
 
-COLUMNS = ["Name", "Id", "Autopilot", "Mode", "Armed", "Height", "Battery", "GPS", "Link", "Heard", "Loss"]
-COLUMNS += ["Failsafe", "Guard", "Control", "Plan"]
+COLUMNS = ["Name", "Id", "Autopilot", "Mode", "Status", "Armed", "Height", "Battery", "GPS", "Link", "Heard", "Loss"]
 
 GROUPS = """
 [vehicles.alpha]
@@ -70,6 +69,25 @@ def test_companions_have_a_column_where_a_vehicle_has_one(
     expect(page.locator("tr.row[data-name=bravo] td[data-column=companion]")).to_have_text("–")
     assert page.evaluate("(t => t.scrollWidth - t.clientWidth)(document.querySelector('.tablebox'))") <= 0
     shot(page, "table-companion")
+
+
+def test_columns_are_chosen_and_the_choice_is_kept(page: Page, shot: Shot) -> None:
+    page.get_by_text("Columns", exact=True).click()
+    choices = page.get_by_role("group", name="Columns of the table")
+    for name in ("x", "Roll pitch yaw", "Target", "Error"):
+        choices.get_by_label(name, exact=True).check()
+    choices.get_by_label("GPS").uncheck()
+    shot(page, "table-columns")
+    page.keyboard.press("Escape")
+    expect(choices).to_be_hidden()
+    wanted = [*(name for name in COLUMNS if name != "GPS"), "x", "Roll pitch yaw", "Target", "Error"]
+    page.reload()
+    expect(page.locator("tr.row")).to_have_count(3)
+    assert [text.strip("▴▾") for text in page.locator("thead th").all_text_contents()] == wanted
+    expect(page.locator("tr.row[data-name=alpha] td[data-column=attitude]")).to_contain_text("°")
+    page.get_by_text("Columns", exact=True).click()
+    page.get_by_role("button", name="As at first").click()
+    assert [text.strip("▴▾") for text in page.locator("thead th").all_text_contents()] == COLUMNS
 
 
 def test_a_click_on_a_heading_sorts_and_a_second_one_turns_it_round(page: Page) -> None:

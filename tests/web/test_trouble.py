@@ -74,6 +74,43 @@ def test_a_pill_selects_its_vehicle_and_shows_it(station: WebStation, open_page:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
+def test_rows_in_trouble_stand_first_and_are_marked(
+    station: WebStation, open_page: OpenPage, shot: Shot, theme: str, width: int, height: int
+) -> None:
+    page = open_page(station, width=width, height=height, theme=theme, touch=width < 500)
+    until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m != null")
+    page.evaluate(IN_TROUBLE)
+    rows = page.locator("tr.row")
+    expect(rows.first).to_have_attribute("data-name", "u02")
+    names = [row.get_attribute("data-name") for row in rows.all()]
+    assert names == ["u02", "u07", "u09", "u04", "v1", "v2", "v3"]
+    expect(page.locator("tr.row[data-severity=danger]")).to_have_count(4)
+    lost = page.locator("tr.row[data-name=u02]")
+    expect(lost.locator("td[data-column=status]")).to_have_class(re.compile("danger"))
+    expect(lost.locator("td[data-column=status]")).to_contain_text("lost at 9.7 m")
+    expect(lost.locator("td[data-column=height]")).to_have_class(re.compile("lost"))
+    expect(page.locator("tr.row[data-name=u07] td[data-column=status]")).to_contain_text("FAILSAFE")
+    assert fits(page)
+    page.wait_for_timeout(400)  # until the labels of the map are placed
+    shot(page, f"severity-{width}-{theme}")
+    page.get_by_label("Problems first").uncheck()
+    expect(rows.first).to_have_attribute("data-name", "v1")
+    page.reload()
+    expect(page.get_by_label("Problems first")).not_to_be_checked()
+
+
+def test_one_that_is_lost_in_the_air_stays_in_the_counts(station: WebStation, open_page: OpenPage) -> None:
+    page = open_page(station)
+    until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m != null")
+    page.evaluate(IN_TROUBLE)
+    summary = page.locator(".summary")
+    expect(summary).to_contain_text("1 in the air")
+    expect(summary).to_contain_text("1 not heard, 1 last in the air")
+    body = page.evaluate("() => skygcs.view.scene.bodies.find(({ name }) => name === 'u02')")
+    assert body["lostInAir"] and not body["heard"] and body["trouble"]["severity"] == "danger"
+
+
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
 def test_the_plan_that_is_flown_is_on_every_page(
     station: WebStation, open_page: OpenPage, shot: Shot, theme: str, width: int, height: int
 ) -> None:

@@ -226,7 +226,8 @@ def _names(value: object, key: str, most: int) -> frozenset[str]:
 
 def count_sites(digests: Iterable[Digest], now: float) -> list[dict[str, Any]]:
     """Count each site's vehicles, in the order of the digests. ``oldest_age_s``: since when the vehicle that is silent
-    for the longest time was not heard; null if one was never heard."""
+    for the longest time was not heard; null if one was never heard. One that was lost in the air still counts as armed and
+    in the air (trouble.ts)."""
     counts: dict[str, dict[str, Any]] = {}
     for digest in digests:
         of = counts.get(digest.site)
@@ -236,8 +237,9 @@ def count_sites(digests: Iterable[Digest], now: float) -> list[dict[str, Any]]:
         heard = digest.heard(now)
         of["vehicles"] += 1
         of["heard"] += heard
-        of["armed"] += digest.armed and heard
-        of["in_air"] += digest.in_air and heard
+        counted = heard or (digest.in_air and digest.silence_s is not None)
+        of["armed"] += digest.armed and counted
+        of["in_air"] += digest.in_air and counted
         of["problems"] += digest.problem or not heard
         of["oldest_age_s"] = max(of["oldest_age_s"], digest.silence_now_s(now))
     for of in counts.values():

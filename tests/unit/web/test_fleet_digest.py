@@ -88,17 +88,19 @@ def test_what_needs_a_person_is_a_problem(more: dict[str, Any]) -> None:
     assert count_sites([digest(**more)], 0.0)[0]["problems"] == 1
 
 
-def test_sites_are_counted_and_what_is_not_heard_is_neither_armed_nor_in_the_air() -> None:
-    fleet = [digest("ours"), digest(), digest("south/b", armed=False, landed="on_ground"), digest("south/c", -9.0)]
+def test_sites_are_counted_and_what_was_lost_in_the_air_stays_in_the_counts() -> None:
+    on_ground = digest("south/b", armed=False, landed="on_ground")
+    silent_on_ground = digest("south/d", -9.0, landed="on_ground")
+    fleet = [digest("ours"), digest(), on_ground, digest("south/c", -9.0), silent_on_ground]
     ours, south = count_sites(fleet, 1.0)
     assert (ours["site"], ours["vehicles"], ours["problems"]) == ("", 1, 0)
     assert south == {
         "site": "south",
-        "vehicles": 3,
+        "vehicles": 4,
         "heard": 2,
-        "armed": 1,
-        "in_air": 1,
-        "problems": 1,
+        "armed": 2,
+        "in_air": 2,
+        "problems": 2,
         "oldest_age_s": 10.2,
     }
     assert count_sites([digest(links={}, last_heartbeat_age_s=None)], 0.0)[0]["oldest_age_s"] is None

@@ -1,21 +1,10 @@
 // The columns of the fleet table: what a cell says, how it is sorted, and when it warns. Pure.
 
+import { aged, cell, UNKNOWN, withUnit, type Cell, type Tone } from "./cells.ts";
 import { ageText, fixed, percentText } from "./format.ts";
 import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
-import { DEAF, EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT, nearTo } from "./trouble.ts";
-
-export type Tone = "" | "muted" | "warning" | "danger" | "good";
-
-export interface Cell {
-  text: string;
-  tone: Tone;
-  /** On a phone: a second line. */
-  under?: string;
-  /** On a phone: instead of the text. */
-  narrow?: string;
-  /** For people who want to know more, and for screen readers. */
-  title?: string;
-}
+import { EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT, troubleRank } from "./trouble.ts";
+import { statusOf, statusRank, type Surroundings } from "./vehicle_status.ts";
 
 export interface Column {
   id: string;
@@ -26,30 +15,16 @@ export interface Column {
   narrow?: boolean;
   /** Shown only while a vehicle of the fleet has it. */
   when?: (vehicle: Vehicle) => boolean;
-  /** A value of the vehicle, not of the connection to it: grey when it is not heard. */
-  cell: (vehicle: Vehicle, now_s: number) => Cell;
+  /** Shown only to people who choose it. */
+  byChoice?: boolean;
+  /** It says what is so now, not what the vehicle said last: not grey when it is not heard. */
+  ofNow?: boolean;
+  cell: (vehicle: Vehicle, now_s: number, around: Surroundings) => Cell;
   /** What it is sorted by; null last. */
-  sortBy: (vehicle: Vehicle, now_s: number) => number | string | null;
+  sortBy: (vehicle: Vehicle, now_s: number, around: Surroundings) => number | string | null;
 }
 
 const HIGH_LOSS = 0.05;
-/** A group of telemetry that did not come for so long is grey although the vehicle is heard. */
-const OLD_GROUP_S = 4;
-
-const UNKNOWN: Cell = { text: "–", tone: "muted" };
-
-function cell(text: string | null, tone: Tone = "", title?: string): Cell {
-  if (text === null || text === "") return UNKNOWN;
-  return title === undefined ? { text, tone } : { text, tone, title };
-}
-
-/** Grey with its age if the group is old. */
-function aged(vehicle: Vehicle, part: { age_s: number } | null, now_s: number, text: string | null, tone: Tone = ""): Cell {
-  const age = ageOf(vehicle, part, now_s);
-  if (age === null || text === null) return UNKNOWN;
-  return age > OLD_GROUP_S ? cell(text, "muted", `${ageText(age)} old`) : cell(text, tone);
-}
-
 export const COLUMNS: readonly Column[] = [
   {
     id: "name",
@@ -66,7 +41,15 @@ export const COLUMNS: readonly Column[] = [
     sortBy: (v) => `${v.autopilot} ${v.firmware ?? ""}`,
   },
   { id: "mode", title: "Mode", cell: (v) => cell(v.mode), sortBy: (v) => v.mode },
-  { id: "armed", title: "Armed", narrow: true, cell: armedCell, sortBy: (v) => (v.armed === true ? 0 : 1) },
+  {
+    id: "status",
+    title: "Status",
+    narrow: true,
+    ofNow: true,
+    cell: (v, now, around) => onPhone(statusOf(v, now, around), v),
+    sortBy: statusRank,
+  },
+  { id: "armed", title: "Armed", cell: armedCell, sortBy: (v) => (v.armed === true ? 0 : 1) },
   {
     id: "height",
     title: "Height",
@@ -78,41 +61,45 @@ export const COLUMNS: readonly Column[] = [
   { id: "battery", title: "Battery", numeric: true, narrow: true, cell: batteryCell, sortBy: (v) => v.battery?.percent ?? v.battery?.volts ?? null },
   { id: "gps", title: "GPS", cell: gpsCell, sortBy: (v) => v.gps?.fix_type ?? null },
   { id: "link", title: "Link", cell: linkCell, sortBy: (v) => bestLink(v)?.name ?? null },
-  { id: "age", title: "Heard", numeric: true, narrow: true, cell: heardCell, sortBy: (v, now) => silenceOf(v, now) },
+  { id: "age", title: "Heard", numeric: true, narrow: true, ofNow: true, cell: heardCell, sortBy: (v, now) => silenceOf(v, now) },
   { id: "loss", title: "Loss", numeric: true, cell: lossCell, sortBy: (v) => bestLink(v)?.loss ?? null },
+  { id: "x", title: "x", numeric: true, byChoice: true, cell: (v, now) => placeCell(v, 0, now), sortBy: (v) => v.position?.enu_m?.[0] ?? null },
+  { id: "y", title: "y", numeric: true, byChoice: true, cell: (v, now) => placeCell(v, 1, now), sortBy: (v) => v.position?.enu_m?.[1] ?? null },
+  { id: "up", title: "Up", numeric: true, byChoice: true, cell: (v, now) => placeCell(v, 2, now), sortBy: (v) => v.position?.enu_m?.[2] ?? null },
   {
-    id: "failsafe",
-    title: "Failsafe",
-    cell: (v) => (v.failsafe ? cell("FAILSAFE", "danger", v.system_status) : cell("no", "muted")),
-    sortBy: (v) => (v.failsafe ? 0 : 1),
+    id: "attitude",
+    title: "Roll pitch yaw",
+    numeric: true,
+    byChoice: true,
+    cell: (v, now) => aged(v, v.attitude, now, attitudeText(v)),
+    sortBy: (v) => v.attitude?.yaw_deg ?? null,
   },
-  { id: "guard", title: "Guard", cell: guardCell, sortBy: (v) => guardCell(v).text },
   {
-    id: "control",
-    title: "Control",
-    cell: (v) => (v.control === null || v.control.state === "off" ? cell("autopilot", "muted") : cell(v.control.control_mode ?? v.control.mode ?? v.control.state)),
-    sortBy: (v) => v.control?.control_mode ?? v.control?.mode ?? "",
+    id: "speed",
+    title: "Speed",
+    numeric: true,
+    byChoice: true,
+    cell: (v, now) => aged(v, v.position, now, withUnit(fixed(speedOf(v), 1), "m/s")),
+    sortBy: speedOf,
   },
-  { id: "plan", title: "Plan", cell: planCell, sortBy: (v) => planCell(v).text },
+  { id: "target", title: "Target", numeric: true, byChoice: true, cell: (v) => cell(targetText(v)), sortBy: targetText },
+  { id: "error", title: "Error", numeric: true, byChoice: true, cell: (v) => cell(withUnit(fixed(errorOf(v), 2), "m")), sortBy: errorOf },
   { id: "companion", title: "Companion", when: (v) => v.companion != null, cell: companionCell, sortBy: (v, now) => companionCell(v, now).text },
 ];
+
+/** On a phone the column of armed vehicles is a second line of this one. */
+function onPhone(status: Cell, v: Vehicle): Cell {
+  const armed = v.armed === null ? "" : v.armed ? "armed" : "not armed";
+  return status.text === UNKNOWN.text ? { ...status, narrow: armed } : { ...status, under: armed };
+}
 
 export function autopilotName(family: string): string {
   return { px4: "PX4", ardupilot: "ArduPilot" }[family] ?? family;
 }
 
-function withUnit(text: string | null, unit: string): string | null {
-  return text === null ? null : `${text} ${unit}`;
-}
-
 function armedCell(v: Vehicle): Cell {
-  if (v.replayed) return cell("replay", "muted");
   if (v.armed === null) return UNKNOWN;
-  const near = nearTo(v);
-  if (near !== null) return cell(`${v.armed ? "armed, " : ""}NEAR ${near.with}`, "danger");
-  if (v.uplink?.heard === false) return cell(v.armed ? `armed, ${DEAF}` : DEAF, "danger", "It answers nothing of ours");
-  if (!v.armed) return cell("no", "muted");
-  return cell(v.separation === null ? "armed" : `armed, near ${v.separation.with}`, v.separation === null ? "good" : "warning");
+  return v.armed ? cell("armed", "good") : cell("no", "muted");
 }
 
 function batteryCell(v: Vehicle, now_s: number): Cell {
@@ -160,14 +147,6 @@ function heardCell(v: Vehicle, now_s: number): Cell {
   return isHeard(v, now_s) ? cell(ageText(silence), "muted") : cell(ageText(silence), "warning", "Not heard: the other values are of then");
 }
 
-function guardCell(v: Vehicle): Cell {
-  if (v.control === null || v.control.state === "off") return UNKNOWN;
-  const reasons = v.control.reasons ?? [];
-  if (v.control.state === "held") return cell("held", "danger", reasons.join("; "));
-  if (reasons.length > 0) return cell(reasons[0] ?? "", "warning", reasons.join("; "));
-  return cell("clear", "good");
-}
-
 /** The computer on the vehicle: our connection to it, else whether MAVLink of it is heard. */
 function companionCell(v: Vehicle, now_s: number): Cell {
   const { companion } = v;
@@ -180,9 +159,29 @@ function companionCell(v: Vehicle, now_s: number): Cell {
   return age > SILENT_S ? cell(`silent ${ageText(age)}`, "warning", title) : cell("heard", "", title);
 }
 
-function planCell(v: Vehicle): Cell {
-  if (v.mission === null || v.mission.count === null || v.mission.count === 0) return UNKNOWN;
-  return cell(`${v.mission.seq ?? "?"} of ${v.mission.count}`);
+function attitudeText(v: Vehicle): string | null {
+  if (v.attitude === null) return null;
+  return [v.attitude.roll_deg, v.attitude.pitch_deg, v.attitude.yaw_deg].map((angle) => `${fixed(angle, 0) ?? "?"}°`).join(" ");
+}
+
+/** Metres from the fleet's origin along one axis. */
+function placeCell(v: Vehicle, axis: 0 | 1 | 2, now_s: number): Cell {
+  return aged(v, v.position, now_s, withUnit(fixed(v.position?.enu_m?.[axis], 1), "m"));
+}
+
+function speedOf(v: Vehicle): number | null {
+  const velocity = v.position?.vel_enu_mps;
+  return velocity == null ? null : Math.hypot(...velocity);
+}
+
+/** Where skygcs' own control steers to: x, y and up; an axis that follows a velocity has none. */
+function targetText(v: Vehicle): string | null {
+  const target = v.control === null || v.control.state === "off" ? null : v.control.reference?.pos_enu_m;
+  return target == null ? null : target.map((axis) => fixed(axis, 1) ?? "–").join("  ");
+}
+
+function errorOf(v: Vehicle): number | null {
+  return v.control === null || v.control.state === "off" ? null : (v.control.error_m ?? null);
 }
 
 export interface Sorting {
@@ -206,11 +205,17 @@ export function matches(vehicle: Vehicle, filter: string, now_s: number): boolea
   return words.every((word) => text.includes(word));
 }
 
-export function sorted(vehicles: readonly Vehicle[], sorting: Sorting, now_s: number): Vehicle[] {
+/** ``problemsFirst``: those in trouble stand above all others, the worst first, however the rest is sorted. */
+export function sorted(vehicles: readonly Vehicle[], sorting: Sorting, now_s: number, around: Surroundings, problemsFirst = false): Vehicle[] {
   const column = COLUMNS.find((one) => one.id === sorting.column) ?? COLUMNS[0];
   if (column === undefined) return [...vehicles];
-  const keyed = vehicles.map((vehicle, index) => ({ vehicle, key: column.sortBy(vehicle, now_s), index }));
-  keyed.sort((a, b) => compare(a.key, b.key, sorting.down) || a.vehicle.sysid - b.vehicle.sysid || a.index - b.index);
+  const keyed = vehicles.map((vehicle, index) => ({
+    vehicle,
+    trouble: problemsFirst ? troubleRank(vehicle, now_s) : Infinity,
+    key: column.sortBy(vehicle, now_s, around),
+    index,
+  }));
+  keyed.sort((a, b) => (a.trouble === b.trouble ? 0 : a.trouble - b.trouble) || compare(a.key, b.key, sorting.down) || a.vehicle.sysid - b.vehicle.sysid || a.index - b.index);
   return keyed.map(({ vehicle }) => vehicle);
 }
 

@@ -3,7 +3,7 @@
 import type { Row } from "./columns.ts";
 import { siteOf } from "./levels.ts";
 import { isHeard, silenceOf, type State, type Vehicle } from "./store.ts";
-import { isInAir, isProblem } from "./trouble.ts";
+import { isInAir, isLostInAir, isProblem } from "./trouble.ts";
 import type { SiteCounts } from "./types.ts";
 
 export type SiteRow = { kind: "site"; counts: SiteCounts; names: string[]; unfolded: boolean };
@@ -30,12 +30,13 @@ function countsOf(state: State, now_s: number): readonly SiteCounts[] {
   return state.sites.map((site) => {
     const here = all.filter(({ name }) => siteOf(name) === site);
     const heard = here.filter((vehicle) => isHeard(vehicle, now_s));
+    const counted = here.filter((vehicle) => isHeard(vehicle, now_s) || isLostInAir(vehicle, now_s));
     return {
       site,
       vehicles: here.length,
       heard: heard.length,
-      armed: heard.filter(({ armed }) => armed === true).length,
-      in_air: heard.filter(isInAir).length,
+      armed: counted.filter(({ armed }) => armed === true).length,
+      in_air: counted.filter(isInAir).length,
       problems: here.length - heard.length + heard.filter(isProblem).length,
       oldest_age_s: Math.max(...here.map((vehicle) => silenceOf(vehicle, now_s) ?? Infinity)),
     };
@@ -52,16 +53,18 @@ export interface FleetFigures {
   silentInAir: number;
 }
 
-/** What is said of the whole fleet in one line. What is not heard counts as neither armed nor in the air. */
+/** What is said of the whole fleet in one line. One that was lost in the air still counts as armed and in the air; one that
+ *  is not heard on the ground counts as neither. */
 export function fleetFigures(vehicles: readonly Vehicle[], now_s: number): FleetFigures {
   const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
-  const inAir = heard.filter(isInAir).length;
+  const lost = vehicles.filter((vehicle) => isLostInAir(vehicle, now_s));
+  const counted = [...heard, ...lost];
   return {
     vehicles: vehicles.length,
-    armed: heard.filter(({ armed }) => armed === true).length,
-    inAir,
+    armed: counted.filter(({ armed }) => armed === true).length,
+    inAir: counted.filter(isInAir).length,
     failsafe: heard.filter(({ failsafe }) => failsafe).length,
     silent: vehicles.length - heard.length,
-    silentInAir: vehicles.filter(isInAir).length - inAir,
+    silentInAir: lost.length,
   };
 }

@@ -1,12 +1,16 @@
 // The fleet table: sorted, filtered, grouped; only the rows that are seen exist. Selection is the view's.
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import { COLUMNS, matches, rowsOf, sorted, type Cell, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import type { Cell } from "./cells.ts";
+import { COLUMNS, matches, rowsOf, sorted, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore } from "./hooks.ts";
 import { siteRows, type SiteRow } from "./site_rows.ts";
 import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
+import { isChosen, keepChoices, recalledChoices, type TableChoices } from "./table_choices.ts";
+import { troubleOf } from "./trouble.ts";
+import type { Surroundings } from "./vehicle_status.ts";
 
 const REFRESH_MS = 250;
 const ROW_PX = 30;
@@ -20,6 +24,12 @@ export function FleetTable({ store }: { store: Store }) {
   const filter = useStore(store, (now) => now.search);
   useStore(store, (now) => now.unfolded);
   const [grouping, setGrouping] = useState<Grouping>("none");
+  const [choices, setChoices] = useState(recalledChoices);
+  const choose = (change: Partial<TableChoices>): void => {
+    const chosen = { ...choices, ...change };
+    keepChoices(chosen);
+    setChoices(chosen);
+  };
   const [cursor, setCursor] = useState<string | null>(null);
   const box = useRef<HTMLDivElement>(null);
   const field = useRef<HTMLInputElement>(null);
@@ -31,10 +41,11 @@ export function FleetTable({ store }: { store: Store }) {
   const now_s = serverNowS(state, nowMs);
   const large = state.counts !== null;
   // a brief is no row: of a large fleet the server sends in full what is unfolded, or what the filter finds
-  const found = sorted([...state.vehicles.values()].filter((vehicle) => vehicle.brief !== true && matches(vehicle, filter, now_s)), sorting, now_s);
+  const found = sorted([...state.vehicles.values()].filter((vehicle) => vehicle.brief !== true && matches(vehicle, filter, now_s)), sorting, now_s, state, choices.problemsFirst);
   const bySite = grouping === "site" || (large && grouping === "none");
   const rows: (Row | SiteRow)[] = bySite ? siteRows(state, found, now_s) : rowsOf(found, grouping);
-  const columns = COLUMNS.filter(({ when, narrow: onPhone }) => (narrow ? onPhone : when === undefined || [...state.vehicles.values()].some(when)));
+  const offered = COLUMNS.filter(({ when }) => when === undefined || [...state.vehicles.values()].some(when));
+  const columns = narrow ? COLUMNS.filter((column) => column.narrow) : offered.filter((column) => isChosen(choices, column));
   const names = rows.flatMap((row) => (row.kind === "vehicle" ? [row.vehicle.name] : []));
   const shown = rows.slice(window.first, window.first + window.count);
 
@@ -81,6 +92,10 @@ export function FleetTable({ store }: { store: Store }) {
           <option value="autopilot">By autopilot</option>
           <option value="mode">By mode</option>
         </select>
+        <label class="problemsfirst" title="Vehicles in trouble stand above all others">
+          <input type="checkbox" checked={choices.problemsFirst} onChange={(event) => choose({ problemsFirst: event.currentTarget.checked })} /> Problems first
+        </label>
+        {!narrow && <ColumnMenu offered={offered} choices={choices} choose={choose} />}
         <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : bySite && names.length === 0 ? `${state.names.length} vehicles` : `${names.length} shown`}</span>
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
@@ -96,7 +111,7 @@ export function FleetTable({ store }: { store: Store }) {
               ) : row.kind === "group" ? (
                 <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
               ) : (
-                <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} index={window.first + i}
+                <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} around={state} index={window.first + i}
                   selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} narrow={narrow} pick={pick} />
               ),
             )}
@@ -107,6 +122,37 @@ export function FleetTable({ store }: { store: Store }) {
         {rows.length === 0 && <p class="note">{state.vehicles.size === 0 ? "No vehicle was heard yet." : "No vehicle matches the filter."}</p>}
       </div>
     </div>
+  );
+}
+
+/** Which columns are shown: all but the name are a choice. */
+function ColumnMenu({ offered, choices, choose }: { offered: readonly Column[]; choices: TableChoices; choose: (change: Partial<TableChoices>) => void }) {
+  const menu = useRef<HTMLDetailsElement>(null);
+  useEffect(() => {
+    const close = (event: Event): void => {
+      const outside = event instanceof KeyboardEvent ? event.key === "Escape" : event.target instanceof Node && menu.current?.contains(event.target) === false;
+      if (outside) menu.current?.removeAttribute("open");
+    };
+    addEventListener("pointerdown", close);
+    addEventListener("keydown", close);
+    return () => {
+      removeEventListener("pointerdown", close);
+      removeEventListener("keydown", close);
+    };
+  }, []);
+  return (
+    <details ref={menu} class="columnmenu">
+      <summary>Columns</summary>
+      <div class="choices" role="group" aria-label="Columns of the table">
+        {offered.filter(({ id }) => id !== "name").map((column) => (
+          <label key={column.id}>
+            <input type="checkbox" checked={isChosen(choices, column)}
+              onChange={(event) => choose({ columns: { ...choices.columns, [column.id]: event.currentTarget.checked } })} /> {column.title}
+          </label>
+        ))}
+        <button type="button" onClick={() => choose({ columns: {} })}>As at first</button>
+      </div>
+    </details>
   );
 }
 
@@ -164,6 +210,7 @@ interface VehicleRowProps {
   vehicle: Vehicle;
   columns: readonly Column[];
   now_s: number;
+  around: Surroundings;
   index: number;
   selected: boolean;
   cursor: boolean;
@@ -171,20 +218,21 @@ interface VehicleRowProps {
   pick: (name: string, event: MouseEvent) => void;
 }
 
-function VehicleRow({ vehicle, columns, now_s, index, selected, cursor, narrow, pick }: VehicleRowProps) {
+function VehicleRow({ vehicle, columns, now_s, around, index, selected, cursor, narrow, pick }: VehicleRowProps) {
   const heard = isHeard(vehicle, now_s);
   return (
-    <tr class="row" data-name={vehicle.name} data-heard={heard} data-cursor={cursor} aria-selected={selected} aria-rowindex={index + 2}
+    <tr class="row" data-name={vehicle.name} data-heard={heard} data-severity={troubleOf(vehicle, now_s)?.severity} data-cursor={cursor} aria-selected={selected} aria-rowindex={index + 2}
       onClick={(event) => pick(vehicle.name, event)}>
-      {columns.map((column) => <CellOf key={column.id} column={column} cell={column.cell(vehicle, now_s)} heard={heard} narrow={narrow} />)}
+      {columns.map((column) => <CellOf key={column.id} column={column} cell={column.cell(vehicle, now_s, around)} heard={heard} narrow={narrow} />)}
     </tr>
   );
 }
 
 function CellOf({ column, cell, heard, narrow }: { column: Column; cell: Cell; heard: boolean; narrow: boolean }) {
-  // of a vehicle that is not heard nothing is a good value any more; only since when it is not
-  const tone = heard || column.id === "age" ? cell.tone : "lost";
-  const title = heard || column.id === "age" ? cell.title : "Not heard: this was the last value";
+  // of a vehicle that is not heard nothing is a good value any more; only that, and since when
+  const ofNow = heard || column.ofNow === true;
+  const tone = ofNow ? cell.tone : "lost";
+  const title = ofNow ? (cell.title ?? (column.id === "status" ? cell.text : undefined)) : "Not heard: this was the last value";
   return <td class={`${column.numeric ? "num " : ""}${tone}`} data-column={column.id} title={title}>{narrow ? (cell.narrow ?? cell.text) : cell.text}{narrow && cell.under !== undefined && <span class="under">{cell.under}</span>}</td>;
 }
 

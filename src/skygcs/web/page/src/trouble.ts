@@ -10,6 +10,8 @@ export interface Trouble {
   name: string;
   severity: Severity;
   text: string;
+  /** The parts of the text, the worst first. */
+  reasons: readonly string[];
 }
 
 export const LOW_BATTERY_PERCENT = 25;
@@ -44,22 +46,41 @@ function reasonsOf(v: Vehicle): string[] {
   ];
 }
 
-/** All that are in trouble, worst first: lost in the air, then what is wrong with those that are heard, then silence. One
- *  that was never heard is in no trouble that anybody knows of. */
-export function troublesOf(vehicles: readonly Vehicle[], now_s: number): Trouble[] {
-  const found = vehicles.flatMap((v) => ranked(v, now_s) ?? []);
-  return found.sort((a, b) => (a.rank === b.rank ? 0 : a.rank - b.rank)).map(({ trouble }) => trouble);
+/** What is wrong with this vehicle; null: nothing that anybody knows of. One that was never heard is in no trouble. */
+export function troubleOf(v: Vehicle, now_s: number): Trouble | null {
+  return ranked(v, now_s)?.trouble ?? null;
 }
 
+/** By which vehicles are sorted, the worst first: lost in the air, then what is wrong with those that are heard, then
+ *  silence on the ground; Infinity without trouble. */
+export function troubleRank(v: Vehicle, now_s: number): number {
+  return ranked(v, now_s)?.rank ?? Infinity;
+}
+
+/** All that are in trouble, by `troubleRank`. */
+export function troublesOf(vehicles: readonly Vehicle[], now_s: number): Trouble[] {
+  const found = vehicles.flatMap((v) => ranked(v, now_s) ?? []);
+  return found.sort((a, b) => a.rank - b.rank).map(({ trouble }) => trouble);
+}
+
+/** It was in the air when it was last heard, and may still be. */
+export function isLostInAir(v: Vehicle, now_s: number): boolean {
+  return !isHeard(v, now_s) && silenceOf(v, now_s) !== null && isInAir(v);
+}
+
+const LOST_RANK = -1;
+const SILENT_RANK = 100;
+
 function ranked(v: Vehicle, now_s: number): { rank: number; trouble: Trouble } | null {
+  const made = (rank: number, severity: Severity, reasons: readonly string[]) => ({ rank, trouble: { name: v.name, severity, text: reasons.join(", "), reasons } });
   const silence = silenceOf(v, now_s);
   if (!isHeard(v, now_s)) {
     if (silence === null) return null;
-    if (!isInAir(v)) return { rank: Infinity, trouble: { name: v.name, severity: "warning", text: `not heard, ${ageText(silence)}` } };
+    if (!isInAir(v)) return made(SILENT_RANK, "warning", ["not heard", ageText(silence)]);
     const height = fixed(v.position?.alt_rel_m, 1);
-    return { rank: -1, trouble: { name: v.name, severity: "danger", text: `lost ${height === null ? "in the air" : `at ${height} m`}, ${ageText(silence)}` } };
+    return made(LOST_RANK, "danger", [`lost ${height === null ? "in the air" : `at ${height} m`}`, ageText(silence)]);
   }
   const reasons = reasonsOf(v);
   const worst = reasons.findIndex((reason) => reason !== "");
-  return worst < 0 ? null : { rank: worst, trouble: { name: v.name, severity: "danger", text: reasons.filter(Boolean).join(", ") } };
+  return worst < 0 ? null : made(worst, "danger", reasons.filter(Boolean));
 }

@@ -30,13 +30,13 @@ function contrast(a: string, b: string): number {
 
 /** Text on each of the grounds it stands on: 4.5 : 1. */
 const TEXT: readonly (readonly [string, readonly string[]])[] = [
-  ["text", ["ground", "surface", "raised", "hover", "selected-row"]],
-  ["text-muted", ["ground", "surface", "raised", "hover", "selected-row"]],
-  ["lost", ["ground", "surface", "raised", "selected-row"]],
+  ["text", ["ground", "surface", "raised", "hover", "selected-row", "danger-row", "warning-row"]],
+  ["text-muted", ["ground", "surface", "raised", "hover", "selected-row", "danger-row", "warning-row"]],
+  ["lost", ["ground", "surface", "raised", "selected-row", "danger-row", "warning-row"]],
   ["accent", ["ground", "surface", "raised"]],
-  ["good", ["ground", "surface", "raised", "selected-row"]],
-  ["warning", ["ground", "surface", "raised", "selected-row"]],
-  ["danger", ["ground", "surface", "raised", "selected-row"]],
+  ["good", ["ground", "surface", "raised", "selected-row", "danger-row", "warning-row"]],
+  ["warning", ["ground", "surface", "raised", "selected-row", "danger-row", "warning-row"]],
+  ["danger", ["ground", "surface", "raised", "selected-row", "danger-row", "warning-row"]],
   ["on-accent", ["accent"]],
   ["on-danger", ["danger-fill", "danger-fill-press"]],
   ["ground", ["text"]],

@@ -87,12 +87,12 @@ test("a name says its site where there are several", () => {
   assert.equal(namesText(["a", "b", "c", "d"]), "a, b and 2 more");
 });
 
-test("a vehicle that is not heard counts as not in the air, and is named as one that was", () => {
+test("a vehicle that was lost in the air stays in the counts; one that is silent on the ground does not", () => {
   const state = [vehicle("flew", 1), vehicle("stood", 2, { landed: "on_ground", armed: false })].reduce(
     (before, each) => reduce(before, { type: "batch", batch: batch([each], { full: false }), atMs: 0 }),
     EMPTY,
   );
   const all = [...state.vehicles.values()];
   assert.deepEqual(fleetFigures(all, 1000), { vehicles: 2, armed: 1, inAir: 1, failsafe: 0, silent: 0, silentInAir: 0 });
-  assert.deepEqual(fleetFigures(all, 1060), { vehicles: 2, armed: 0, inAir: 0, failsafe: 0, silent: 2, silentInAir: 1 });
+  assert.deepEqual(fleetFigures(all, 1060), { vehicles: 2, armed: 1, inAir: 1, failsafe: 0, silent: 2, silentInAir: 1 });
 });

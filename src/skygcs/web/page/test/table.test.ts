@@ -5,26 +5,97 @@ import { ageText, fixed, namesText, percentText } from "../src/format.ts";
 import { modesFor } from "../src/modes.ts";
 import { groupOutcomes } from "../src/outcomes.ts";
 import { isStopKey } from "../src/stop_key.ts";
-import type { Vehicle } from "../src/store.ts";
-import type { VehicleState } from "../src/types.ts";
+import { EMPTY, type Vehicle } from "../src/store.ts";
+import { isChosen, parsedChoices } from "../src/table_choices.ts";
+import type { PlanStatus, VehicleState } from "../src/types.ts";
+import type { Surroundings } from "../src/vehicle_status.ts";
 import { position, vehicle } from "./fleet.ts";
 
 function heard(name: string, sysid: number, more: Partial<VehicleState> = {}): Vehicle {
   return { ...vehicle(name, sysid, more), heard_s: 1000 };
 }
 
-function cell(id: string, v: Vehicle, now_s = 1000) {
+function cell(id: string, v: Vehicle, now_s = 1000, around: Surroundings = EMPTY) {
   const column = COLUMNS.find((one) => one.id === id);
   assert.ok(column);
-  return column.cell(v, now_s);
+  return column.cell(v, now_s, around);
 }
 
-test("the table has every column that the issue lists", () => {
-  const ids = COLUMNS.map((column) => column.id);
-  assert.deepEqual(ids, [
-    ...["name", "id", "autopilot", "mode", "armed", "height", "battery", "gps", "link", "age", "loss"],
-    ...["failsafe", "guard", "control", "plan", "companion"],
-  ]);
+test("one column says the status; those of engineers are shown to people who choose them", () => {
+  const shown = COLUMNS.filter((column) => isChosen(parsedChoices(null), column)).map(({ id }) => id);
+  assert.deepEqual(shown, ["name", "id", "autopilot", "mode", "status", "armed", "height", "battery", "gps", "link", "age", "loss", "companion"]);
+  const others = COLUMNS.map(({ id }) => id).filter((id) => !shown.includes(id));
+  assert.deepEqual(others, ["x", "y", "up", "attitude", "speed", "target", "error"]);
+});
+
+test("choices are kept, and what was kept by something else is left out", () => {
+  const kept = parsedChoices(JSON.stringify({ problemsFirst: false, columns: { x: true, gps: false, y: "yes" } }));
+  assert.equal(kept.problemsFirst, false);
+  const shown = COLUMNS.filter((column) => isChosen(kept, column)).map(({ id }) => id);
+  assert.ok(shown.includes("x") && !shown.includes("gps") && !shown.includes("y"));
+  for (const text of ["", "[", "3", "null", '{"columns": 3}']) assert.deepEqual(parsedChoices(text), parsedChoices(null), text);
+});
+
+test("columns by choice: place, attitude, speed, target and error, in the units of people", () => {
+  const control = { state: "flying" as const, mode: "position", control_mode: "position", reference: { pos_enu_m: [1, null, 3], vel_enu_mps: null }, error_m: 0.256 };
+  const v = heard("a", 1, {
+    position: position(1, -2, 12, { vel_enu_mps: [3, 4, 0] }),
+    attitude: { roll_deg: 1.4, pitch_deg: -2, yaw_deg: 181, age_s: 0.1 },
+    control,
+  });
+  const texts = ["x", "y", "up", "attitude", "speed", "target", "error"].map((id) => cell(id, v).text);
+  assert.deepEqual(texts, ["1.0 m", "−2.0 m", "12.0 m", "1° −2° 181°", "5.0 m/s", "1.0  –  3.0", "0.26 m"]);
+  assert.equal(cell("target", heard("a", 1, { control: { ...control, state: "off" } })).text, "–");
+});
+
+test("the status: trouble, else the guard, the plan, our control, the mission", () => {
+  const flying = { state: "flying" as const, mode: "position", control_mode: "position_velocity" };
+  const plan: PlanStatus = {
+    ...{ plan: "1", name: "show", kind: "timed", state: "running", phase: null, step: 2, steps: 3, reason: null, speed: 1, waits_for: [] },
+    clock: { trajectory_s: 10, duration_s: 44, finishes_in_s: 34.4 },
+    vehicles: [{ vehicle: "a", state: "flying", error_m: 0.1, tube_m: 1, left: null }],
+  };
+  const text = (more: Partial<VehicleState>, around: Surroundings = EMPTY) => cell("status", heard("a", 1, more), 1000, around);
+  assert.deepEqual([text({}).text, text({}).narrow], ["–", "armed"]);
+  assert.equal(text({ control: flying }).text, "position velocity");
+  assert.equal(text({ control: flying }, { plan, events: [] }).text, "plan show, 34 s left");
+  assert.equal(text({ control: flying }, { plan: { ...plan, state: "landed" }, events: [] }).text, "position velocity", "it is over");
+  const held = text({ control: { ...flying, state: "held", reasons: ["pose is 2 s old", "tilt"] } }, { plan, events: [] });
+  assert.deepEqual([held.text, held.tone, held.under], ["held: pose is 2 s old, tilt", "danger", "armed"]);
+  assert.equal(text({ control: { ...flying, reasons: ["near the fence"] } }).tone, "warning");
+  assert.equal(text({ separation: { level: "notice", with: "b" } }).text, "near b");
+  const mission = { seq: 2, count: 5, age_s: 0 };
+  assert.equal(text({ mode: "AUTO.MISSION", mission }).text, "mission 2/5");
+  assert.equal(text({ mode: "AUTO.LOITER", mission }).text, "–", "it has one, and does not fly it");
+  assert.equal(text({ replayed: true }).text, "replay");
+  assert.equal(cell("armed", heard("a", 1, { replayed: true })).text, "armed");
+});
+
+test("a failsafe says the vehicle's own words, and what it does", () => {
+  const event = (id: number, vehicle: string, last_warning: string) =>
+    ({ id, time_unix_s: id, kind: "failsafe", vehicle, sysid: 1, text: "", data: { failsafe: true, last_warning } });
+  const events = [event(1, "a", "old"), event(2, "a", "GPS lost"), event(3, "b", "not of this one")];
+  const of = (more: Partial<VehicleState>, around: Surroundings = { plan: null, events }) => cell("status", heard("a", 1, { failsafe: true, ...more }), 1000, around);
+  assert.equal(of({ mode: "AUTO.LAND" }).text, "FAILSAFE: GPS lost, landing");
+  assert.equal(of({ mode: "RTL" }, EMPTY).text, "FAILSAFE: returning");
+  assert.equal(of({ mode: "STABILIZE" }, EMPTY).text, "FAILSAFE");
+  assert.equal(of({ mode: "RTL", uplink: { heard: false, unanswered: 1, rtt_s: null, age_s: 0 } }, EMPTY).text, "FAILSAFE: returning, does not hear us");
+  assert.match(cell("status", heard("a", 1, { failsafe: true }), 1060).text, /^lost at 10\.0 m, 60 s$/, "what it said then is not of now");
+});
+
+test("problems stand first, the worst at the top, however the rest is sorted", () => {
+  const fleet = [
+    heard("fine", 1),
+    heard("silent", 2, { connected: false, landed: "on_ground" }),
+    heard("failing", 3, { failsafe: true }),
+    heard("lost", 4, { connected: false }),
+    heard("good", 5),
+  ];
+  const names = (column: string, down: boolean, first: boolean) => sorted(fleet, { column, down }, 1000, EMPTY, first).map((v) => v.name);
+  assert.deepEqual(names("name", true, true), ["lost", "failing", "silent", "good", "fine"]);
+  assert.deepEqual(names("id", false, true), ["lost", "failing", "silent", "fine", "good"]);
+  assert.deepEqual(names("id", false, false), ["fine", "silent", "failing", "lost", "good"]);
+  assert.deepEqual(names("status", false, false), ["lost", "failing", "silent", "fine", "good"]);
 });
 
 test("a companion: its connection, else whether it is heard; a column only where one is", () => {
@@ -41,7 +112,7 @@ test("a companion: its connection, else whether it is heard; a column only where
 
 test("what is not known is a dash, never a number", () => {
   const bare = heard("a", 1, { position: null, mode: null, armed: null, links: {}, last_heartbeat_age_s: null });
-  for (const id of ["mode", "armed", "height", "battery", "gps", "link", "loss", "guard", "plan"]) {
+  for (const id of ["mode", "armed", "height", "battery", "gps", "link", "loss", "status", "speed", "target", "error"]) {
     assert.equal(cell(id, bare).text, "–", id);
   }
   assert.equal(cell("age", bare).text, "never");
@@ -53,17 +124,17 @@ test("a group that is old is grey with its age although the vehicle is heard", (
 });
 
 test("failsafe, low battery, conflicts and deaf vehicles stand out", () => {
-  assert.equal(cell("failsafe", heard("a", 1, { failsafe: true })).tone, "danger");
+  assert.equal(cell("status", heard("a", 1, { failsafe: true })).tone, "danger");
   const battery = (percent: number) => cell("battery", heard("a", 1, { battery: { volts: 14, amps: null, percent, remaining_s: null, age_s: 0 } }));
   assert.deepEqual([battery(80).tone, battery(20).tone, battery(8).tone], ["", "warning", "danger"]);
-  assert.equal(cell("armed", heard("a", 1, { separation: { level: "action", with: "b" } })).text, "armed, NEAR b");
-  assert.equal(cell("armed", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "armed, does not hear us");
+  assert.equal(cell("status", heard("a", 1, { separation: { level: "action", with: "b" } })).text, "near b");
+  assert.equal(cell("status", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "does not hear us");
 });
 
 test("sorting: numbers as numbers, unknown last either way, the system id decides", () => {
   const at = (name: string, sysid: number, z: number | null) => heard(name, sysid, z === null ? { position: null } : { position: position(0, 0, z) });
   const fleet = [at("v10", 10, 9), at("v2", 2, 100), at("v3", 3, null), at("v1", 1, 9)];
-  const names = (column: string, down: boolean) => sorted(fleet, { column, down }, 1000).map((v) => v.name);
+  const names = (column: string, down: boolean) => sorted(fleet, { column, down }, 1000, EMPTY).map((v) => v.name);
   assert.deepEqual(names("height", false), ["v1", "v10", "v2", "v3"]);
   assert.deepEqual(names("height", true), ["v2", "v1", "v10", "v3"]);
   assert.deepEqual(names("name", false), ["v1", "v2", "v3", "v10"]);

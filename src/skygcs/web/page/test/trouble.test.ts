@@ -29,7 +29,7 @@ test("one lost in the air comes first with its height, one that is silent on the
     silent("e", 5, 0, { last_heartbeat_age_s: null, links: {} }),
     heard("a", 1),
   ], NOW_S);
-  assert.deepEqual(found, [
+  assert.deepEqual(found.map(({ name, severity, text }) => ({ name, severity, text })), [
     { name: "b", severity: "danger", text: "lost at 9.7 m, 21 s" },
     { name: "c", severity: "danger", text: "failsafe" },
     { name: "d", severity: "warning", text: "not heard, 30 s" },

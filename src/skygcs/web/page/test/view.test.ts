@@ -149,7 +149,20 @@ test("the label of a vehicle that is not heard says so instead of its last heigh
   const [body] = seen.bodies;
   assert.ok(body);
   assert.equal(state.names.length, 1);
-  assert.equal(labelLine(body, 1012), "not heard 12 s");
+  assert.equal(labelLine(body), "lost at 10.0 m, 12 s");
+  assert.ok(body.lostInAir && body.trouble?.severity === "danger", "and it is not shown as one that does not matter");
+  const [standing] = scene([vehicle("a", 1, { landed: "on_ground" })], 12_000).scene.bodies;
+  assert.ok(standing !== undefined && !standing.lostInAir);
+  assert.equal(labelLine(standing), "not heard, 12 s");
+});
+
+test("the label of a vehicle in danger says it, and that of one in none its height and speed", () => {
+  const line = (more: object) => {
+    const [body] = scene([vehicle("a", 1, more)]).scene.bodies;
+    return body === undefined ? null : labelLine(body);
+  };
+  assert.equal(line({ failsafe: true }), "failsafe");
+  assert.equal(line({}), "10.0 m  0.0 m/s");
 });
 
 test("a conflict is one for its two vehicles, and may have lost its numbers", () => {

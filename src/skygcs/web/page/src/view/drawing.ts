@@ -22,7 +22,11 @@ const BODY_PX = 14;
 const HOME_PX = 8;
 /** Around a vehicle; a dot's are half as large. */
 const SELECTED: Ring = { radiusPx: 15, widthPx: 2 };
-const FAILSAFE: Ring = { radiusPx: 19, widthPx: 2.5 };
+const TROUBLE: Ring = { radiusPx: 19, widthPx: 2.5 };
+const LOST_DASH = [6, 4];
+/** How far the sign beside a vehicle in trouble reaches from its middle, and where that is: on the ring, upper right. */
+const SIGN_PX = 8;
+const SIGN_AT = Math.SQRT1_2;
 /** So small may the ring of many selected vehicles become: a little of it still shows beside the vehicle. */
 const LEAST_RING = 0.6;
 
@@ -459,7 +463,8 @@ export function drawBodies(
       });
     }
   }
-  failsafeRings(pen, camera, palette, bodies);
+  troubleRings(pen, camera, palette, bodies);
+  troubleSigns(pen, camera, palette, bodies, sprites);
 }
 
 /** Many vehicles, from afar: dots, smaller of what is on the ground. */
@@ -477,7 +482,7 @@ export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: rea
     pen.fillStyle = colour;
     pen.fill(path);
   }
-  failsafeRings(pen, camera, palette, bodies, 0.5);
+  troubleRings(pen, camera, palette, bodies, 0.5);
 }
 
 function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
@@ -500,10 +505,63 @@ function selectionRings(pen: Pen, camera: Camera, palette: Palette, bodies: read
   circles(pen, camera, selected, ring.radiusPx * scale, ring.widthPx, palette.selection);
 }
 
-/** Above the vehicles, and of full size however many there are: they need a person. */
-function failsafeRings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
-  const failing = bodies.filter((body) => body.failsafe && body.heard);
-  circles(pen, camera, failing, FAILSAFE.radiusPx * scale, FAILSAFE.widthPx, palette.danger);
+/** Above the vehicles, and of full size however many there are: they need a person. Dashed where a vehicle was lost in
+ *  the air: it is not known to be there. */
+function troubleRings(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], scale = 1): void {
+  const inDanger = bodies.filter(({ trouble }) => trouble?.severity === "danger");
+  const radius = TROUBLE.radiusPx * scale;
+  circles(pen, camera, inDanger.filter(({ lostInAir }) => !lostInAir), radius, TROUBLE.widthPx, palette.danger);
+  pen.setLineDash(LOST_DASH);
+  circles(pen, camera, inDanger.filter(({ lostInAir }) => lostInAir), radius, TROUBLE.widthPx, palette.danger);
+  pen.setLineDash([]);
+}
+
+/** A sign of its own shape on the ring of each vehicle in trouble: a triangle, or a cross where it was lost in the air. Of
+ *  one that is silent on the ground the triangle stands alone. */
+function troubleSigns(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], sprites: Sprites): void {
+  for (const { trouble, lostInAir, x, y } of bodies) {
+    if (trouble === null) continue;
+    const colour = trouble.severity === "danger" ? palette.danger : palette.warning;
+    const atX = toScreenX(camera, x) + TROUBLE.radiusPx * SIGN_AT;
+    const atY = toScreenY(camera, y) - TROUBLE.radiusPx * SIGN_AT;
+    const sign = lostInAir ? crossSign : triangleSign;
+    sprites.draw(pen, `${sign.name}${colour}`, SIGN_PX, atX, atY, (on) => sign(on, palette.ground, colour));
+  }
+}
+
+/** A disc with a cross on it, about 0, 0. */
+function crossSign(pen: Pen, ground: string, colour: string): void {
+  pen.fillStyle = colour;
+  pen.beginPath();
+  pen.arc(0, 0, 6.5, 0, 7);
+  pen.fill();
+  pen.strokeStyle = ground;
+  pen.lineWidth = 2;
+  pen.beginPath();
+  pen.moveTo(-2.5, -2.5);
+  pen.lineTo(2.5, 2.5);
+  pen.moveTo(2.5, -2.5);
+  pen.lineTo(-2.5, 2.5);
+  pen.stroke();
+}
+
+/** A triangle with an exclamation mark on it, about 0, 0. */
+function triangleSign(pen: Pen, ground: string, colour: string): void {
+  pen.fillStyle = colour;
+  pen.beginPath();
+  pen.moveTo(0, -7);
+  pen.lineTo(7.5, 6);
+  pen.lineTo(-7.5, 6);
+  pen.closePath();
+  pen.fill();
+  pen.strokeStyle = ground;
+  pen.lineWidth = 1.75;
+  pen.beginPath();
+  pen.moveTo(0, -3);
+  pen.lineTo(0, 2);
+  pen.moveTo(0, 3.25);
+  pen.lineTo(0, 5);
+  pen.stroke();
 }
 
 function circles(pen: Pen, camera: Camera, bodies: readonly Body[], radius: number, width: number, colour: string): void {

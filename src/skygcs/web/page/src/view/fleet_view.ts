@@ -1,12 +1,12 @@
 // The fleet view: one canvas, drawn when something changed and only then. Pan, zoom, fit, follow, and the tools of panels.
 
 import { recall, remember, onTheme } from "../theme.ts";
-import { serverNowS, type State, type Store } from "../store.ts";
+import type { State, Store } from "../store.ts";
 import type { MapPin } from "../types.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
 import * as draw from "./drawing.ts";
 import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePlacement } from "./frame.ts";
-import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, type Box, type Placement } from "./labels.ts";
+import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, type Box, type LabelTone, type Placement } from "./labels.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
 import { Sprites } from "./sprites.ts";
@@ -302,7 +302,7 @@ export class FleetView {
     this.scene = sceneOf(state, this.frame, nowMs, !this.stillMotion.matches);
     this.steer();
     const { camera } = this;
-    const colourOf = (body: Body): string => (body.heard ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
+    const colourOf = (body: Body): string => (body.heard || body.lostInAir ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
     const { bodies } = this.scene;
     const shown = this.visible(camera);
     const afar = shown.length > MANY_SHOWN;
@@ -408,10 +408,9 @@ export class FleetView {
   }
 
   private drawLabels(pen: draw.Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
-    const now_s = serverNowS(this.store.state, nowMs);
     this.labels.beginFrame();
     const sprites = shown.map((body) =>
-      this.labels.get(body.name, body.name, labelLine(body, now_s), !body.heard, palette, nowMs),
+      this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs),
     );
     if (nowMs - this.placedMs > LABELS_EVERY_MS) {
       this.placedMs = nowMs;
@@ -421,7 +420,7 @@ export class FleetView {
         yPx: toScreenY(camera, body.y),
         widthPx: sprites[i]?.widthPx ?? 0,
         nameWidthPx: sprites[i]?.nameWidthPx ?? 0,
-        urgency: (body.failsafe || body.conflict !== null ? 2 : 0) + (body.selected ? 1 : 0),
+        urgency: (isAlarming(body) ? 2 : 0) + (body.selected ? 1 : 0),
       }));
       requests.sort((a, b) => b.urgency - a.urgency);
       this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx, [
@@ -444,8 +443,18 @@ export class FleetView {
   }
 }
 
+function labelTone({ trouble, heard }: Body): LabelTone {
+  if (trouble?.severity === "danger") return "danger";
+  return heard ? "plain" : "dim";
+}
+
+/** Its label has room before all others. */
+function isAlarming({ trouble, conflict }: Body): boolean {
+  return trouble?.severity === "danger" || conflict !== null;
+}
+
 function isUrgent(body: Body): boolean {
-  return body.failsafe || body.conflict !== null || body.selected;
+  return isAlarming(body) || body.selected;
 }
 
 function sameCamera(a: Camera, b: Camera): boolean {

@@ -21,6 +21,9 @@ interface Sprite {
   nameWidthPx: number;
 }
 
+/** Of the second line: danger is said in words, and in red besides. */
+export type LabelTone = "plain" | "dim" | "danger";
+
 export class LabelSprites {
   private readonly sprites = new Map<string, Sprite>();
   private ratio = 1;
@@ -37,8 +40,8 @@ export class LabelSprites {
   }
 
   /** The picture of a label and its width. */
-  get(id: string, first: string, second: string, dim: boolean, palette: Palette, nowMs: number): Sprite {
-    const key = `${first}|${second}|${dim ? 1 : 0}`;
+  get(id: string, first: string, second: string, tone: LabelTone, palette: Palette, nowMs: number): Sprite {
+    const key = `${first}|${second}|${tone}`;
     let sprite = this.sprites.get(id);
     if (sprite !== undefined) {
       const rests = sprite.key === key || nowMs - sprite.writtenMs < REWRITE_MS || this.rewritesLeft <= 0;
@@ -53,13 +56,13 @@ export class LabelSprites {
       sprite = { canvas, key: "", writtenMs: 0, widthPx: 0, nameWidthPx: 0 };
       this.sprites.set(id, sprite);
     }
-    this.write(sprite, first, second, dim, palette);
+    this.write(sprite, first, second, tone, palette);
     sprite.key = key;
     sprite.writtenMs = nowMs;
     return sprite;
   }
 
-  private write(sprite: Sprite, first: string, second: string, dim: boolean, palette: Palette): void {
+  private write(sprite: Sprite, first: string, second: string, tone: LabelTone, palette: Palette): void {
     const pen = sprite.canvas.getContext("2d");
     if (pen === null) return;
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
@@ -79,10 +82,10 @@ export class LabelSprites {
     pen.globalAlpha = 0.72;
     pen.fillRect(0, 1, sprite.widthPx, (second === "" ? LINE_PX : 2 * LINE_PX) + 2);
     pen.globalAlpha = 1;
-    pen.fillStyle = dim ? palette.lost : palette.text;
+    pen.fillStyle = tone === "dim" ? palette.lost : palette.text;
     pen.fillText(name, PAD_PX, 3);
     pen.font = plain;
-    pen.fillStyle = dim ? palette.lost : palette.muted;
+    pen.fillStyle = { plain: palette.muted, dim: palette.lost, danger: palette.danger }[tone];
     pen.fillText(second, PAD_PX, 3 + LINE_PX, WIDTH_PX - 2 * PAD_PX);
   }
 }

@@ -1,9 +1,10 @@
 // What the view shows at one moment: each vehicle's place, nose, colour and label, worked out from the store. Pure.
 
 import { siteOf } from "../levels.ts";
-import { ageOf, isHeard, serverNowS, silenceOf, type State, type Vehicle } from "../store.ts";
+import { ageOf, isHeard, serverNowS, type State, type Vehicle } from "../store.ts";
 import type { Separation, Vec3 } from "../types.ts";
-import { fixed, ageText } from "../format.ts";
+import { isLostInAir, troubleOf, type Trouble } from "../trouble.ts";
+import { fixed } from "../format.ts";
 import { placeOf, velocityOf, yawOf, type Frame } from "./frame.ts";
 import { VEHICLE_COLOURS } from "./palette.ts";
 
@@ -21,7 +22,9 @@ export interface Body {
   speedMps: number | null;
   heard: boolean;
   armed: boolean;
-  failsafe: boolean;
+  trouble: Trouble | null;
+  /** It was in the air when it was last heard: shown like one that is, not grey. */
+  lostInAir: boolean;
   selected: boolean;
   /** Index into the palette's vehicle colours: one for each vehicle, or for each site where there are several. */
   colour: number;
@@ -67,7 +70,8 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       speedMps,
       heard,
       armed: vehicle.armed === true,
-      failsafe: vehicle.failsafe,
+      trouble: troubleOf(vehicle, now_s),
+      lostInAir: isLostInAir(vehicle, now_s),
       selected: state.selection.has(name),
       colour: (bySite ? state.sites.indexOf(siteOf(name)) : index) % VEHICLE_COLOURS,
       conflict: heard ? vehicle.separation : null,
@@ -84,12 +88,10 @@ function goalOf(vehicle: Vehicle): Vec3 | null {
   return x == null || y == null ? null : [x, y, z ?? 0];
 }
 
-/** The second line of a label: height above home and speed, or since when nothing was heard. */
-export function labelLine(body: Body, now_s: number): string {
-  if (!body.heard) {
-    const silence = silenceOf(body.vehicle, now_s);
-    return silence === null ? "never heard" : `not heard ${ageText(silence)}`;
-  }
+/** The second line of a label: what is wrong, else height above home and speed. */
+export function labelLine(body: Body): string {
+  if (body.trouble !== null && (!body.heard || body.trouble.severity === "danger")) return body.trouble.text;
+  if (!body.heard) return "never heard";
   const height = fixed(body.vehicle.position?.alt_rel_m ?? null, 1);
   const speed = fixed(body.speedMps, 1);
   if (height === null) return "";
