@@ -24,12 +24,16 @@ IN_TROUBLE = """() => {
     const battery = { volts: 20.1, amps: null, percent: 6, remaining_s: null, age_s: 0 };
     const uplink = { heard: false, unanswered: 3, rtt_s: null, age_s: 0 };
     // as heard from the future: they stay heard while the test lasts
-    come(now_s + 3600, { name: "u04", sysid: 104, battery }, { name: "u09", sysid: 109, uplink },
-        { name: "u07", sysid: 107, failsafe: true });
+    const at = (x, y, more) => ({ ...like.position, enu_m: [x, y, 9.7], alt_rel_m: 9.7, ...more });
+    come(now_s + 3600, { name: "u04", sysid: 104, battery, position: at(-12, 6) },
+        { name: "u09", sysid: 109, uplink, position: at(-4, 12) },
+        { name: "u07", sysid: 107, failsafe: true, position: at(8, 10) });
     come(now_s, { name: "u02", sysid: 102, connected: false, last_heartbeat_age_s: 21, landed: "in_air",
-        links: {}, position: { ...like.position, alt_rel_m: 9.7 } });
+        links: {}, position: at(16, 4) });
+    come(now_s, { name: "u11", sysid: 111, connected: false, last_heartbeat_age_s: 40, landed: "on_ground",
+        links: {}, position: at(-16, -4, { alt_rel_m: 0 }) });
 }"""
-"""Four vehicles more: an empty battery, one that is deaf, a failsafe, and one that was lost in the air."""
+"""Five vehicles more: an empty battery, one that is deaf, a failsafe, one lost in the air, one silent on the ground."""
 
 PLAN = """more => skygcs.store.dispatch({ type: "plan", plan: {
     plan: "1", name: "show", kind: "phased", state: "running", phase: "cross", step: 2, steps: 3, reason: null,
@@ -56,7 +60,7 @@ def test_trouble_stands_left_of_stop_worst_first(
     expect(pills.first).to_have_text(re.compile(r"^! u02 lost at 9\.7 m, \d+ s$"))
     if shown > 1:
         assert [text.split()[1] for text in pills.all_inner_texts()] == ["u02", "u07", "u09"]
-    expect(page.locator(".pill.more:visible")).to_have_text(f"+{4 - shown} more")
+    expect(page.locator(".pill.more:visible")).to_have_text(f"+{5 - shown} more")
     stop = page.get_by_role("button", name="Stop all vehicles").bounding_box()
     assert stop is not None and stop["x"] + stop["width"] <= width
     assert fits(page)
@@ -70,7 +74,7 @@ def test_a_pill_selects_its_vehicle_and_shows_it(station: WebStation, open_page:
     page.locator(".pill", has_text="u02").click()
     until(page, "[...skygcs.store.state.selection].join() === 'u02' && location.hash === '#fleet'")
     page.locator(".pill.more:visible").click()
-    until(page, "skygcs.store.state.selection.size === 4")
+    until(page, "skygcs.store.state.selection.size === 5")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
@@ -83,8 +87,9 @@ def test_rows_in_trouble_stand_first_and_are_marked(
     rows = page.locator("tr.row")
     expect(rows.first).to_have_attribute("data-name", "u02")
     names = [row.get_attribute("data-name") for row in rows.all()]
-    assert names == ["u02", "u07", "u09", "u04", "v1", "v2", "v3"]
+    assert names == ["u02", "u07", "u09", "u04", "u11", "v1", "v2", "v3"]
     expect(page.locator("tr.row[data-severity=danger]")).to_have_count(4)
+    expect(page.locator("tr.row[data-severity=warning]")).to_have_count(1)
     lost = page.locator("tr.row[data-name=u02]")
     expect(lost.locator("td[data-column=status]")).to_have_class(re.compile("danger"))
     expect(lost.locator("td[data-column=status]")).to_contain_text("lost at 9.7 m")
@@ -105,7 +110,7 @@ def test_one_that_is_lost_in_the_air_stays_in_the_counts(station: WebStation, op
     page.evaluate(IN_TROUBLE)
     summary = page.locator(".summary")
     expect(summary).to_contain_text("1 in the air")
-    expect(summary).to_contain_text("1 not heard, 1 last in the air")
+    expect(summary).to_contain_text("2 not heard, 1 last in the air")
     body = page.evaluate("() => skygcs.view.scene.bodies.find(({ name }) => name === 'u02')")
     assert body["lostInAir"] and not body["heard"] and body["trouble"]["severity"] == "danger"
 

@@ -106,7 +106,7 @@ test("a map lies where its two points pin it, turned and scaled", () => {
 });
 
 test("labels cover neither each other nor a vehicle nor the edge, and stay where they were", () => {
-  const requests = Array.from({ length: 60 }, (_, i) => ({ id: `v${i}`, xPx: 100 + (i % 10) * 45, yPx: 100 + Math.floor(i / 10) * 45, widthPx: 90, nameWidthPx: 30 }));
+  const requests = Array.from({ length: 60 }, (_, i) => ({ id: `v${i}`, xPx: 100 + (i % 10) * 45, yPx: 100 + Math.floor(i / 10) * 45, widthPx: 90, nameWidthPx: 30, reachPx: 7 }));
   const placed = placeLabels(requests, new Map(), 800, 600);
   assert.ok(placed.size > 0 && placed.size < 60);
   assert.ok(placed.has("v0"), "the first is the most important one");

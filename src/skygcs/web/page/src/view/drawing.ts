@@ -17,6 +17,7 @@ const GRID_PX = 96;
 /** The scale bar is as long at most. */
 const SCALE_PX = 140;
 const GLYPH_PX = 9;
+const GLYPH_REACH_PX = 7;
 /** How far the pictures of a vehicle and of a home reach from their middles. */
 const BODY_PX = 14;
 const HOME_PX = 8;
@@ -440,6 +441,11 @@ export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meeting
     const text = `${separation.closest_m.toFixed(1)} m in ${separation.closest_in_s.toFixed(0)} s`;
     haloText(pen, text, mx, my - radius - 4, colour, palette.ground);
   }
+}
+
+/** How far a vehicle's marks reach from its middle. */
+export function reachOf({ trouble }: Body): number {
+  return trouble === null ? GLYPH_REACH_PX : TROUBLE.radiusPx;
 }
 
 /** Arrowheads that point where the nose points; filled if armed. Those whose nose is not known are round. */

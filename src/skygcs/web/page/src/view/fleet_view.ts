@@ -420,6 +420,7 @@ export class FleetView {
         yPx: toScreenY(camera, body.y),
         widthPx: sprites[i]?.widthPx ?? 0,
         nameWidthPx: sprites[i]?.nameWidthPx ?? 0,
+        reachPx: draw.reachOf(body),
         urgency: (isAlarming(body) ? 2 : 0) + (body.selected ? 1 : 0),
       }));
       requests.sort((a, b) => b.urgency - a.urgency);

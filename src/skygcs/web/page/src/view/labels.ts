@@ -121,10 +121,13 @@ export interface LabelRequest {
   yPx: number;
   widthPx: number;
   nameWidthPx: number;
+  /** How far the vehicle's own marks reach from its middle: no label covers them. */
+  reachPx: number;
 }
 
 const CELL_PX = 64;
-const GAP_PX = 15;
+/** Between a vehicle's marks and its label. */
+const GAP_PX = 8;
 
 /** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none.
  * `covered`: where buttons and marks of the view are. */
@@ -138,8 +141,9 @@ export function placeLabels(
   const cells = new Map<number, Box[]>();
   for (const box of covered) take(cells, box);
   const placed = new Map<string, Placement>();
-  // no label covers a vehicle
-  for (const { xPx, yPx } of requests) take(cells, { left: xPx - 7, top: yPx - 7, right: xPx + 7, bottom: yPx + 7 });
+  for (const { xPx, yPx, reachPx } of requests) {
+    take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
+  }
   for (const request of requests) {
     const had = before.get(request.id);
     const sides = had === undefined ? sidesOf(request) : [had, ...sidesOf(request)];
@@ -162,14 +166,15 @@ export function widthOf(label: { widthPx: number; nameWidthPx: number }, full: b
 
 function sidesOf(request: LabelRequest): Placement[] {
   const sides: Placement[] = [];
+  const gapPx = request.reachPx + GAP_PX;
   for (const full of [true, false]) {
     const widthPx = widthOf(request, full);
     const height = full ? HEIGHT_PX : LINE_PX + 3;
     sides.push(
-      { dx: GAP_PX, dy: -height / 2, full },
-      { dx: -GAP_PX - widthPx, dy: -height / 2, full },
-      { dx: -widthPx / 2, dy: GAP_PX, full },
-      { dx: -widthPx / 2, dy: -GAP_PX - height, full },
+      { dx: gapPx, dy: -height / 2, full },
+      { dx: -gapPx - widthPx, dy: -height / 2, full },
+      { dx: -widthPx / 2, dy: gapPx, full },
+      { dx: -widthPx / 2, dy: -gapPx - height, full },
     );
   }
   return sides;
