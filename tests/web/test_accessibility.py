@@ -73,11 +73,11 @@ FOCUSED = """() => {
     };
 }"""
 
-SCREENS = ("Orders", "Vehicle", "Missions", "Plans", "Radio", "Events")
+SCREENS = ("Orders", "Vehicle", "Missions", "Plans", "Preflight", "Radio", "Events")
 
 
 def go(page: Page, screen: str) -> None:
-    if screen in ("Radio", "Events"):
+    if screen in ("Preflight", "Radio", "Events"):
         page.get_by_role("navigation", name="Pages").get_by_role("button", name=screen).click()
         expect(page.locator(".page .note, .page table, .page li, .page p").first).to_be_visible()
     else:

@@ -10,30 +10,11 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from support.browser import until
-from support.page_steps import fits
+from support.page_steps import IN_TROUBLE, fits
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
 Shot = Callable[[Page, str], Path]
-
-IN_TROUBLE = """() => {
-    const { store } = skygcs, { clock, vehicles } = store.state, like = vehicles.get("v1");
-    const now_s = clock.now_s + (performance.now() - clock.atMs) / 1000;
-    const come = (heard_s, ...made) => store.dispatch({ type: "batch", atMs: performance.now(), batch: {
-        seq: 1, full: false, now_s, heard_s, gone: [], vehicles: made.map(more => ({ ...like, ...more })) } });
-    const battery = { volts: 20.1, amps: null, percent: 6, remaining_s: null, age_s: 0 };
-    const uplink = { heard: false, unanswered: 3, rtt_s: null, age_s: 0 };
-    // as heard from the future: they stay heard while the test lasts
-    const at = (x, y, more) => ({ ...like.position, enu_m: [x, y, 9.7], alt_rel_m: 9.7, ...more });
-    come(now_s + 3600, { name: "u04", sysid: 104, battery, position: at(-12, 6) },
-        { name: "u09", sysid: 109, uplink, position: at(-4, 12) },
-        { name: "u07", sysid: 107, failsafe: true, position: at(8, 10) });
-    come(now_s, { name: "u02", sysid: 102, connected: false, last_heartbeat_age_s: 21, landed: "in_air",
-        links: {}, position: at(16, 4) });
-    come(now_s, { name: "u11", sysid: 111, connected: false, last_heartbeat_age_s: 40, landed: "on_ground",
-        links: {}, position: at(-16, -4, { alt_rel_m: 0 }) });
-}"""
-"""Five vehicles more: an empty battery, one that is deaf, a failsafe, one lost in the air, one silent on the ground."""
 
 PLAN = """more => skygcs.store.dispatch({ type: "plan", plan: {
     plan: "1", name: "show", kind: "phased", state: "running", phase: "cross", step: 2, steps: 3, reason: null,

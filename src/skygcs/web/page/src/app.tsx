@@ -36,6 +36,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
     <div class="app">
       <a class="skip" href="#main">Skip to the fleet</a>
       <header class="top">
+        <h1 class="unseen">skygcs</h1>
         <span class="brand" aria-hidden="true">
           <svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>
           skygcs
@@ -123,6 +124,7 @@ function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; side
           ))}
         </div>
         <div class="sidebody" role="tabpanel" aria-label={panel?.title ?? "Orders"}>
+          <h2 class="unseen">{panel?.title ?? "Orders"}</h2>
           {panel === undefined ? <OrdersPanel {...props} /> : <LazyPanel key={panel.id} panel={panel} {...props} />}
         </div>
       </aside>

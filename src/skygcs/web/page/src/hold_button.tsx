@@ -78,7 +78,6 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
       data-holding={holding}
       disabled={disabled}
       title={title ?? `Hold down for a second: ${what}`}
-      aria-label={`${what}: hold down for a second`}
       aria-keyshortcuts={hotkey?.toUpperCase()}
       onPointerDown={(event) => {
         if (event.button !== 0 || !event.isTrusted) return;
@@ -99,6 +98,7 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
       onBlur={release}
     >
       {children}
+      <span class="unseen">, {what}: hold down for a second</span>
       {holding && <HoldHint text={`${what}: keep holding`} />}
       {tooShort && !holding && <HoldHint text={`${what}: hold for ${HOLD_MS / 1000} s`} />}
     </button>

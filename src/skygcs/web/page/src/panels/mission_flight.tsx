@@ -6,7 +6,7 @@ import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import { ask, mayOrder } from "./calls.ts";
-import { Failure, keepFile, NumberField, usePolled, type FileContent } from "./parts.tsx";
+import { Failure, keepFile, NumberField, Scroll, usePolled, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface MissionStatus {
@@ -36,7 +36,7 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
   return (
     <section class="card" aria-label="On board">
       <h3>On board</h3>
-      <div class="scroll tall">
+      <Scroll label="Missions on board" tall>
         <table class="plain">
           <thead>
             <tr>
@@ -62,7 +62,7 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
             ))}
           </tbody>
         </table>
-      </div>
+      </Scroll>
       {orders && (
         <div class="row wrap">
           <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>

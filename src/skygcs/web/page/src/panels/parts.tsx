@@ -10,6 +10,11 @@ import type { Tool } from "../view/overlays.ts";
 import type { FleetView } from "../view/fleet_view.ts";
 import { ask } from "./calls.ts";
 
+/** What may be wider or higher than its room: it scrolls, by the keyboard too. */
+export function Scroll({ label, tall, children }: { label: string; tall?: boolean; children: ComponentChildren }) {
+  return <div class={tall === true ? "scroll tall" : "scroll"} tabIndex={0} role="region" aria-label={label}>{children}</div>;
+}
+
 export interface Answer<T> {
   answer: T | null;
   /** When it came, on the page's clock. */

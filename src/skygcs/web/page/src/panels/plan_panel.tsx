@@ -8,7 +8,7 @@ import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, Fold, NumberField, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -231,7 +231,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
         </label>
       </div>
       {goals.size > 0 && (
-        <div class="scroll tall">
+        <Scroll label="Goals" tall>
           <table class="plain">
             <tbody>
               {[...goals].map(([name, [x, y, up]]) => (
@@ -245,7 +245,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
               ))}
             </tbody>
           </table>
-        </div>
+        </Scroll>
       )}
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
       <PlanButton names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />

@@ -6,7 +6,7 @@ import { useEffect, useReducer, useRef } from "preact/hooks";
 import { fixed, percentText } from "../format.ts";
 import { Chart } from "./chart.tsx";
 import { HistoryRing } from "./history_ring.ts";
-import { Failure, usePolled } from "./parts.tsx";
+import { Failure, Scroll, usePolled } from "./parts.tsx";
 import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
 import type { PanelProps } from "./registry.ts";
 
@@ -154,7 +154,7 @@ function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: C
   const rows = Object.entries(classes).filter(([, one]) => one.waiting + one.sent + one.dropped + one.refused > 0);
   if (rows.length === 0) return <p class="note">Nothing was sent up yet.</p>;
   return (
-    <div class="scroll">
+    <Scroll label="Sent up, by class">
       <table class="plain">
         <caption>Sent up, by class</caption>
         <thead>
@@ -175,14 +175,14 @@ function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: C
           ))}
         </tbody>
       </table>
-    </div>
+    </Scroll>
   );
 }
 
 function Others({ third }: { third: ThirdParty | null }) {
   if (third === null || third.sources.length === 0) return <p class="note">No other program sends through this radio.</p>;
   return (
-    <div class="scroll">
+    <Scroll label="Other programs">
       <table class="plain">
         <caption>Other programs: together at most {bytes(third.bytes_per_s)}</caption>
         <thead>
@@ -204,13 +204,13 @@ function Others({ third }: { third: ThirdParty | null }) {
           ))}
         </tbody>
       </table>
-    </div>
+    </Scroll>
   );
 }
 
 function Vehicles({ vehicles, each }: { vehicles: readonly RadioVehicle[]; each: number }) {
   return (
-    <div class="scroll">
+    <Scroll label="Vehicles on this radio">
       <table class="plain">
         <caption>Vehicles: a timeslot carries {bytes(each)}</caption>
         <thead>
@@ -238,7 +238,7 @@ function Vehicles({ vehicles, each }: { vehicles: readonly RadioVehicle[]; each:
           })}
         </tbody>
       </table>
-    </div>
+    </Scroll>
   );
 }
 
@@ -249,7 +249,7 @@ function remarks(one: RadioVehicle): string {
 
 function Links({ links }: { links: readonly Link[] }) {
   return (
-    <div class="scroll">
+    <Scroll label="Links">
       <table class="plain">
         <caption>Links</caption>
         <thead>
@@ -271,7 +271,7 @@ function Links({ links }: { links: readonly Link[] }) {
           )}
         </tbody>
       </table>
-    </div>
+    </Scroll>
   );
 }
 

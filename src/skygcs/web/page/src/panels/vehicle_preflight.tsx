@@ -6,47 +6,8 @@ import { useStore } from "../hooks.ts";
 import { mayOrder, orderWith } from "./calls.ts";
 import { Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
+import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus, type Report } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
-
-interface Fix {
-  name: string;
-  before: number;
-  value: number;
-}
-
-interface Finding {
-  check: string;
-  verdict: "pass" | "fail" | "unknown" | "skipped";
-  severity: string;
-  text: string;
-  todo: string;
-  fixes: readonly Fix[];
-}
-
-interface Report {
-  ok: boolean;
-  summary: string;
-  findings: readonly Finding[];
-  fixes: readonly Fix[];
-  fixed: Readonly<Record<string, { ok: boolean; message: string }>>;
-  unfixed: string;
-}
-
-interface PreflightAnswer {
-  ok: boolean;
-  vehicles: Readonly<Record<string, Report>>;
-}
-
-interface PreflightStatus {
-  state: string;
-  required: boolean;
-  age_s: number | null;
-  valid_s: number | null;
-  refusal: string | null;
-  report: Report | null;
-}
-
-const ORDER = ["fail", "unknown", "pass", "skipped"];
 
 export function VehiclePreflight({ store, connection, name }: VehicleProps) {
   const orders = useStore(store, mayOrder);
@@ -90,7 +51,7 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
             </HoldButton>
           )}
           <ul class="findings">
-            {[...report.findings].sort((a, b) => ORDER.indexOf(a.verdict) - ORDER.indexOf(b.verdict)).map((one) => (
+            {[...report.findings].sort((a, b) => VERDICTS.indexOf(a.verdict) - VERDICTS.indexOf(b.verdict)).map((one) => (
               <li key={one.check} data-verdict={one.verdict} data-severity={one.severity}>
                 <b>{one.check}</b> <span class="verdict">{one.verdict}</span>
                 <p>{one.text}</p>
