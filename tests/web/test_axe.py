@@ -1,4 +1,4 @@
-"""axe-core, the rules of Deque, on each screen of the page: wide and on a phone, dark and light, and with trouble on it."""
+"""axe-core, the rules of Deque, on each screen of the page: wide and on a phone, dark and light, with trouble on it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ OpenPage = Callable[..., Page]
 AXE = ROOT / "src/skygcs/web/page/node_modules/axe-core/axe.min.js"
 
 RUN = """async () => {
+    const brief = ({ target, html }) => `${target} ${html.replace(/ (class|title)="[^"]*"/g, "").slice(0, 260)}`;
     const { violations } = await axe.run(document, { resultTypes: ["violations"] });
-    return violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target, html }) => `${target} ${html.replace(/ (class|title|data-\\w+)="[^"]*"/g, "").slice(0, 260)}`).join(" | ")}`);
+    return violations.map(({ id, nodes }) => `${id}: ${nodes.slice(0, 3).map(brief).join(" | ")}`);
 }"""
 
 PANES = ("View", "Table", "Orders", "Vehicle", "Missions", "Plans")

@@ -226,8 +226,8 @@ def _names(value: object, key: str, most: int) -> frozenset[str]:
 
 def count_sites(digests: Iterable[Digest], now: float) -> list[dict[str, Any]]:
     """Count each site's vehicles, in the order of the digests. ``oldest_age_s``: since when the vehicle that is silent
-    for the longest time was not heard; null if one was never heard. One that was lost in the air still counts as armed and
-    in the air (trouble.ts)."""
+    for the longest time was not heard; null if one was never heard. One that was lost in the air still counts as armed
+    and in the air (trouble.ts)."""
     counts: dict[str, dict[str, Any]] = {}
     for digest in digests:
         of = counts.get(digest.site)
