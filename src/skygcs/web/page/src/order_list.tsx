@@ -40,7 +40,7 @@ export function OrderHistory({ store, connection }: ListProps) {
       <ul>
         {orders.map((order) => (
           <li key={order.id} data-state={order.state}>
-            <b>{order.label}</b> <span class="muted">{namesText(order.targets)}</span>
+            <b>{order.label}</b> <span class="muted">{whomText(order)}</span>
             <OutcomeList order={order} store={store} connection={connection} />
           </li>
         ))}
@@ -59,7 +59,7 @@ function OrderCard({ order, store, connection }: OrderProps) {
       <div class="toasthead">
         <StateMark order={order} />
         <b>{order.label}</b>
-        <span class="muted">{namesText(order.targets)}</span>
+        <span class="muted">{whomText(order)}</span>
         {order.state !== "pending" && (
           <button type="button" class="quiet close" aria-label="Dismiss" onClick={() => store.dispatch({ type: "orderDismissed", id: order.id })}>×</button>
         )}
@@ -67,6 +67,11 @@ function OrderCard({ order, store, connection }: OrderProps) {
       <OutcomeList order={order} store={store} connection={connection} />
     </div>
   );
+}
+
+/** An order for no vehicle, as one about the origin, says all in its label. */
+function whomText({ targets }: OrderRun): string {
+  return targets.length === 0 ? "" : namesText(targets);
 }
 
 function StateMark({ order }: { order: OrderRun }) {

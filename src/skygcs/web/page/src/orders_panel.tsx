@@ -1,13 +1,14 @@
 // Orders for the selected vehicles. Hold and STOP act at once; everything else is held down for a second.
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import { namesText, fixed } from "./format.ts";
-import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
+import { namesText } from "./format.ts";
+import { Goto } from "./goto_order.tsx";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
-import { fullName } from "./levels.ts";
 import { OrderHistory } from "./order_list.tsx";
+import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
+import { OriginOrder } from "./origin_order.tsx";
 import type { PanelProps } from "./panels/registry.ts";
 import { modesFor } from "./modes.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
@@ -72,12 +73,6 @@ function Targets({ store, targets }: PanelProps & { targets: readonly string[] }
   );
 }
 
-interface ButtonsProps extends PanelProps {
-  targets: readonly string[];
-  enabled: boolean;
-  send: (request: Omit<OrderRequest, "targets">) => Promise<OrderState>;
-}
-
 function OrderButtons(props: ButtonsProps) {
   const { targets, enabled, send } = props;
   const who = useTargetsText(props);
@@ -119,19 +114,11 @@ function OrderButtons(props: ButtonsProps) {
       </section>
       <Goto {...props} />
       <Mode {...props} />
+      <Setpoints {...props} />
+      <OriginOrder {...props} />
       <Emergency {...props} />
     </>
   );
-}
-
-/** Who an order is for, each with its site where there are several. */
-function useTargetsText({ store, targets }: Pick<ButtonsProps, "store" | "targets">): string {
-  useStore(store, (state) => state.daemon?.site);
-  return namesText(targets.map((name) => fullName(store.state, name)));
-}
-
-function Key({ letter }: { letter: string }) {
-  return <kbd aria-hidden="true">{letter}</kbd>;
 }
 
 /** H acts at once: it is the one order that makes things calmer. The listener has the targets that it was drawn with, so it
@@ -149,86 +136,60 @@ function useHoldKey(enabled: boolean, button: { readonly current: HTMLElement | 
   });
 }
 
-function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
-  const who = useTargetsText({ store, targets });
-  const chooser = useRef<HTMLButtonElement>(null);
-  const [draft, setDraft] = useState<GotoDraft | null>(null);
-  const [fields, setFields] = useState({ x: "", y: "", height: "" });
-  const x = Number(fields.x);
-  const y = Number(fields.y);
-  const height = fields.height.trim() === "" ? null : Number(fields.height);
-  const valid = fields.x.trim() !== "" && fields.y.trim() !== "" && Number.isFinite(x) && Number.isFinite(y) && (height === null || Number.isFinite(height));
-  const place = valid ? view.geodeticOf(x, y) : null;
-  const pick = (): void => {
-    setDraft(beginGoto(store, view, (at) => setFields((before) => ({ ...before, x: at.x.toFixed(1), y: at.y.toFixed(1) }))));
-  };
-  useEffect(() => () => draft?.end(), [draft]);
-  useEffect(() => {
-    if (valid) draft?.show(x, y);
-  }, [draft, valid, x, y, targets]);
-  useLayoutEffect(() => {
-    const onKey = (event: KeyboardEvent): void => {
-      if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target) || !isSeen(chooser.current)) return;
-      if (!(event.ctrlKey || event.metaKey || event.altKey)) pick();
-    };
-    addEventListener("keydown", onKey);
-    return () => removeEventListener("keydown", onKey);
-  });
-  const up = height === null ? "" : `, ${fixed(height, 1) ?? ""} m up`;
-  return (
-    <section class="goto" aria-label="Go to">
-      <div class="heading"><h3>Go to</h3>
-        <button ref={chooser} type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={draft !== null && view.tool !== null}>Choose in the view<Key letter="G" /></button>
-      </div>
-      <div class="fields">
-        {([["x", "x, m"], ["y", "y, m"], ["height", "Height, m"]] as const).map(([key, label]) => (
-          <label key={key} class="field">
-            <span>{label}</span>
-            <input type="text" inputMode="decimal" value={fields[key]} placeholder={key === "height" ? "as it is" : ""}
-              aria-label={key === "height" ? "Height above home in metres; empty: as it is" : `${key} in metres from the origin`}
-              onInput={(event) => setFields({ ...fields, [key]: event.currentTarget.value })} />
-          </label>
-        ))}
-      </div>
-      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${fields.x}, y ${fields.y}${up}`}
-        act={() => {
-          if (place === null) return;
-          const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
-          const label = `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`;
-          void send({ label, method: "vehicles.goto", params: { ...place, height_m: height } }).then((state) => {
-            if (state === "done") store.dispatch({ type: "goals", goals });
-          });
-          draft?.end();
-          setDraft(null);
-        }}>
-        <span>Send there</span>
-      </HoldButton>
-      {targets.length > 1 && <p class="muted small">They keep their formation; its middle flies there.</p>}
-    </section>
-  );
-}
+/** What a mode is for, for vehicles of different firmware at once. Following setpoints is engaged, not only set. */
+const MEANINGS = [
+  { title: "Hold", method: "vehicles.hold", params: {} },
+  { title: "Return", method: "vehicles.rtl", params: {} },
+  { title: "Land", method: "vehicles.land", params: {} },
+  { title: "Follow setpoints", method: "control.set", params: { mode: "position" } },
+] as const;
 
 function Mode({ store, targets, enabled, send }: ButtonsProps) {
   const families = useStore(store, (state) => [...new Set(targets.map((name) => state.vehicles.get(name)?.autopilot ?? ""))].sort().join(" "));
   const who = useTargetsText({ store, targets });
   const [mode, setMode] = useState("");
-  const choices = modesFor(families.split(" "));
+  const names = modesFor(families.split(" "));
+  const meaning = MEANINGS.find(({ title }) => title === mode);
   useEffect(() => {
-    if (mode !== "" && !choices.includes(mode)) setMode("");
-  }, [mode, choices]);
+    if (mode !== "" && meaning === undefined && !names.includes(mode)) setMode("");
+  }, [mode, meaning, names]);
   return (
     <section class="mode" aria-label="Mode">
       <label class="field grow">
         <span>Mode</span>
-        <select value={mode} disabled={!enabled || choices.length === 0} onChange={(event) => setMode(event.currentTarget.value)}>
-          <option value="">{targets.length > 0 && choices.length === 0 ? "none that all of them have" : "choose"}</option>
-          {choices.map((name) => <option key={name} value={name}>{name}</option>)}
+        <select value={mode} disabled={!enabled} onChange={(event) => setMode(event.currentTarget.value)}>
+          <option value="">choose</option>
+          <optgroup label="By meaning, for any firmware">
+            {MEANINGS.map(({ title }) => <option key={title} value={title}>{title}</option>)}
+          </optgroup>
+          {names.length > 0 && <optgroup label="By name">{names.map((name) => <option key={name} value={name}>{name}</option>)}</optgroup>}
         </select>
       </label>
       <HoldButton targets={targets} class="order" disabled={!enabled || mode === ""} what={`Set ${mode} on ${who}`}
-        act={() => void send({ label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } })}>
+        act={() => void send(meaning === undefined ? { label: `Mode ${mode}`, method: "vehicles.mode", params: { mode } } : { ...meaning, label: meaning.title })}>
         <span>Set</span>
       </HoldButton>
+    </section>
+  );
+}
+
+/** Flight by skygcs' own setpoints, of all that are selected. */
+function Setpoints({ store, targets, enabled, send }: ButtonsProps) {
+  const who = useTargetsText({ store, targets });
+  const flown = useStore(store, (state) => targets.some((name) => !["off", undefined].includes(state.vehicles.get(name)?.control?.state)));
+  return (
+    <section class="setpoints" aria-label="Setpoints">
+      <h3>Setpoints</h3>
+      {([["position", "Position"], ["velocity", "Velocity"]] as const).map(([mode, title]) => (
+        <HoldButton key={mode} targets={targets} disabled={!enabled} what={`Fly ${who} by ${mode} setpoints`}
+          act={() => void send({ label: `Fly by ${mode} setpoints`, method: "control.set", params: { mode } })}>
+          {title}
+        </HoldButton>
+      ))}
+      <button type="button" disabled={!enabled || !flown} title={`End the setpoints; ${who} ${targets.length === 1 ? "holds" : "hold"}`}
+        onClick={() => void send({ label: "Setpoints off", method: "control.set", params: { mode: "off" } })}>
+        Off
+      </button>
     </section>
   );
 }
