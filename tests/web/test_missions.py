@@ -139,7 +139,7 @@ def test_the_fence_about_home_is_set_and_read_by_a_form(station, open_page, shot
     select(page, "v1", "v3")
     side(page, "Missions")
     page.get_by_role("tab", name="About home", exact=True).click()
-    button = page.get_by_role("button", name=re.compile("^Set the fence of"))
+    button = page.get_by_role("button", name=re.compile("Set the fence of"))
     expect(button).to_be_disabled()
     page.get_by_label("Radius", exact=True).fill("80")
     page.get_by_label("Height", exact=True).fill("40")

@@ -139,7 +139,7 @@ def test_final_positions_are_dragged_and_the_plan_is_flown(station, open_page, s
     # both would return at one height: the report says so and offers others
     expect(flight).to_contain_text("RTL_RETURN_ALT", timeout=60_000)
     shot(page, "plan-report")
-    hold(page, flight.get_by_role("button", name=re.compile("^Set the return heights")))
+    hold(page, flight.get_by_role("button", name=re.compile("Set the return heights")))
     expect(flight).to_contain_text(re.compile("takeoff|engaging|to starts|flying"), timeout=60_000)
     expect(flight.get_by_role("button", name="Pause")).to_be_visible()
     # a plan is not landed while its vehicles take off

@@ -92,7 +92,7 @@ export function FleetTable({ store }: { store: Store }) {
           <option value="autopilot">By autopilot</option>
           <option value="mode">By mode</option>
         </select>
-        <label class="problemsfirst" title="Vehicles in trouble stand above all others">
+        <label class="check problemsfirst" title="Vehicles in trouble stand above all others">
           <input type="checkbox" checked={choices.problemsFirst} onChange={(event) => choose({ problemsFirst: event.currentTarget.checked })} /> Problems first
         </label>
         {!narrow && <ColumnMenu offered={offered} choices={choices} choose={choose} />}
@@ -128,6 +128,7 @@ export function FleetTable({ store }: { store: Store }) {
 /** Which columns are shown: all but the name are a choice. */
 function ColumnMenu({ offered, choices, choose }: { offered: readonly Column[]; choices: TableChoices; choose: (change: Partial<TableChoices>) => void }) {
   const menu = useRef<HTMLDetailsElement>(null);
+  const [open, setOpen] = useState(false);
   useEffect(() => {
     const close = (event: Event): void => {
       const outside = event instanceof KeyboardEvent ? event.key === "Escape" : event.target instanceof Node && menu.current?.contains(event.target) === false;
@@ -141,9 +142,9 @@ function ColumnMenu({ offered, choices, choose }: { offered: readonly Column[]; 
     };
   }, []);
   return (
-    <details ref={menu} class="columnmenu">
+    <details ref={menu} class="columnmenu" onToggle={(event) => setOpen(event.currentTarget.open)}>
       <summary>Columns</summary>
-      <div class="choices" role="group" aria-label="Columns of the table">
+      {open && <div class="choices" role="group" aria-label="Columns of the table">
         {offered.filter(({ id }) => id !== "name").map((column) => (
           <label key={column.id}>
             <input type="checkbox" checked={isChosen(choices, column)}
@@ -151,7 +152,7 @@ function ColumnMenu({ offered, choices, choose }: { offered: readonly Column[]; 
           </label>
         ))}
         <button type="button" onClick={() => choose({ columns: {} })}>As at first</button>
-      </div>
+      </div>}
     </details>
   );
 }
