@@ -1,7 +1,7 @@
 """What is reported of a day: plain figures, without how they were found. Pure.
 
-Times are seconds since 1970 (UTC), positions metres along x, y of the report's origin, heights metres above home. NaN or
-None is what the logs do not tell.
+Times are seconds since 1970 (UTC), positions metres along x, y of the report's origin, heights metres above home. NaN
+or None is what the logs do not tell.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -200,6 +201,4 @@ def _armed_at(vehicle: VehicleFlight, at_s: float) -> bool:
 
 
 def _undrawn(flight: FlightFigures) -> FlightFigures:
-    from dataclasses import replace
-
     return replace(flight, drawing=None)

@@ -6,7 +6,7 @@ import math
 
 from skygcs.ext.logs.curves import Curve, Track
 from skygcs.ext.logs.flight import VehicleFlight
-from skygcs.ext.logs.report.day_figures import Drawing, FlightFigures, Line
+from skygcs.ext.logs.report.day_figures import Drawing, FlightFigures
 
 MOST_FLIGHTS = 300
 """Of one vehicle on one day; further ones are counted."""
@@ -131,9 +131,5 @@ class _OpenFlight:
             last_percent=self._last_percent,
             least_volts=self._least_volts if math.isfinite(self._least_volts) else math.nan,
             whole=whole and self.begun,
-            drawing=Drawing(*map(_line, (self._track, self._height, self._percent, self._volts))),
+            drawing=Drawing(self._track.line(), self._height.points(), self._percent.points(), self._volts.points()),
         )
-
-
-def _line(drawn: Track | Curve) -> Line:
-    return drawn.line() if isinstance(drawn, Track) else drawn.points()

@@ -40,6 +40,9 @@ UNKNOWN_SIGNAL = 255
 
 CURVE_BUCKETS = 300
 
+SIGNALS = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
+DRAWN = ("rssi", "noise", "txbuf")
+
 
 class Sources:
     """Counts of every system and component."""
@@ -78,10 +81,6 @@ class _Radio:
     last_errors: int | None = None
     counts: dict[str, Counter[int]] = field(default_factory=lambda: {name: Counter() for name in SIGNALS})
     lines: dict[str, Curve] = field(default_factory=lambda: {n: Curve(CURVE_BUCKETS) for n in DRAWN})
-
-
-SIGNALS = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
-DRAWN = ("rssi", "noise", "txbuf")
 
 
 class Radios:
