@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
+from skygcs.core.alarms.kinds import BEFORE_FLIGHT
 from skygcs.core.geo import Origin
+from skygcs.core.quantile import median
 from skygcs.core.vehicle.state import SEVERITY
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.ext.logs.trace_figures import TraceFigures
@@ -88,6 +90,7 @@ class DayEvent:
     severity: int | None = None
     """MAV_SEVERITY of a status text."""
     in_air: bool = False
+    """True if the vehicle was armed."""
     duration_s: float = 0.0
     """How long a failsafe or a silence lasted."""
 
@@ -100,10 +103,12 @@ class DayEvent:
 
     @property
     def rank(self) -> int:
-        """How bad it is: 0 is the worst, `HARMLESS` is no trouble."""
+        """How bad it is: 0 is the worst, `HARMLESS` is no trouble. What an autopilot says while it may not be armed is
+        the least of troubles, whatever its severity."""
         match self.kind:
             case EventKind.TEXT if self.severity is not None and self.severity <= WARNING:
-                return (0, 1, 2, 5, 7)[self.severity]
+                waits = not self.in_air and BEFORE_FLIGHT.match(self.text) is not None
+                return 8 if waits else (0, 1, 2, 5, 7)[self.severity]
             case EventKind.FAILSAFE:
                 return 3
             case EventKind.SILENT if self.in_air:
@@ -318,4 +323,4 @@ def spread(ordered: Sequence[float]) -> tuple[float, float, float]:
     """Least, median and greatest of these, the least first; NaN without any."""
     if not ordered:
         return math.nan, math.nan, math.nan
-    return ordered[0], ordered[len(ordered) // 2], ordered[-1]
+    return ordered[0], median(ordered), ordered[-1]

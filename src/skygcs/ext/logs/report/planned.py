@@ -41,13 +41,13 @@ def _sampled(trajectory: Trajectory) -> list[Vector]:
 def add_plan(report: DayReport, paths: Mapping[str, Sequence[Vector]], names: Mapping[str, int]) -> None:
     """Give each vehicle of the report its path; what belongs to none is named as missing. ``names``: system ids."""
     by_system: dict[int, VehicleDay] = {}
-    for day in report.vehicles:
-        by_system.setdefault(day.key[0], day)
+    for known in report.vehicles:
+        by_system.setdefault(known.key[0], known)
     unknown = []
     for name, points in paths.items():
         numbered = _NUMBERED.fullmatch(name.lower())
         sysid = names.get(name, int(numbered[1]) if numbered is not None else -1)
-        day = by_system.get(sysid)
+        day: VehicleDay | None = by_system.get(sysid)
         if day is None and len(paths) == len(report.vehicles) == 1:
             day = report.vehicles[0]
         if day is None:
