@@ -15,6 +15,7 @@ from typing import Any
 from skygcs.ext.logs.report.day_figures import (
     HARMLESS,
     DayReport,
+    RadioFigures,
     SourceFigures,
     Trace,
     VehicleDay,
@@ -23,6 +24,9 @@ from skygcs.ext.logs.tables import VehicleKey
 from skygcs.number_text import rounded
 
 NONE = "–"
+
+DBM_SLOPE, DBM_OFFSET = 1.9, 127.0
+"""SiK radios: dBm = count / 1.9 - 127 (their documentation of RADIO_STATUS)."""
 
 Show = Callable[[Any], str]
 
@@ -230,6 +234,19 @@ def radios_table(report: DayReport) -> FigureTable:
         for r in report.radios
     ]
     return FigureTable("radios", columns, rows)
+
+
+def radio_signals(radio: RadioFigures) -> FigureTable:
+    """A row for each signal of one radio, for the page: `radios_table` has the same in one row."""
+    columns = (
+        Column("signal", "signal"),
+        *(Column(name, name, number(0), number=True) for name in ("least", "median", "greatest")),
+        Column("median_dbm", "median, dBm of a SiK radio", number(0), number=True),
+    )
+    signals = ("RSSI", radio.rssi), ("remote RSSI", radio.remote_rssi)
+    noises = ("noise", radio.noise), ("remote noise", radio.remote_noise)
+    rows = [(name, *values, values[1] / DBM_SLOPE - DBM_OFFSET) for name, values in (*signals, *noises)]
+    return FigureTable("radio_signals", columns, rows)
 
 
 def _signal(name: str, head: str) -> tuple[Column, ...]:
