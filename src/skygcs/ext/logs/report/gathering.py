@@ -130,7 +130,7 @@ def _listed(folder: Path) -> list[Path]:
 
 def _missing(report: DayReport) -> list[str]:
     """Sentences on what the folder lacks."""
-    found = []
+    found = [f"{note.name}: {note.state}: {note.about}" for note in report.files if _lacks(note)]
     if not report.vehicles:
         found.append("no vehicle: no tlog of the day has a heartbeat of an autopilot")
     if report.vehicles and not report.radios:
@@ -140,6 +140,13 @@ def _missing(report: DayReport) -> list[str]:
     if report.vehicles and not any(day.flights for day in report.vehicles):
         found.append("no vehicle was in the air while it was recorded")
     return found
+
+
+def _lacks(note: FileNote) -> bool:
+    """True if figures may be missing because of this file."""
+    return note.state in (FileState.FAILED, FileState.DAMAGED) or (
+        note.state is FileState.LEFT_OUT and _is_log(note.name)
+    )
 
 
 # -- tlogs

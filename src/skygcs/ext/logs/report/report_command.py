@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from skygcs.cli.parsing import parse_number
 from skygcs.core.geo import Origin
 from skygcs.core.separation import Footprint
 from skygcs.errors import SkygcsError
-from skygcs.ext.logs.report.day_figures import DayReport
+from skygcs.ext.logs.report.day_figures import DayReport, FileState
 from skygcs.ext.logs.report.gathering import ALL_DAYS, Wishes, failures, gather
 from skygcs.ext.logs.report.report_page import MARK, page
 from skygcs.ext.logs.report.report_tables import FigureTable, all_tables
@@ -99,7 +100,12 @@ def write_report(made: DayReport, output: Path, tables: Path | None, *, force: b
             file = outputs.open_text((tables or output) / f"{table.name}.csv")
             csv.writer(file, lineterminator="\n").writerows(table.csv_rows())
     flights = sum(len(vehicle.flights) for vehicle in made.vehicles)
+    other_days = sum(note.state is FileState.OTHER_DAY for note in made.files)
     text = f"{output}: {len(made.vehicles)} vehicles, {flights} flights"
+    if math.isfinite(made.begin_s):
+        text += f" of {datetime.fromtimestamp(made.begin_s, UTC):%Y-%m-%d}"
+    if other_days:
+        text += f"; {other_days} files of other days are left out (--day)"
     return text if tables is None else f"{text}; {len(figures)} tables in {tables}"
 
 

@@ -44,6 +44,12 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 COLOURS = 8
 """Styles ``c0`` to ``c7`` of vehicles in the map of all."""
 
+FEW_COLUMNS = 5
+"""A table of no more fits a telephone."""
+
+SHORT = 12
+"""Characters that fit half of a telephone's width beside the head of their column."""
+
 MOST_PAIRS = 60
 MOST_EVENTS = 400
 """Rows that the page shows; the CSV has all."""
@@ -51,9 +57,9 @@ MOST_EVENTS = 400
 
 def page(report: DayReport) -> str:
     """The whole document."""
-    title = f"{report.title}: {_when(report)}"
+    title = f"Field day {_when(report)}" if math.isfinite(report.begin_s) else f"Nothing recorded: {report.title}"
     body = [
-        f"<header><h1>{shown(report.title)}</h1><p>{_subtitle(report)}</p></header>",
+        f"<header><h1>{shown(title)}</h1><p>{_subtitle(report)}</p></header>",
         _navigation(report),
         _section("summary", "The day", _summary(report)),
         _section("missing", "What is missing", _list(report.missing)) if report.missing else "",
@@ -104,19 +110,27 @@ def table(figures: FigureTable, *, without: Sequence[str] = (), style: str = "")
     if not figures.rows or not kept:
         return f'<p class="none">{NONE}</p>'
     heads = "".join(f"<th{_class(figures.columns[n])}>{escape(figures.columns[n].head)}</th>" for n in kept)
-    rows = "".join(
-        f"<tr{' class=bad' if at in figures.bad else ''}>{''.join(_cell(figures.columns[n], row[n]) for n in kept)}</tr>"
-        for at, row in enumerate(figures.rows)
-    )
-    return f'<table class="{style or "figures"}"><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>'
+    rows = ""
+    for at, row in enumerate(figures.rows):
+        cells = "".join(_cell(figures.columns[n], row[n]) for n in kept)
+        rows += f"<tr{' class=bad' if at in figures.bad else ''}>{cells}</tr>"
+    style = style or ("figures" if len(kept) > FEW_COLUMNS else "small")
+    return f'<table class="{style}"><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>'
 
 
 def _cell(column: Column, value: Any) -> str:
-    return f'<td{_class(column)} data-head="{escape(column.head)}">{shown(column.show(value))}</td>'
+    said = column.show(value)
+    return f'<td{_class(column, said)} data-head="{escape(column.head)}">{shown(said)}</td>'
 
 
-def _class(column: Column) -> str:
-    return ' class="number"' if column.number else ""
+def _class(column: Column, said: str = "") -> str:
+    """``said``: what the cell shows. On a narrow screen a dash is left out, and a long text has the whole width."""
+    words = ["number"] if column.number else []
+    if said == NONE:
+        words.append("none")
+    elif len(said) > SHORT:
+        words.append("long")
+    return f' class="{" ".join(words)}"' if words else ""
 
 
 def _section(name: str, title: str, content: str) -> str:
@@ -135,21 +149,20 @@ def _figure(drawing: str, caption: str) -> str:
 
 
 def _when(report: DayReport) -> str:
-    if not math.isfinite(report.begin_s):
-        return "nothing recorded"
     return datetime.fromtimestamp(report.begin_s, UTC).strftime("%Y-%m-%d")
 
 
 def _subtitle(report: DayReport) -> str:
     if not math.isfinite(report.begin_s):
-        return "Nothing was recorded."
+        return f"No tlog of the folder {shown(report.title)} could be used."
     flights = sum(len(day.flights) + day.flights_left_out for day in report.vehicles)
     air_s = sum(day.air_s for day in report.vehicles)
     words = [
-        f"{_when(report)}, {clock(report.begin_s)} to {clock(report.end_s)} UTC",
+        f"{clock(report.begin_s)} to {clock(report.end_s)} UTC",
         f"{len(report.vehicles)} vehicle{'' if len(report.vehicles) == 1 else 's'}",
         f"{flights} flight{'' if flights == 1 else 's'}, {span(air_s)} in the air",
     ]
+    words.append(f"folder {shown(report.title)}")
     if report.plan_name:
         words.append(f"plan {shown(report.plan_name)}")
     return " · ".join(words)

@@ -3,11 +3,13 @@
 STYLE = """
 :root { --paper: #fff; --ink: #1b1f24; --soft: #5b6570; --rule: #d9dee3; --grid: #e6eaee; --panel: #f6f8fa;
   --bad: #b3261e; --bad-paper: #fdeeed; --flown: #0072b2; --plan: #c25400;
-  --c0: #0072b2; --c1: #c25400; --c2: #00805c; --c3: #a83e7d; --c4: #9a6b00; --c5: #2f8fc4; --c6: #7a4b1e; --c7: #6a3fb5 }
+  --c0: #0072b2; --c1: #c25400; --c2: #00805c; --c3: #a83e7d; --c4: #9a6b00;
+  --c5: #2f8fc4; --c6: #7a4b1e; --c7: #6a3fb5 }
 @media screen and (prefers-color-scheme: dark) {
   :root { --paper: #14181c; --ink: #e4e8ec; --soft: #9aa5b0; --rule: #343c44; --grid: #2a3138; --panel: #1b2127;
     --bad: #ff8a80; --bad-paper: #3a1d1b; --flown: #56b4e9; --plan: #f0a04b;
-    --c0: #56b4e9; --c1: #f0a04b; --c2: #3fc79a; --c3: #e08fc0; --c4: #e0c04b; --c5: #9fd3f2; --c6: #c99a6b; --c7: #b79bf0 }
+    --c0: #56b4e9; --c1: #f0a04b; --c2: #3fc79a; --c3: #e08fc0; --c4: #e0c04b;
+    --c5: #9fd3f2; --c6: #c99a6b; --c7: #b79bf0 }
 }
 * { box-sizing: border-box }
 html { -webkit-text-size-adjust: 100% }
@@ -65,14 +67,19 @@ path.c4 { stroke: var(--c4) } path.c5 { stroke: var(--c5) } path.c6 { stroke: va
 .key.c4::before { border-color: var(--c4) } .key.c5::before { border-color: var(--c5) }
 .key.c6::before { border-color: var(--c6) } .key.c7::before { border-color: var(--c7) }
 @media screen and (max-width: 700px) {
-  table.figures, table.figures tbody, table.figures tr { display: block }
+  table.figures, table.figures tbody { display: block }
   table.figures thead { display: none }
-  table.figures tr { padding: .5rem 0; border-bottom: 1px solid var(--rule) }
-  table.figures td, table.figures td.number { display: flex; justify-content: space-between; gap: 1rem; border: 0;
-    padding: .1rem 0; text-align: right; max-width: none }
+  table.figures tr { display: grid; grid-template-columns: 1fr 1fr; column-gap: 1.5rem; padding: .4rem 0;
+    border-bottom: 1px solid var(--rule) }
+  table.figures td, table.figures td.number { display: flex; justify-content: space-between; gap: .6rem; border: 0;
+    padding: .05rem 0; text-align: right; max-width: none; min-width: 0 }
   table.figures td::before { content: attr(data-head); color: var(--soft); font-weight: 400; text-align: left;
     white-space: nowrap }
-  table.events { width: 100% }
+  table.figures td.none { display: none }
+  table.figures td:first-child, table.figures td.long { grid-column: 1 / -1 }
+  table.figures td:first-child { display: block; text-align: left }
+  table.figures td:first-child::before { content: none }
+  table.events, table.small { width: 100% }
   th, td { padding-right: .5rem }
 }
 @media print {
