@@ -1,26 +1,42 @@
-"""How near vehicles came to each other, from the positions that they reported. Pure."""
+"""How near vehicles came to each other, from the positions that they reported. Pure.
+
+Between two positions a vehicle is taken to have flown straight on at one speed, so the nearest place of two is found in
+closed form and not only where a position happened to come.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
+from skygcs.core.monitor.approach import closest_approach
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.ext.logs.report.day_figures import ApproachFigures
 from skygcs.ext.logs.tables import VehicleKey
 
 Vector = tuple[float, float, float]
 
-FRESH_S = 1.5
-"""An older position of the other vehicle is not compared; a slow radio brings one a second."""
+LONGEST_LEG_S = 2.5
+"""What a vehicle did in a longer time between two positions is not known; a slow radio brings one a second."""
+
+LEGS = 64
+"""The newest of each vehicle that are kept: 2.5 s at 25 Hz."""
 
 
-@dataclass(slots=True)
-class _Placed:
-    at_s: float
-    pos_enu_m: Vector
-    vel_enu_mps: Vector
+class _Leg(NamedTuple):
+    """From one position to the next."""
+
+    begin_s: float
+    end_s: float
+    begin_m: Vector
+    vel_mps: Vector
+
+    def at(self, at_s: float) -> Vector:
+        past_s = at_s - self.begin_s
+        (x, y, z), (u, v, w) = self.begin_m, self.vel_mps
+        return x + past_s * u, y + past_s * v, z + past_s * w
 
 
 class Approaches:
@@ -28,36 +44,55 @@ class Approaches:
 
     def __init__(self, footprint: Callable[[VehicleKey], Footprint]) -> None:
         self._footprint = footprint
-        self._placed: dict[VehicleKey, _Placed] = {}
+        self._newest: dict[VehicleKey, tuple[float, Vector]] = {}
+        self._legs: dict[VehicleKey, deque[_Leg]] = {}
         self._nearest: dict[tuple[VehicleKey, VehicleKey], _Nearest] = {}
 
-    def placed(self, key: VehicleKey, now: float, pos_enu_m: Vector, vel_enu_mps: Vector) -> None:
-        """Compare it with all others, each carried on by its velocity from its last position to this time."""
-        self._placed[key] = _Placed(now, pos_enu_m, vel_enu_mps)
-        for other, there in self._placed.items():
-            age_s = now - there.at_s
-            if other == key or age_s > FRESH_S:
-                continue
-            x, y, z = (there.pos_enu_m[axis] + age_s * there.vel_enu_mps[axis] - pos_enu_m[axis] for axis in range(3))
-            pair = (key, other) if key < other else (other, key)
-            nearest = self._nearest.get(pair)
-            if nearest is None:
-                margin = pair_margin(*map(self._footprint, pair))
-                nearest = self._nearest[pair] = _Nearest(margin.total_m, margin.downwash_ratio)
-            nearest.take(now, x, y, z)
+    def placed(self, key: VehicleKey, now: float, pos_enu_m: Vector) -> None:
+        """It is here at ``now``, which never decreases: compare its leg with those of all others at that time."""
+        before = self._newest.get(key)
+        self._newest[key] = now, pos_enu_m
+        if before is None or not 0.0 < now - before[0] <= LONGEST_LEG_S:
+            return
+        took_s = now - before[0]
+        x, y, z = ((there - here) / took_s for here, there in zip(before[1], pos_enu_m, strict=True))
+        leg = _Leg(before[0], now, before[1], (x, y, z))
+        for other, legs in self._legs.items():
+            if other != key:
+                self._compare(key, leg, other, legs)
+        self._legs.setdefault(key, deque(maxlen=LEGS)).append(leg)
 
     def left(self, key: VehicleKey) -> None:
         """It flies no longer."""
-        self._placed.pop(key, None)
+        self._newest.pop(key, None)
+        self._legs.pop(key, None)
 
     def leave_all(self) -> None:
         """The recording ends here."""
-        self._placed.clear()
+        self._newest.clear()
+        self._legs.clear()
 
     def figures(self) -> list[ApproachFigures]:
         """Every pair that was in the air together; what is left of the margin least, first."""
         found = [nearest.figures(*pair) for pair, nearest in self._nearest.items()]
         return sorted(found, key=lambda a: (a.used, a.first, a.second))
+
+    def _compare(self, key: VehicleKey, leg: _Leg, other: VehicleKey, legs: deque[_Leg]) -> None:
+        pair = (key, other) if key < other else (other, key)
+        nearest = self._nearest.get(pair)
+        for there in _overlapping(leg, legs):
+            if nearest is None:
+                margin = pair_margin(*map(self._footprint, pair))
+                nearest = self._nearest[pair] = _Nearest(margin.total_m, margin.downwash_ratio)
+            nearest.take(leg, there)
+
+
+def _overlapping(leg: _Leg, legs: deque[_Leg]) -> Iterator[_Leg]:
+    """Those of another vehicle, which have all ended by now, that share some time with this one."""
+    for there in reversed(legs):
+        if there.end_s <= leg.begin_s:
+            return
+        yield there
 
 
 class _Nearest:
@@ -70,12 +105,27 @@ class _Nearest:
         self._distance_m = self._separation_m = math.inf
         self._at_s = self._level_m = self._vertical_m = math.nan
 
-    def take(self, now: float, x_m: float, y_m: float, z_m: float) -> None:
-        distance_m = math.hypot(x_m, y_m, z_m)
-        if distance_m < self._distance_m:
-            self._distance_m, self._at_s = distance_m, now
-            self._level_m, self._vertical_m = math.hypot(x_m, y_m), abs(z_m)
-        self._separation_m = min(self._separation_m, separation_m(x_m, y_m, z_m, self._ratio))
+    def take(self, first: _Leg, second: _Leg) -> None:
+        """Two legs that share some time; ``first`` ends last."""
+        begin_s = max(first.begin_s, second.begin_s)
+        took_s = second.end_s - begin_s
+        (x, y, z), (a, b, c) = second.at(begin_s), first.at(begin_s)
+        x, y, z = x - a, y - b, z - c
+        (u, v, w), (a, b, c) = second.vel_mps, first.vel_mps
+        u, v, w = u - a, v - b, w - c
+        # most legs are too far apart to matter
+        reach_m = math.hypot(u, v, w) * took_s
+        if math.hypot(x, y, z) - reach_m < self._distance_m:
+            least = closest_approach((x, y, z), (u, v, w), 0.0, took_s)
+            if least.separation_m < self._distance_m:
+                at_s = least.at_s
+                self._distance_m, self._at_s = least.separation_m, begin_s + at_s
+                self._level_m = math.hypot(x + at_s * u, y + at_s * v)
+                self._vertical_m = abs(z + at_s * w)
+        ratio = self._ratio
+        if separation_m(x, y, z, ratio) - reach_m < self._separation_m:
+            scaled = closest_approach((x, y, z / ratio), (u, v, w / ratio), 0.0, took_s)
+            self._separation_m = min(self._separation_m, scaled.separation_m)
 
     def figures(self, first: VehicleKey, second: VehicleKey) -> ApproachFigures:
         return ApproachFigures(

@@ -148,8 +148,7 @@ class DayReader:
         place = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
         if self._frame is None:  # true east and north, whatever the fleet's axes
             self._frame = EnuFrame(Origin(*place))
-        east, north, up = position["vel_enu_mps"]
-        self._approaches.placed(key, now, self._frame.from_geodetic(*place), (east, north, up))
+        self._approaches.placed(key, now, self._frame.from_geodetic(*place))
 
     # -- one vehicle of a recording
 

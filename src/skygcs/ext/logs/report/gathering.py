@@ -21,6 +21,7 @@ from skygcs.core.separation import Footprint
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.report.day_figures import AlarmFigures, DayReport, FileNote, FileState, Trace
 from skygcs.ext.logs.report.day_reader import DayReader
+from skygcs.ext.logs.report.planned import system_of
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.ext.logs.trace_figures import MOST_ROWS, age_ms, error_m, trace_figures
 from skygcs.tlog.files import FileWindow, opened_log
@@ -100,7 +101,7 @@ def gather(wishes: Wishes, dialect: Dialect) -> DayReport:
     report = reader.finish(wishes.folder.resolve().name or str(wishes.folder))
     rest = [p for p in paths if p.suffix.lower() not in LOG_SUFFIXES]
     for path in rest:
-        notes.append(_other_file(path, report, wishes.day))
+        notes.append(_other_file(path, report, wishes))
     report.files = sorted(notes, key=lambda note: note.name)
     report.missing += _missing(report)
     return report
@@ -289,7 +290,7 @@ def _clock(unix_s: float) -> str:
 # -- other files
 
 
-def _other_file(path: Path, report: DayReport, day: str | None) -> FileNote:
+def _other_file(path: Path, report: DayReport, wishes: Wishes) -> FileNote:
     """Take what it holds into the report; returns what was made of it."""
     try:
         if path.is_dir():
@@ -303,7 +304,7 @@ def _other_file(path: Path, report: DayReport, day: str | None) -> FileNote:
         if known is not None:
             return FileNote(path.name, FileState.LEFT_OUT, known, size)
         if path.suffix.lower() == ".csv" and head.startswith(TRACE_HEAD):
-            return _trace(path, report, day, size)
+            return _trace(path, report, wishes, size)
     except SkygcsError as error:
         return FileNote(path.name, FileState.FAILED, str(error).removeprefix(f"{path}:").strip())
     except OSError as error:
@@ -348,10 +349,10 @@ def _alarms(path: Path, report: DayReport, size: int) -> FileNote:
     return FileNote(path.name, FileState.READ, f"{len(found)} alarms, {len(report.alarms)} of the day", size)
 
 
-def _trace(path: Path, report: DayReport, day: str | None, size: int) -> FileNote:
+def _trace(path: Path, report: DayReport, wishes: Wishes, size: int) -> FileNote:
     """Raises SkygcsError for what is no trace."""
     began_s = _stamped_s(path.name)
-    if began_s is not None and not _on_the_day(began_s, report, day):
+    if began_s is not None and not _on_the_day(began_s, report, wishes.day):
         about = f"of {_date_of(began_s)}: --day {_date_of(began_s)} reports it"
         return FileNote(path.name, FileState.OTHER_DAY, about, size)
     errors_m, ages_ms = array("d"), array("d")
@@ -369,7 +370,8 @@ def _trace(path: Path, report: DayReport, day: str | None, size: int) -> FileNot
         raise SkygcsError("no row in it")
     measured = trace_figures(len(errors_m), last_s - first_s, errors_m, ages_ms, trace.cut_line)
     made = Trace(path.name, trace.head.vehicle, measured)
-    owners = [v for v in report.vehicles if v.name == made.vehicle]
+    system = system_of(made.vehicle, {name: sysid for sysid, name in wishes.names.items()})
+    owners = [vehicle for vehicle in report.vehicles if vehicle.key[0] == system]
     (owners[0].traces if owners else report.other_traces).append(made)
     if trace.cut_line is not None:
         cut += f"; line {trace.cut_line} was cut off and is left out"

@@ -38,16 +38,20 @@ def _sampled(trajectory: Trajectory) -> list[Vector]:
     return [trajectory.at(t_s).pos_enu_m for t_s in times]
 
 
+def system_of(name: str, names: Mapping[str, int]) -> int | None:
+    """The system id that a vehicle's name stands for, by the fleet file or as a number; None if none."""
+    numbered = _NUMBERED.fullmatch(name.lower())
+    return names.get(name, int(numbered[1]) if numbered is not None else None)
+
+
 def add_plan(report: DayReport, paths: Mapping[str, Sequence[Vector]], names: Mapping[str, int]) -> None:
     """Give each vehicle of the report its path; what belongs to none is named as missing. ``names``: system ids."""
-    by_system: dict[int, VehicleDay] = {}
+    by_system: dict[int | None, VehicleDay] = {}
     for known in report.vehicles:
         by_system.setdefault(known.key[0], known)
     unknown = []
     for name, points in paths.items():
-        numbered = _NUMBERED.fullmatch(name.lower())
-        sysid = names.get(name, int(numbered[1]) if numbered is not None else -1)
-        day: VehicleDay | None = by_system.get(sysid)
+        day = by_system.get(system_of(name, names))
         if day is None and len(paths) == len(report.vehicles) == 1:
             day = report.vehicles[0]
         if day is None:

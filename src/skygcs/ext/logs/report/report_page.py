@@ -91,8 +91,8 @@ HOW = (
     "The delay of a command is the time from its first sending to the first COMMAND_ACK, both as recorded: it has both "
     "ways of the link in it. A command that was sent again before its answer counts once.",
     "The separation weighs a distance in height less than one along the ground, as the monitor does; the margin is "
-    "half of both wingspans and the errors of both positions, by the fleet file or the defaults. Positions are "
-    "compared whenever one comes, the other vehicle carried on by its velocity for up to 1.5 s.",
+    "half of both wingspans and the errors of both positions, by the fleet file or the defaults. Between "
+    "two positions, as recorded, a vehicle is taken to have flown straight on; only vehicles in the air are compared.",
     "Errors of tracking are distances from the reference, as the control loop saw them: an error of the position "
     "itself is not in them.",
 )

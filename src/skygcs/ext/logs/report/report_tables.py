@@ -146,7 +146,7 @@ def summary_table(report: DayReport) -> FigureTable:
 def flights_table(days: Iterable[VehicleDay]) -> FigureTable:
     """A row for each flight."""
     columns = (
-        *(VEHICLE, Column("flight", "flight", count)),
+        *(VEHICLE, Column("flight", "flight", lambda n: f"flight {n}")),
         *(Column("begin_time_s", "armed", clock), Column("end_time_s", "until", clock)),
         Column("air_s", "in the air", span, number=True),
         Column("distance_m", "distance", number(0, " m"), number=True),
@@ -264,7 +264,7 @@ def approaches_table(report: DayReport, most: int | None = None) -> FigureTable:
         Column("vertical_m", "in height", number(1, " m"), number=True),
         Column("separation_m", "separation", number(1, " m"), number=True),
         Column("margin_m", "margin", number(1, " m"), number=True),
-        Column("separation_to_margin", "separation / margin", number(1), number=True),
+        Column("separation_to_margin", "of margin", number(1, " ×"), number=True),
     )
     rows = [
         (
