@@ -28,6 +28,9 @@ NONE = "–"
 DBM_SLOPE, DBM_OFFSET = 1.9, 127.0
 """SiK radios: dBm = count / 1.9 - 127 (their documentation of RADIO_STATUS)."""
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""A spreadsheet takes text that begins so for a formula; texts come from outside, and get an apostrophe before it."""
+
 Show = Callable[[Any], str]
 
 
@@ -63,6 +66,8 @@ def _cell(column: Column, value: Any) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6f}" if column.name.endswith("time_s") else repr(round(value, 6))
+    if isinstance(value, str) and value.startswith(FORMULA):
+        return f"'{value}"
     return str(value)
 
 

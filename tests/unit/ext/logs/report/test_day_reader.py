@@ -238,7 +238,7 @@ def test_pairs_of_a_real_flight_against_positions_between_those_of_pymavlink() -
         first, second = ways[approach.first[0]], ways[approach.second[0]]
         distances = numpy.linalg.norm(first[:3] - second[:3], axis=0)
         nearest = distances[(first[3] > 0.3) & (second[3] > 0.3)].min()
-        assert approach.distance_m == pytest.approx(nearest, rel=0.002, abs=0.1)
+        assert approach.distance_m == pytest.approx(nearest, rel=0.002, abs=0.2)
 
 
 # -- links
