@@ -109,8 +109,8 @@ class DayEvent:
             case EventKind.TEXT if self.severity is not None and self.severity <= WARNING:
                 waits = not self.in_air and BEFORE_FLIGHT.match(self.text) is not None
                 return 8 if waits else (0, 1, 2, 5, 7)[self.severity]
-            case EventKind.FAILSAFE:
-                return 3
+            case EventKind.FAILSAFE:  # ArduPilots report one on the ground until a ground station is heard
+                return 3 if self.in_air else 8
             case EventKind.SILENT if self.in_air:
                 return 4 if self.duration_s > LONGEST_SILENCE_S else 6
         return HARMLESS

@@ -2,12 +2,12 @@
 
 STYLE = """
 :root { --paper: #fff; --ink: #1b1f24; --soft: #5b6570; --rule: #d9dee3; --grid: #e6eaee; --panel: #f6f8fa;
-  --bad: #b3261e; --bad-paper: #fdeeed; --flown: #0072b2; --plan: #c25400;
+  --bad: #b3261e; --flown: #0072b2; --plan: #c25400;
   --c0: #0072b2; --c1: #c25400; --c2: #00805c; --c3: #a83e7d; --c4: #9a6b00;
   --c5: #2f8fc4; --c6: #7a4b1e; --c7: #6a3fb5 }
 @media screen and (prefers-color-scheme: dark) {
   :root { --paper: #14181c; --ink: #e4e8ec; --soft: #9aa5b0; --rule: #343c44; --grid: #2a3138; --panel: #1b2127;
-    --bad: #ff8a80; --bad-paper: #3a1d1b; --flown: #56b4e9; --plan: #f0a04b;
+    --bad: #ff8a80; --flown: #56b4e9; --plan: #f0a04b;
     --c0: #56b4e9; --c1: #f0a04b; --c2: #3fc79a; --c3: #e08fc0; --c4: #e0c04b;
     --c5: #9fd3f2; --c6: #c99a6b; --c7: #b79bf0 }
 }
@@ -33,14 +33,14 @@ th, td { padding: .25rem .8rem .25rem 0; border-bottom: 1px solid var(--rule) }
 td { vertical-align: top; overflow-wrap: anywhere; max-width: 40rem }
 td:first-child { font-weight: 600 }
 th.number, td.number { text-align: right; white-space: nowrap }
-tr.bad td { color: var(--bad) }
+tr.bad td:first-child, tr.bad td:last-child { color: var(--bad) }
 .scrolled { max-height: 26rem; overflow: auto; border-bottom: 1px solid var(--rule) }
 .scrolled th { position: sticky; top: 0; background: var(--paper) }
 table.events td:first-child { font-weight: 400; white-space: nowrap }
 article { break-inside: avoid }
 figure { margin: 0; min-width: 0; break-inside: avoid }
 figcaption { font-size: .8rem; margin-top: .2rem }
-.drawings { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 270px), 1fr)); gap: 1rem;
+.drawings { margin-top: .6rem; display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 270px), 1fr)); gap: 1rem;
   align-items: start }
 .drawings figure { max-width: 460px }
 .overview { max-width: 560px; margin-top: 1.2rem }

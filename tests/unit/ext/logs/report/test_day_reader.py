@@ -165,6 +165,8 @@ def test_a_failsafe_and_a_silence_in_the_air_are_worse_than_a_warning() -> None:
     assert silence.in_air and silence.duration_s == pytest.approx(6.0)
     kinds = [e.kind for e in day.events]
     assert EventKind.ARMED in kinds and EventKind.MODE in kinds
+    on_ground = vehicle(report_of(log((float(n), beat(3, n, armed=False, status=5)) for n in range(5))), 3).worst
+    assert on_ground is not None and on_ground.rank > silence.rank
     before = [(0.0, beat(2, 0, armed=False)), (1.0, frame("STATUSTEXT", {"severity": 2, "text": "PreArm: x"}, sysid=2))]
     waiting = vehicle(report_of(log(before)), 2).worst
     assert waiting is not None and waiting.rank > worst.rank and waiting.rank > silence.rank
