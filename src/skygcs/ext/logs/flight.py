@@ -71,7 +71,7 @@ class VehicleFlight:
     firmware: str = ""
     """Version, behind the program's name if that is known: "ArduCopter 4.6.3"."""
     armed: bool = False
-    """As the newest of its own heartbeats says."""
+    """The newest of its own heartbeats says so."""
     system_status: int = 0
     """MAV_STATE of that heartbeat."""
     landed: tuple[str, float] = ("undefined", -math.inf)

@@ -19,7 +19,7 @@ from skygcs.ext.logs.tables import VehicleKey
 Vector = tuple[float, float, float]
 
 LONGEST_LEG_S = 2.5
-"""What a vehicle did in a longer time between two positions is not known; a slow radio brings one a second."""
+"""In a longer time between two positions it is not known what a vehicle did; a slow radio brings one a second."""
 
 LEGS = 64
 """The newest of each vehicle that are kept: 2.5 s at 25 Hz."""

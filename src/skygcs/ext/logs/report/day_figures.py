@@ -1,4 +1,4 @@
-"""What is reported of a day: plain figures, without how they were found. Pure.
+"""The contents of a report: plain figures, without how they were found. Pure.
 
 Times are seconds since 1970 (UTC), positions metres along x, y of the report's origin, heights metres above home. NaN
 or None is what the logs do not tell.
@@ -69,7 +69,7 @@ class FlightFigures:
 
 
 class EventKind(StrEnum):
-    """What an event tells of."""
+    """Kinds of events of a vehicle."""
 
     TEXT = "text"
     MODE = "mode"
@@ -163,7 +163,7 @@ class SourceFigures:
 
 @dataclass(frozen=True)
 class RadioFigures:
-    """What one radio reported by RADIO_STATUS and RADIO. Signals are counts of the radio, 0..254."""
+    """Figures that one radio reported by RADIO_STATUS and RADIO. Signals are counts of the radio, 0..254."""
 
     sysid: int
     compid: int
@@ -208,7 +208,7 @@ class VehicleDay:
 
     key: VehicleKey
     name: str
-    """For people: its name in the fleet file, else its ids."""
+    """Its name in the fleet file, else its ids."""
     kind: str = ""
     firmware: str = ""
     first_s: float = math.nan
@@ -300,10 +300,10 @@ class DayReport:
     """The nearest first."""
     alarms: list[AlarmFigures] = field(default_factory=list)
     other_traces: list[Trace] = field(default_factory=list)
-    """Of vehicles that no tlog has."""
+    """Those of vehicles that no tlog has."""
     files: list[FileNote] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    """What the report does not have, and why: a sentence each."""
+    """A sentence for each thing that the report does not have, with the reason."""
     plan_name: str = ""
     plan_own_origin: bool = False
     """True: the plan's place on the ground is not known, so it is drawn beside the flown paths and not over them."""

@@ -28,7 +28,7 @@ from skygcs.tlog.format import LogEntry
 POSITION = "GLOBAL_POSITION_INT"
 
 MOST_EVENTS = 5000
-"""Of one vehicle; the rest is counted."""
+"""Those of one vehicle that are kept; the rest is counted."""
 
 MOST_DRAWN = 300
 """Flights of the whole day that are drawn: some 30 kB of the page each."""

@@ -9,7 +9,7 @@ from skygcs.ext.logs.flight import VehicleFlight
 from skygcs.ext.logs.report.day_figures import Drawing, FlightFigures
 
 MOST_FLIGHTS = 300
-"""Of one vehicle on one day; further ones are counted."""
+"""Those of one vehicle on one day that are kept; further ones are counted."""
 
 TRACK_POINTS = 500
 CURVE_BUCKETS = 150

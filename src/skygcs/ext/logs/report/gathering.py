@@ -52,7 +52,7 @@ OWN_TLOG = re.compile(r"\d{8}T\d{6}Z-\d+\.tlog")
 
 TRACE_HEAD = b"# format"
 _STAMP = re.compile(r"(\d{8}-\d{6})(?:-\d+)?\.csv$")
-"""Of the name of a trace: when it began, UTC."""
+"""The part of a trace's name that says when it began, UTC."""
 
 LOG_SUFFIXES = (".tlog", ".raw")
 
@@ -66,7 +66,7 @@ KNOWN_FILES = (
 
 @dataclass(frozen=True)
 class Wishes:
-    """What is to be reported, and what is known besides the logs."""
+    """The wanted report, and the facts that no log holds."""
 
     folder: Path
     day: str | None = None
@@ -108,7 +108,7 @@ def gather(wishes: Wishes, dialect: Dialect) -> DayReport:
 
 
 def failures(report: DayReport) -> list[str]:
-    """What could not be read although it should have been, a line each."""
+    """A line for each thing that could not be read although it should have been."""
     found = [f"{note.name}: {note.about}" for note in report.files if note.state is FileState.FAILED]
     if not any(note.state in (FileState.READ, FileState.DAMAGED) and _is_log(note.name) for note in report.files):
         found.append("no tlog was read")

@@ -84,7 +84,7 @@ class _Radio:
 
 
 class Radios:
-    """What radios report of their link, by the source of the reports (SiK: 51/68)."""
+    """Reports of radios on their links, by the source of the reports (SiK: 51/68)."""
 
     def __init__(self) -> None:
         self._radios: dict[VehicleKey, _Radio] = {}
@@ -182,7 +182,7 @@ class CommandDelays:
         self._open.clear()
 
     def figures(self, system: int) -> list[DelayFigures]:
-        """Of this system, the most frequent command first."""
+        """Those of this system, the most frequent command first."""
         found = [(command, delays) for (of, command), delays in self._delays.items() if of == system]
         return [self._figures(command, delays) for command, delays in sorted(found, key=lambda f: (-f[1].asked, f[0]))]
 

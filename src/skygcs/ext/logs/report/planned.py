@@ -11,7 +11,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.ext.logs.report.day_figures import DayReport, VehicleDay
 
 POINTS = 400
-"""Of one path, beside the ends of its pieces."""
+"""Points of one path, beside the ends of its pieces."""
 
 MOST_ENDS = 400
 

@@ -37,7 +37,7 @@ from skygcs.ext.logs.report.svg_drawing import Drawn, curves, ground_map
 from skygcs.terminal_text import visible
 
 MARK = '<meta name="generator" content="skygcs-cli report">'
-"""What a report has within its first bytes: a file with it may be overwritten by another report."""
+"""The mark within the first bytes of a report: a file with it may be overwritten by another report."""
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
@@ -96,7 +96,7 @@ HOW = (
     "Errors of tracking are distances from the reference, as the control loop saw them: an error of the position "
     "itself is not in them.",
 )
-"""What a reader has to know to believe the figures."""
+"""Facts that a reader has to know to believe the figures."""
 
 
 def shown(value: str) -> str:
@@ -216,7 +216,7 @@ def _radio(radio: RadioFigures) -> str:
 
 
 def _others(report: DayReport) -> str:
-    """What belongs to no vehicle of the report."""
+    """Sources and traces that belong to no vehicle of the report."""
     found = ""
     if report.other_traces:
         found += f"<h3>Tracking errors</h3>{table(tracking_table(report.other_traces))}"

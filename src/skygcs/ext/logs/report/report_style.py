@@ -40,7 +40,8 @@ table.events td:first-child { font-weight: 400; white-space: nowrap }
 article { break-inside: avoid }
 figure { margin: 0; min-width: 0; break-inside: avoid }
 figcaption { font-size: .8rem; margin-top: .2rem }
-.drawings { margin-top: .6rem; display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 270px), 1fr)); gap: 1rem;
+.drawings { margin-top: .6rem; display: grid;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 270px), 1fr)); gap: 1rem;
   align-items: start }
 .drawings figure { max-width: 460px }
 .overview { max-width: 560px; margin-top: 1.2rem }
