@@ -19,8 +19,8 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import decode_position
 from skygcs.ext.logs.flight import RecordedFlight, VehicleFlight
 from skygcs.ext.logs.report.approaches import Approaches
-from skygcs.ext.logs.report.day_figures import DayEvent, DayReport, EventKind, FlightFigures, VehicleDay
-from skygcs.ext.logs.report.flight_book import FlightBook
+from skygcs.ext.logs.report.day_figures import DayEvent, DayReport, EventKind, VehicleDay
+from skygcs.ext.logs.report.flight_book import DrawingRoom, FlightBook
 from skygcs.ext.logs.report.link_figures import CommandDelays, Radios, Sources, msgids
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.tlog.format import LogEntry
@@ -31,7 +31,10 @@ MOST_EVENTS = 5000
 """Those of one vehicle that are kept; the rest is counted."""
 
 MOST_DRAWN = 300
-"""Flights of the whole day that are drawn: some 30 kB of the page each."""
+"""Flights of the whole day that are drawn: some 10 kB of the page each. Every vehicle has the same share of them."""
+
+MOST_KEPT = 2000
+"""Flights whose lines are kept while the logs are read: it is not known before the end how many vehicles there are."""
 
 
 class DayReader:
@@ -54,6 +57,7 @@ class DayReader:
         self._frame: EnuFrame | None = None
         self._vehicles: dict[VehicleKey, VehicleDay] = {}
         self._books: dict[VehicleKey, FlightBook] = {}
+        self._room = DrawingRoom(MOST_KEPT)
         self._lost: defaultdict[VehicleKey, int] = defaultdict(int)
         self._sources, self._radios = Sources(), Radios()
         self._delays = CommandDelays(dialect)
@@ -99,18 +103,18 @@ class DayReader:
         if self._begin_s <= self._end_s:
             report.begin_s, report.end_s = self._begin_s, self._end_s
         report.vehicles = [self._vehicles[key] for key in sorted(self._vehicles)]
-        drawn = 0
+        share = max(MOST_DRAWN // max(sum(bool(book.flights) for book in self._books.values()), 1), 1)
         for day in report.vehicles:
             book = self._books.get(day.key)
-            for flight in [] if book is None else book.flights:
-                drawn += 1
-                day.flights.append(flight if drawn <= MOST_DRAWN else _undrawn(flight))
-            day.flights_left_out = 0 if book is None else book.left_out
+            if book is not None:
+                day.flights = [*book.flights[:share], *(replace(f, drawing=None) for f in book.flights[share:])]
+                day.flights_left_out = book.left_out
             day.events.sort(key=lambda event: event.at_s)
             day.delays = self._delays.figures(day.key[0])
         self._share_sources(report)
-        if drawn > MOST_DRAWN:
-            report.missing.append(f"{drawn} flights; the first {MOST_DRAWN} are drawn, all are in the tables")
+        undrawn = sum(flight.drawing is None for day in report.vehicles for flight in day.flights)
+        if undrawn:
+            report.missing.append(f"drawings of {undrawn:,} flights: the first {share} of each vehicle are drawn")
         return report
 
     def _share_sources(self, report: DayReport) -> None:
@@ -131,7 +135,7 @@ class DayReader:
         key = vehicle.sysid, vehicle.compid
         book = self._books.get(key)
         if book is None:
-            book = self._books[key] = FlightBook()
+            book = self._books[key] = FlightBook(self._room)
         if self.origin is None:
             self.origin = self._recorded.origin
         book.step(now, vehicle, frame.name)
@@ -197,7 +201,3 @@ def _events_of(vehicle: VehicleFlight) -> list[DayEvent]:
 
 def _armed_at(vehicle: VehicleFlight, at_s: float) -> bool:
     return any(span.armed and span.begin_s <= at_s <= end_s for span, end_s in vehicle.spans())
-
-
-def _undrawn(flight: FlightFigures) -> FlightFigures:
-    return replace(flight, drawing=None)

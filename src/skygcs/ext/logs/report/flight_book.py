@@ -26,10 +26,23 @@ POSITIONS = frozenset({"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_RAW_INT
 BATTERIES = frozenset({"SYS_STATUS", "BATTERY_STATUS"})
 
 
+class DrawingRoom:
+    """How many more flights of all vehicles keep their lines: some 30 kB each."""
+
+    def __init__(self, most: int) -> None:
+        self._left = most
+
+    def take(self) -> bool:
+        """True if there is room for one more, which is taken."""
+        self._left -= 1
+        return self._left >= 0
+
+
 class FlightBook:
     """`step` after every frame of the vehicle that `RecordedFlight` has taken; `close` at the end of a recording."""
 
-    def __init__(self) -> None:
+    def __init__(self, room: DrawingRoom) -> None:
+        self._room = room
         self.flights: list[FlightFigures] = []
         self.left_out = 0
         self._open: _OpenFlight | None = None
@@ -65,7 +78,7 @@ class FlightBook:
         if flight is None or not flight.air_s:
             return
         if len(self.flights) < MOST_FLIGHTS:
-            self.flights.append(flight.figures(len(self.flights) + 1, whole))
+            self.flights.append(flight.figures(len(self.flights) + 1, whole, drawn=self._room.take()))
         else:
             self.left_out += 1
 
@@ -119,7 +132,7 @@ class _OpenFlight:
             self._volts.add(now, volts)
             self._least_volts = min(self._least_volts, volts)
 
-    def figures(self, number: int, whole: bool) -> FlightFigures:
+    def figures(self, number: int, whole: bool, *, drawn: bool) -> FlightFigures:
         return FlightFigures(
             number=number,
             begin_s=self.begin_s,
@@ -131,5 +144,8 @@ class _OpenFlight:
             last_percent=self._last_percent,
             least_volts=self._least_volts if math.isfinite(self._least_volts) else math.nan,
             whole=whole and self.begun,
-            drawing=Drawing(self._track.line(), self._height.points(), self._percent.points(), self._volts.points()),
+            drawing=self._drawing() if drawn else None,
         )
+
+    def _drawing(self) -> Drawing:
+        return Drawing(self._track.line(), self._height.points(), self._percent.points(), self._volts.points())

@@ -12,10 +12,11 @@ from typing import Annotated
 import typer
 
 from skygcs.cli.connection import Exit, fail, run_offline
-from skygcs.cli.parsing import parse_number
+from skygcs.config.files import open_regular
 from skygcs.core.geo import Origin
 from skygcs.core.separation import Footprint
 from skygcs.errors import SkygcsError
+from skygcs.ext.logs.commands import dialect_named, origin_of
 from skygcs.ext.logs.report.day_figures import DayReport, FileState
 from skygcs.ext.logs.report.gathering import ALL_DAYS, Wishes, failures, gather
 from skygcs.ext.logs.report.report_page import MARK, page
@@ -66,11 +67,9 @@ def report(
         raise typer.BadParameter(f"--output: {output.name!r} does not end in .html")
     if day is not None and day != ALL_DAYS:
         _require_date(day)
-    place = None if origin is None else _origin(origin)
+    place = None if origin is None else origin_of(origin)
 
     def command() -> int:
-        from skygcs.ext.logs.commands import dialect_named
-
         wishes, names = _wishes(folder, day, place, fleet)
         wishes, with_plan = _with_plan(wishes, plan or [], names)
         made = gather(wishes, dialect_named(dialect))
@@ -114,8 +113,8 @@ def require_own(path: Path, is_own: Callable[[str], bool]) -> None:
     if path.is_dir() or not path.exists():
         return  # `Outputs` says so of a folder
     try:
-        with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            head = file.read(MARK_WITHIN_BYTES)
+        with open_regular(path) as file:
+            head = file.read(MARK_WITHIN_BYTES).decode("utf-8", "replace")
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}") from None
     if not is_own(head):
@@ -139,16 +138,6 @@ def _require_date(text: str) -> None:
         date.fromisoformat(text)
     except ValueError:
         raise typer.BadParameter(f"--day: {text!r} is neither a date (2026-04-01) nor all") from None
-
-
-def _origin(text: str) -> Origin:
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 3:
-        raise typer.BadParameter(f"--origin: {text!r} is not LAT,LON,AMSL")
-    lat, lon, alt = (parse_number(part, "--origin") for part in parts)
-    if not (abs(lat) <= 90 and abs(lon) <= 180):
-        raise typer.BadParameter(f"--origin: {text!r} is not a position on earth")
-    return Origin(lat, lon, alt)
 
 
 def _wishes(folder: Path, day: str | None, origin: Origin | None, fleet: Path | None) -> tuple[Wishes, dict[str, int]]:

@@ -15,7 +15,7 @@ import pytest
 
 from skygcs.core.geo import EnuFrame
 from skygcs.ext.logs.report.day_figures import DayReport, EventKind, VehicleDay
-from skygcs.ext.logs.report.day_reader import DayReader
+from skygcs.ext.logs.report.day_reader import MOST_DRAWN, DayReader
 from skygcs.ext.logs.report.flight_book import MOST_FLIGHTS
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
@@ -134,6 +134,15 @@ def test_flights_are_bounded() -> None:
     report = report_of(log(records))
     day = vehicle(report, 1)
     assert (len(day.flights), day.flights_left_out) == (MOST_FLIGHTS, 10)
+
+
+def test_every_vehicle_has_its_share_of_the_drawings() -> None:
+    records = [(n * 1.0, beat(sysid, n, armed=n % 4 in (1, 2))) for n in range(800) for sysid in (1, 2)]
+    report = report_of(log(records))
+    for sysid in (1, 2):
+        drawn = [flight.drawing is not None for flight in vehicle(report, sysid).flights]
+        assert drawn == [True] * (MOST_DRAWN // 2) + [False] * (200 - MOST_DRAWN // 2)
+    assert any("drawings of 100 flights" in line for line in report.missing)
 
 
 # -- events
