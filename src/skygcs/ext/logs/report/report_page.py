@@ -68,7 +68,7 @@ def page(report: DayReport) -> str:
         _section("alarms", "Alarms of the daemon", table(alarms_table(report))) if report.alarms else "",
         *(_vehicle(report, number_, day) for number_, day in enumerate(report.vehicles)),
         _others(report),
-        _section("files", "Files of the folder", table(files_table(report))),
+        _section("files", "Files of the folder", table(files_table(report), style="figures")),
         _section("how", "How the figures are made", _list(HOW)),
     ]
     head = (

@@ -30,11 +30,12 @@ li { overflow-wrap: anywhere }
 table { border-collapse: collapse; font-size: .875rem; font-variant-numeric: tabular-nums }
 th { text-align: left; font-weight: 600; color: var(--soft); vertical-align: bottom }
 th, td { padding: .25rem .8rem .25rem 0; border-bottom: 1px solid var(--rule) }
-td { vertical-align: top; overflow-wrap: anywhere; max-width: 40rem }
+td { vertical-align: top; overflow-wrap: break-word; max-width: 40rem }
+td.long { overflow-wrap: anywhere; min-width: 6rem }
 td:first-child { font-weight: 600 }
 th.number, td.number { text-align: right; white-space: nowrap }
 tr.bad td:first-child, tr.bad td:last-child { color: var(--bad) }
-.scrolled { max-height: 26rem; overflow: auto; border-bottom: 1px solid var(--rule) }
+.scrolled { max-height: 26rem; overflow: auto }
 .scrolled th { position: sticky; top: 0; background: var(--paper) }
 table.events td:first-child { font-weight: 400; white-space: nowrap }
 article { break-inside: avoid }
@@ -86,7 +87,9 @@ path.c4 { stroke: var(--c4) } path.c5 { stroke: var(--c5) } path.c6 { stroke: va
 @media print {
   body { max-width: none; padding: 0; font-size: 10pt }
   nav { display: none }
-  .scrolled { max-height: none; overflow: visible; border: 0 }
+  table { font-size: .72rem }
+  th, td { padding-right: .5rem }
+  .scrolled { max-height: none; overflow: visible }
   .drawings { grid-template-columns: repeat(3, 1fr) }
   section { break-before: auto }
   h2, h3, h4 { break-after: avoid }
