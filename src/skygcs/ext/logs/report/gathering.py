@@ -44,6 +44,9 @@ SNIFFED_BYTES = 1 << 20
 TAIL_BYTES = 128 << 10
 """Read for the time of the last record; it holds several hundred."""
 
+END_US = 4_102_444_800_000_000
+"""The year 2100: a later time is damaged."""
+
 MOST_FILES = 20_000
 MOST_ALARM_BYTES = 1_000_000
 
@@ -188,7 +191,7 @@ def _looked_into(path: Path, window: FileWindow, dialect: Dialect) -> _Tlog:
     first_us = _time_us(head, dialect, last=False)
     last_us = _time_us(window[max(0, len(window) - TAIL_BYTES) : len(window)], dialect, last=True)
     if first_us is None:
-        raise SkygcsError("no record with a right checksum in its first MB")
+        raise SkygcsError("no record with a right checksum and a time before 2100 in its first MB")
     last_us = max(first_us, first_us if last_us is None else last_us)
     if last_us - first_us >= CLOCK_STEP_US:
         raise _NotThisKind(
@@ -199,12 +202,13 @@ def _looked_into(path: Path, window: FileWindow, dialect: Dialect) -> _Tlog:
 
 
 def _time_us(data: bytes, dialect: Dialect, *, last: bool) -> int | None:
-    """The time of the first or the last good record in these bytes; None: there is none."""
+    """The time of the first or the last good record in these bytes; None: there is none. A damaged time is passed
+    over."""
     finder = RecordFinder(data, dialect)
     found = None
     while not finder.at_end:
         entry = finder.find(len(data))
-        if entry is not None and entry.verdict == "ok":
+        if entry is not None and entry.verdict == "ok" and (entry.unix_us or 0) < END_US:
             found = entry.unix_us
             if not last:
                 break

@@ -24,6 +24,8 @@ from support.frames import frame, heartbeat
 from support.public_data import CAPTURE, captures, own_capture, public_file, vehicles_of
 from support.pymav_log import records
 
+COSTS = "a page and ten tables are written for each folder"
+
 DONE, FAILED, USAGE = 0, 1, 2
 
 VOID = {"meta", "line", "path", "circle", "rect"}
@@ -231,6 +233,19 @@ def test_every_bad_file_is_named_with_what_is_missing(day: Path, tmp_path: Path)
     assert "to the end of the file" in files["cut.tlog"][1]
     assert "not undone" in files["undo/"][1]
     assert len(table(tmp_path / "csv", "flights")) == 4
+
+
+def test_times_that_no_clock_shows_are_passed_over(day: Path, tmp_path: Path) -> None:
+    beat = heartbeat(9)
+    late, never, zero = (1 << 64) - 1, (1 << 63) + 5, 0
+    (day / "never.tlog").write_bytes(never.to_bytes(8, "big") + beat + late.to_bytes(8, "big") + beat)
+    begin = T0_US + 300_000_000
+    (day / "once.tlog").write_bytes(late.to_bytes(8, "big") + beat + begin.to_bytes(8, "big") + beat)
+    (day / "zero.tlog").write_bytes(zero.to_bytes(8, "big") + beat)
+    page_of(day, "--csv", tmp_path / "csv", code=FAILED)
+    states = {row["file"]: row["state"] for row in table(tmp_path / "csv", "files")}
+    assert (states["never.tlog"], states["zero.tlog"]) == ("cannot be read", "another day")
+    assert states["once.tlog"].startswith("read")
 
 
 def split(content: bytes) -> Iterator[bytes]:
