@@ -33,7 +33,8 @@ th, td { padding: .25rem .8rem .25rem 0; border-bottom: 1px solid var(--rule) }
 td { vertical-align: top; overflow-wrap: break-word; max-width: 40rem }
 td.long { overflow-wrap: anywhere; min-width: 6rem }
 td:first-child { font-weight: 600 }
-th.number, td.number { text-align: right; white-space: nowrap }
+th.number, td.number { text-align: right }
+td.number { white-space: nowrap }
 tr.bad td:first-child, tr.bad td:last-child { color: var(--bad) }
 .scrolled { max-height: 26rem; overflow: auto }
 .scrolled th { position: sticky; top: 0; background: var(--paper) }

@@ -246,7 +246,7 @@ def radio_signals(radio: RadioFigures) -> FigureTable:
     columns = (
         Column("signal", "signal"),
         *(Column(name, name, number(0), number=True) for name in ("least", "median", "greatest")),
-        Column("median_dbm", "median, dBm of a SiK radio", number(0), number=True),
+        Column("median_dbm", "SiK: dBm", number(0), number=True),
     )
     signals = ("RSSI", radio.rssi), ("remote RSSI", radio.remote_rssi)
     noises = ("noise", radio.noise), ("remote noise", radio.remote_noise)
