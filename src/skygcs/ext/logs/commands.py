@@ -238,7 +238,7 @@ def _export(
         raise typer.BadParameter("give one of --mcap and --rosbag2")
     if rosbag2 and force:
         raise typer.BadParameter("--force: a rosbag2 is a folder, which is not overwritten; remove it")
-    where = None if origin is None else _origin(origin)
+    where = None if origin is None else origin_of(origin)
 
     def command() -> None:
         # choose the frames
@@ -347,7 +347,8 @@ def _place(text: str) -> tuple[float, float]:
     return lat, lon
 
 
-def _origin(text: str) -> Origin:
+def origin_of(text: str) -> Origin:
+    """The origin in LAT,LON,AMSL. Raises BadParameter."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3:
         raise typer.BadParameter(f"--origin: {text!r} is not LAT,LON,AMSL")

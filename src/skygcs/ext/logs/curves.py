@@ -70,6 +70,11 @@ class Curve:
         while len(self._buckets) > self._most:
             self._coarsen()
 
+    @property
+    def newest(self) -> float | None:
+        """The value that was added last; None without any."""
+        return self._buckets[-1].end[1] if self._buckets else None
+
     def extremes(self) -> tuple[float, float] | None:
         """The least and the greatest value of all that were added."""
         if not self._buckets:

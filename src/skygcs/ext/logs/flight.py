@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -15,6 +16,8 @@ from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup, decode_battery, decode_gps, decode_local, decode_position
+from skygcs.core.vehicle.firmware import banner_program, firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.state import AIRBORNE, FAILSAFE_STATUS, LANDED, STANDBY, name_of
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.ext.logs.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.ext.logs.tables import VehicleKey
@@ -26,12 +29,18 @@ FIX_3D = 3
 RECORD_SILENT_S = 3.0
 """A vehicle without any frame for this time counts as silent: heartbeats come every second."""
 
+LANDED_FRESH_S = 10.0
+"""An older EXTENDED_SYS_STATE is not believed; as in the daemon."""
+
 MOST_TEXTS = 2000
 MOST_VEHICLES = 255
 """Number of system ids; a log with more is an attack."""
 
 GLOBAL = ("GLOBAL_POSITION_INT", "GPS_RAW_INT")
-DECODED = ("GLOBAL_POSITION_INT", "GPS_RAW_INT", "LOCAL_POSITION_NED", "SYS_STATUS", "BATTERY_STATUS", "STATUSTEXT")
+DECODED = (
+    *("GLOBAL_POSITION_INT", "GPS_RAW_INT", "LOCAL_POSITION_NED", "SYS_STATUS", "BATTERY_STATUS", "STATUSTEXT"),
+    *("EXTENDED_SYS_STATE", "AUTOPILOT_VERSION"),
+)
 
 
 @dataclass(slots=True)
@@ -59,6 +68,14 @@ class VehicleFlight:
     first_s: float
     autopilot: str = ""
     kind: str = ""
+    firmware: str = ""
+    """Version, behind the program's name if that is known: "ArduCopter 4.6.3"."""
+    armed: bool = False
+    """The newest of its own heartbeats says so."""
+    system_status: int = 0
+    """MAV_STATE of that heartbeat."""
+    landed: tuple[str, float] = ("undefined", -math.inf)
+    """Its newest EXTENDED_SYS_STATE, and when that came."""
     frames: int = 0
     last_s: float = 0.0
     track: Track = field(default_factory=Track)
@@ -76,9 +93,11 @@ class VehicleFlight:
     loss: LossCurve = field(default_factory=LossCurve)
     stats: SourceStats = field(default_factory=lambda: SourceStats(0, 0))
     silences: list[tuple[float, float]] = field(default_factory=list)
+    failsafes: list[tuple[float, float]] = field(default_factory=list)
+    """Times from the first to the last heartbeat that reported one."""
     texts: list[Text] = field(default_factory=list)
     left_out: int = 0
-    """Modes, silences and texts that were not kept, as there were too many."""
+    """Modes, silences, failsafes and texts that were not kept, as there were too many."""
     farthest_m: float = 0.0
     """From its first place, along the ground."""
 
@@ -90,6 +109,15 @@ class VehicleFlight:
         """The modes, each with its end; the last ends when the vehicle was last heard."""
         ends = [*(span.begin_s for span in self.modes[1:]), self.last_s]
         return list(zip(self.modes, ends, strict=False))
+
+    def in_air(self, now: float) -> bool:
+        """True if it flies, as the daemon decides it; an armed vehicle that does not report it counts as flying."""
+        state, at_s = self.landed
+        if state != "undefined" and now - at_s <= LANDED_FRESH_S:
+            return state in AIRBORNE
+        if not self.armed:
+            return False
+        return not (self.autopilot == "ardupilot" and self.system_status == STANDBY)
 
     @property
     def loss_ratio(self) -> float:
@@ -210,12 +238,24 @@ class RecordedFlight:
         armed = bool(base_mode & SAFETY_ARMED)
         vehicle.autopilot = family(values["autopilot"])
         vehicle.kind = self._types.get(values["type"], str(values["type"])).removeprefix("MAV_TYPE_").lower()
+        vehicle.armed, vehicle.system_status = armed, values.get("system_status", 0)
+        self._note_failsafe(vehicle, now)
         last = vehicle.modes[-1] if vehicle.modes else None
         if last is not None and (last.mode, last.armed) == (mode, armed):
             return
         if len(vehicle.modes) < MOST_SPANS:
             vehicle.modes.append(ModeSpan(now, mode, armed))
         else:
+            vehicle.left_out += 1
+
+    def _note_failsafe(self, vehicle: VehicleFlight, now: float) -> None:
+        folding = self._folding[vehicle.sysid, vehicle.compid]
+        had, folding.failsafe = folding.failsafe, vehicle.system_status in FAILSAFE_STATUS
+        if had and vehicle.failsafes:
+            vehicle.failsafes[-1] = vehicle.failsafes[-1][0], now
+        elif folding.failsafe and len(vehicle.failsafes) < MOST_SPANS:
+            vehicle.failsafes.append((now, now))
+        elif folding.failsafe:
             vehicle.left_out += 1
 
     def _on_message(self, vehicle: VehicleFlight, folding: _Folding, name: str, frame: Frame, now: float) -> None:
@@ -225,6 +265,17 @@ class RecordedFlight:
         values = self._decoder.values(name, frame.payload)
         if not values:
             return
+        if name == "EXTENDED_SYS_STATE":
+            vehicle.landed = name_of(LANDED, values[1]), now
+            return
+        if name == "AUTOPILOT_VERSION":
+            vehicle.firmware = vehicle.firmware or firmware_from_version(values[0]) or ""
+            return
+        self._on_telemetry(vehicle, folding, name, values, now)
+
+    def _on_telemetry(
+        self, vehicle: VehicleFlight, folding: _Folding, name: str, values: tuple[Any, ...], now: float
+    ) -> None:
         # battery, then positions from the best message to the least
         if name in ("SYS_STATUS", "BATTERY_STATUS"):
             folding.battery[name] = values
@@ -276,6 +327,9 @@ class RecordedFlight:
         payload = frame.payload.ljust(54, b"\0")
         text_id, chunk = int.from_bytes(payload[51:53], "little"), payload[53]
         for text in folding.texts.on_text(payload[0], payload[1:51], text_id, chunk, now) + folding.texts.flush(now):
+            version = firmware_from_banner(text.text)
+            if version is not None:
+                vehicle.firmware = f"{banner_program(text.text)} {version}"
             if len(vehicle.texts) < MOST_TEXTS:
                 vehicle.texts.append(Text(text.at, text.severity, text.text))
             else:
@@ -289,6 +343,7 @@ class _Folding:
         self.battery: dict[str, tuple[object, ...]] = {}
         self.clock = BootClock()
         self.texts = StatusTextAssembler()
+        self.failsafe = False
         self.height_reported = False
         """By GLOBAL_POSITION_INT, above home."""
 

@@ -37,10 +37,11 @@ def plot(
         raise typer.BadParameter("--from and --to: not a span of time")
 
     def command() -> None:
-        from skygcs.ext.logs.trace_plot import draw, figures
+        from skygcs.ext.logs.trace_figures import figures_line
+        from skygcs.ext.logs.trace_plot import draw
 
         measured = draw(file, path, begin_s, math.inf if end_s is None else end_s)
-        typer.echo(f"{path}: {figures(measured)}")
+        typer.echo(f"{path}: {figures_line(measured)}")
 
     run_offline(command)
 

@@ -13,6 +13,16 @@ from skygcs.cli.figure import COLOURS, new_figure, require_matplotlib, save
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import CONTROL_MODES, TraceRow
 from skygcs.errors import SkygcsError
+from skygcs.ext.logs.trace_figures import (
+    MOST_ROWS,
+    TraceFigures,
+    age_ms,
+    error_m,
+    figures_line,
+    found,
+    trace_figures,
+    wanted,
+)
 from skygcs.tlog.trace_file import read_trace
 
 if TYPE_CHECKING:
@@ -27,9 +37,6 @@ MODE_WORDS |= {"position": "position: no loop here"}
 NOTHING_SENT = "nothing sent"
 
 REFERENCE, ESTIMATE, THIRD = "#555555", COLOURS[0], COLOURS[1]
-
-MOST_ROWS = 2_000_000
-"""Eleven hours at 50 Hz, some 400 MB as columns; --from and --to take a part of more."""
 
 PAUSE_S = 1.0
 """A longer gap between two rows is drawn as one: nothing was controlled in it."""
@@ -70,46 +77,24 @@ class Columns:
     def _add(self, t_s: float, row: TraceRow) -> None:
         self.t.append(t_s)
         self.control_mode.append(row.control_mode)
-        wanted, found = _wanted(row), _found(row)
+        reference, estimate = wanted(row), found(row)
         for axis in range(3):
-            self.reference[axis].append(wanted[axis])
-            self.estimate[axis].append(found[axis])
-        counted = [w - f for w, f in zip(wanted, found, strict=True) if not math.isnan(w)]
-        self.followed.append(math.hypot(*counted) if counted else math.nan)
+            self.reference[axis].append(reference[axis])
+            self.estimate[axis].append(estimate[axis])
+        self.followed.append(error_m(row))
         self.thrust.append(math.nan if row.thrust is None else row.thrust)
         self.tilt_deg.append(_tilt_deg(row))
-        self.age_ms.append(math.nan if row.state_age_s is None else 1e3 * row.state_age_s)
+        self.age_ms.append(age_ms(row))
         self.dt_ms.append(1e3 * row.dt_s)
         self.limited.append(row.saturation)
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Figures of a plot. NaN where the trace has nothing of it."""
-
-    rows: int
-    duration_s: float
-    rms_error_m: float
-    largest_error_m: float
-    age_p95_ms: float
-    cut_line: int | None
-
-
-def figures(measured: Figures) -> str:
-    """The figures as one line of text."""
-    text = f"{measured.rows:,} rows, {measured.duration_s:.1f} s"
-    if not math.isnan(measured.rms_error_m):
-        text += f"; error {measured.rms_error_m:.2f} m rms, {measured.largest_error_m:.2f} m at most"
-    if not math.isnan(measured.age_p95_ms):
-        text += f"; state age p95 {measured.age_p95_ms:.0f} ms"
-    return text if measured.cut_line is None else f"{text}; line {measured.cut_line} was cut off and is left out"
-
-
-def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
+def draw(file: Path, path: Path, begin_s: float, end_s: float) -> TraceFigures:
     """Raises SkygcsError if the trace cannot be read, has no row in that time, or the figure cannot be written."""
     require_matplotlib()
     columns, cut_line = _read(file, begin_s, end_s)
-    measured = _figures(columns, cut_line)
+    span_s = columns.t[-1] - columns.t[0]
+    measured = trace_figures(columns.rows, span_s, columns.followed, columns.age_ms, cut_line)
     figure = new_figure(11, 11)
     panels = figure.subplots(6, 1, sharex=True, height_ratios=(3, 3, 3, 2, 2.4, 2))
     for axis, panel in enumerate(panels[:3]):
@@ -123,7 +108,7 @@ def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
         panel.set_axisbelow(True)
         panel.margins(x=0)
     panels[-1].set_xlabel("time, s")
-    figure.suptitle(f"{columns.vehicle}: {figures(measured)}", fontsize=11)
+    figure.suptitle(f"{columns.vehicle}: {figures_line(measured)}", fontsize=11)
     control_modes = _mode_handles(columns)
     if control_modes:
         figure.legend(
@@ -160,7 +145,7 @@ def _draw_axis(panel: Axes, columns: Columns, axis: int) -> None:
             )
 
 
-def _draw_error(panel: Axes, columns: Columns, measured: Figures) -> None:
+def _draw_error(panel: Axes, columns: Columns, measured: TraceFigures) -> None:
     panel.plot(columns.t, columns.followed, color=THIRD, linewidth=1.3)
     if not math.isnan(measured.rms_error_m):
         panel.axhline(measured.rms_error_m, color=THIRD, linewidth=0.9, linestyle=":")
@@ -191,7 +176,7 @@ def _draw_effort(panel: Axes, columns: Columns) -> None:
         panel.set_title(f"limits reached (|): {names}", loc="left", fontsize=8, color="#A00000", pad=3)
 
 
-def _draw_ages(panel: Axes, columns: Columns, measured: Figures) -> None:
+def _draw_ages(panel: Axes, columns: Columns, measured: TraceFigures) -> None:
     panel.plot(columns.t, columns.age_ms, color=COLOURS[0], linewidth=0.9, label="age of the state")
     panel.plot(columns.t, columns.dt_ms, color=COLOURS[4], linewidth=0.9, label="time between steps")
     panel.set_ylabel("ms")
@@ -266,33 +251,6 @@ def _read(file: Path, begin_s: float, end_s: float) -> tuple[Columns, int | None
     if not columns.t:
         raise SkygcsError(f"{file}: no row in it" if began is None else f"{file}: no row between --from and --to")
     return columns, trace.cut_line
-
-
-def _figures(columns: Columns, cut_line: int | None) -> Figures:
-    errors = [error for error in columns.followed if not math.isnan(error)]
-    ages = sorted(age for age in columns.age_ms if not math.isnan(age))
-    return Figures(
-        rows=columns.rows,
-        duration_s=columns.t[-1] - columns.t[0],
-        rms_error_m=math.sqrt(math.fsum(e * e for e in errors) / len(errors)) if errors else math.nan,
-        largest_error_m=max(errors, default=math.nan),
-        age_p95_ms=ages[min(len(ages) - 1, int(0.95 * len(ages)))] if ages else math.nan,
-        cut_line=cut_line,
-    )
-
-
-def _wanted(row: TraceRow) -> tuple[float, float, float]:
-    """The reference; NaN for an axis that follows a velocity alone."""
-    if row.reference is None:
-        return math.nan, math.nan, math.nan
-    x, y, z = row.reference.pos_enu_m
-    if row.reference.velocity_only_xy:
-        x = y = math.nan
-    return x, y, math.nan if row.reference.velocity_only_z else z
-
-
-def _found(row: TraceRow) -> tuple[float, float, float]:
-    return (math.nan, math.nan, math.nan) if row.estimate is None else row.estimate.pos_enu_m
 
 
 def _tilt_deg(row: TraceRow) -> float:
