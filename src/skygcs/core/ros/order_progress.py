@@ -71,6 +71,9 @@ OLD_S = 3.0
 ASTRAY_M = 2.0
 """Flight control's reference leads elsewhere when it is so much farther from the place than it was."""
 
+MOST_OUTCOMES = 8
+"""Outcomes of other orders that are kept while one is not answered; the newest decide."""
+
 GROUND_S = 10.0
 """On the ground, still armed: landed."""
 
@@ -173,24 +176,25 @@ class OrderProgress:
     def accepted(self, now: float) -> End | None:
         """The daemon has accepted the order."""
         self._accepted_at = self._heard_at = self._nearest_at = now
-        others = [order for order in self._outcomes if order != self.order]
-        if others or len(self._outcomes) > 1:
-            return End(ABORTED, f"replaced: {(others or self._outcomes)[-1]} was ordered at the same time")
-        self._own_due = 1 - len(self._outcomes)
+        own = self._outcomes.count(self.order)
+        self._own_due = 1 - min(own, 1)
+        if own > 1 or (own and self._outcomes[-1] != self.order):
+            return End(ABORTED, f"replaced: {self._outcomes[-1]} was ordered at the same time")
         return None
 
     def on_event(self, event: Fields) -> End | None:
         """An event of the daemon, of any vehicle, of kind command."""
-        if event.get("dropped") and self._accepted_at < math.inf:
-            return End(ABORTED, "the daemon's reports were too many to follow")
         data = event.get("data") or {}
-        if event.get("vehicle") != self._vehicle:
-            return None
+        mine = event.get("vehicle") == self._vehicle
+        if (event.get("dropped") or (mine and data.get("withheld"))) and self._accepted_at < math.inf:
+            return End(ABORTED, "outcomes of orders came too fast to be followed")
         order = data.get("order")
+        if not mine:
+            return None
         if order not in MOVING or not data.get("ok"):
             return None
         if self._accepted_at == math.inf:
-            self._outcomes = [*self._outcomes[-1:], order]
+            self._outcomes = [*self._outcomes[1 - MOST_OUTCOMES :], order]
             return None
         if self._own_due and order == self.order:
             self._own_due = 0
