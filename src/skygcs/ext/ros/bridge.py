@@ -226,7 +226,7 @@ class Bridge:
             origin = (await gcs.call("origin.get"))["origin"]
             self._origin = None if origin is None else Origin(**origin)
             if not self.vehicles.keys() <= self._settings.keys():
-                self._settings = (await gcs.call("ros.settings"))["vehicles"]
+                self._settings = {**self._settings, **(await gcs.call("ros.settings"))["vehicles"]}
             self.fleet.has_origin = origin is not None
             self.fleet.fences = {name: settings["fence"] for name, settings in self._settings.items()}
             await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
