@@ -1,4 +1,4 @@
-"""Orders as actions of ROS: a whole daemon and simulated vehicles in virtual time, by the bridge and a node of the test."""
+"""Orders as actions of ROS: a whole daemon, simulated vehicles in virtual time, the bridge, and a node of the test."""
 
 from __future__ import annotations
 
