@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,6 +38,7 @@ def ran(program: Path, fleet: RosFleet, *words: str) -> dict[str, list[str]]:
 
 
 def test_the_fleet_and_its_events_are_read(program: Path, fleet: RosFleet) -> None:
+    wait_until(lambda: all(_has_place(state) for state in fleet.vehicles().values()), "the estimators have converged")
     said = ran(program, fleet, "fleet")
     count, frame, connected, has_origin = said["fleet"][0].split()
     assert (int(count) >= 4, frame, connected, has_origin) == (True, "map", "1", "1")
@@ -80,6 +82,10 @@ def test_bytes_that_are_no_goals_and_unknown_goals_harm_nothing(program: Path, f
     assert said["unknown"] == ["100"] and said["cancel"] == ["0 0"]
     wait_until(lambda: fleet.call("ros.status")["report"]["rejected"] > before, "requests that were none are counted")
     assert fleet.vehicles()["bravo"]["armed"] is False
+
+
+def _has_place(state: dict[str, Any]) -> bool:
+    return (state["position"] or {}).get("lat_deg") is not None
 
 
 def _stands(fleet: RosFleet, name: str) -> bool:
