@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import sys
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import run_show
+from skygcs.cli.connection import fail, run_show
 from skygcs.cli.options import Json
 from skygcs.cli.process import EXIT_FAILED
 from skygcs.cli.render import plural
@@ -41,7 +40,7 @@ def messages(
     try:
         written = write_messages(folder)
     except OSError as error:
-        print(f"{folder}: {error.strerror or error}", file=sys.stderr)
+        fail(f"{folder}: {error.strerror or error}")
         raise typer.Exit(EXIT_FAILED) from None
     print(f"{plural(len(written), 'file')} written; in the workspace: colcon build --packages-select {PACKAGE}")
 
