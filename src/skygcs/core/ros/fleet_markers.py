@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from skygcs.core.ros.fleet_messages import FRAME
+from skygcs.core.ros.fleet_messages import FRAME, text
 from skygcs.core.ros.rotations import xyz
 from skygcs.core.ros.stamps import header
 
@@ -91,7 +91,7 @@ def vehicle_markers(states: Iterable[Fields], trails: Trails, now_ns: int) -> li
         arrow["pose"] = {"position": xyz(place), "orientation": {"z": math.sin(yaw), "w": math.cos(yaw)}}
         name = _marker("name", sysid, TEXT, WHITE, now_ns, (0.0, 0.0, 0.6))
         name["pose"]["position"] = xyz((place[0], place[1], place[2] + 1.0))
-        name["text"] = f"{state['name']}  {place[2]:.1f} m  {state.get('mode') or ''}".rstrip()
+        name["text"] = text(f"{state['name']}  {place[2]:.1f} m  {state.get('mode') or ''}".rstrip())
         made += [arrow, name]
         trail = list(trails.points.get(state["name"], ()))
         if len(trail) > 1:

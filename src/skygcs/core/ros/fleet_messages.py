@@ -67,10 +67,11 @@ def vehicle(state: Fields, root: str, connected: bool = True) -> dict[str, Any]:
 
 def event(given: Fields) -> dict[str, Any]:
     """skygcs_msgs' Event of one of the daemon's."""
-    data = json.dumps(given.get("data") or {}, ensure_ascii=False, separators=(",", ":"))
-    stamp_ns = round(min(max(number(given.get("time_unix_s")), 0.0), 2.0**31 - 1) * 1e9)
+    data = json.dumps(given.get("data") or {}, separators=(",", ":"))
+    at_s = given.get("time_unix_s") or 0.0
+    known = 0.0 <= at_s < 2.0**31
     return {
-        "stamp": time_fields(stamp_ns),
+        "stamp": time_fields(round(at_s * 1e6) * 1000 if known else 0),
         "kind": text(given.get("kind")),
         "vehicle": text(given.get("vehicle")),
         "text": text(given.get("text")),
@@ -106,8 +107,10 @@ def _plan_vehicle(row: Fields) -> dict[str, Any]:
 
 
 def text(value: Any) -> str:
-    """A text for a message: no longer than MOST_TEXT, and without zeros, which end a string of CDR."""
-    return "" if value is None else str(value)[:MOST_TEXT].replace("\0", "")
+    """A text for a message: no longer than MOST_TEXT, without zeros, which end a string of CDR, and in UTF-8."""
+    if value is None:
+        return ""
+    return str(value)[:MOST_TEXT].replace("\0", "").encode("utf-8", "replace").decode()
 
 
 def number(value: Any) -> float:

@@ -55,6 +55,7 @@ class ActionServer:
         node.serve(f"{base}/send_goal", f"{type_}_SendGoal", self._send_goal, MOST_SENT)
         node.serve(f"{base}/cancel_goal", "action_msgs/srv/CancelGoal", self._cancel_goal)
         self.results = node.serve(f"{base}/get_result", f"{type_}_GetResult", self._get_result, MOST_WAITING)
+        self._show()
 
     # -- for its owner
 

@@ -33,7 +33,7 @@ def test_the_build_files_name_every_definition_and_every_package() -> None:
     used = {"action_msgs"}  # by every action
     for path in DEFINITIONS:
         used |= {line.partition("/")[0] for line in lines(path) if "/" in line.partition(" ")[0]}
-    package = ElementTree.parse(PACKAGE / "package.xml").getroot()  # noqa: S314 - our own
+    package = ElementTree.parse(PACKAGE / "package.xml").getroot()
     assert {found.text for found in package.findall("depend")} == used
     assert set(re.search(r"DEPENDENCIES (.*)", cmake).group(1).split()) == used  # type: ignore[union-attr]
     assert set(re.findall(r"find_package\((\w+)", cmake)) == used | {"ament_cmake", "rosidl_default_generators"}
