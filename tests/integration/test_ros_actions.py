@@ -172,7 +172,7 @@ async def test_the_fleet_its_events_and_markers_are_topics(tmp_path: Path) -> No
         markers = ros.node.last("/skygcs/markers")["markers"]
         assert {marker["ns"] for marker in markers} == {"vehicle", "name", "trail", "fence"}
         assert {marker["header"]["frame_id"] for marker in markers} == {"map"}
-        (trail,) = [marker for marker in markers if marker["ns"] == "trail" and marker["id"] == 1]
+        (trail,) = [marker for marker in markers if marker["ns"] == "trail" and marker["id"] == 1]  # all in one turn
         assert trail["points"][-1]["y"] - trail["points"][0]["y"] > 10
         assert ros.node.last("/skygcs/plan")["state"] == "none"
         assert ros.bridge.fleet.faults == 0

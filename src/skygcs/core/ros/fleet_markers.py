@@ -9,7 +9,8 @@
     plan         line strip      path of a vehicle that is loaded or flown
     goal         sphere          vehicle in a plan: the place of its step
 
-Every marker lives for LIFETIME_S: what is not published any more is gone from the display then.
+What is not published any more is gone from the display after a lifetime. Points are what markers cost, 20 us each:
+trails and paths are sent in turn, LINE_POINTS in a message, and live for LINE_LIFETIME_S.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from skygcs.core.ros.fleet_messages import FRAME, text
 from skygcs.core.ros.rotations import xyz
@@ -26,11 +27,19 @@ from skygcs.core.ros.stamps import header
 ARROW, SPHERE, LINE_STRIP, LINE_LIST, TEXT = 0, 2, 4, 5, 9
 """visualization_msgs' Marker types."""
 
-LIFETIME_S = 3
+DELETE = 2
+"""visualization_msgs' Marker action; 0 adds."""
 
-TRAIL_POINTS = 300
-TRAIL_STEP_M = 0.5
-"""A trail has a point for each of so many metres, the newest TRAIL_POINTS: 150 m at least."""
+LIFETIME_S = 3
+LINE_LIFETIME_S = 60
+
+LINE_POINTS = 400
+"""Points of trails and paths in one message: 8 ms of encoding. The most that there may be have their turn within 40 s,
+twice a second."""
+
+TRAIL_POINTS = 60
+TRAIL_STEP_M = 1.0
+"""A trail has a point for each of so many metres, the newest TRAIL_POINTS: 60 m at least."""
 
 MOST_TRAILS = 250
 
@@ -38,7 +47,7 @@ JUMP_M = 100.0
 """A trail begins anew beyond: another origin of the fleet, or an estimator that was reset."""
 
 MOST_PATHS = 250
-MOST_PATH_POINTS = 500
+MOST_PATH_POINTS = 60
 
 Color = tuple[float, float, float, float]
 GREEN, GREY, RED = (0.1, 0.8, 0.2, 1.0), (0.5, 0.5, 0.5, 0.8), (0.9, 0.1, 0.1, 1.0)
@@ -71,21 +80,52 @@ class Trails:
             trail.append(tuple(place_m))
 
 
+class Line(NamedTuple):
+    """A trail or a path, which is sent in its turn."""
+
+    namespace: str
+    number: int
+    color: Color
+    width_m: float
+    points: Sequence[Vector]
+
+
+class LineTurns:
+    """Which lines are sent with which message: each in its turn, so that a message stays small."""
+
+    def __init__(self) -> None:
+        self._next = 0
+
+    def markers(self, lines: Sequence[Line], now_ns: int) -> list[dict[str, Any]]:
+        """The next lines, of LINE_POINTS in all or one that has more."""
+        made: list[dict[str, Any]] = []
+        left = LINE_POINTS
+        for turn in range(len(lines)):
+            line = lines[(self._next + turn) % len(lines)]
+            if made and len(line.points) > left:
+                break
+            left -= len(line.points)
+            marker = _marker(line.namespace, line.number, LINE_STRIP, line.color, now_ns, (line.width_m, 0.0, 0.0))
+            points = [xyz(point) for point in line.points]
+            made.append(marker | {"points": points, "lifetime": {"sec": LINE_LIFETIME_S}})
+        self._next = (self._next + len(made)) % max(len(lines), 1)
+        return made
+
+
 def place_of(state: Fields) -> list[float] | None:
     """A vehicle's place in the frame map; None: not known."""
     place = (state.get("position") or {}).get("enu_m")
     return place if isinstance(place, list) and len(place) == 3 and None not in place else None
 
 
-def vehicle_markers(states: Iterable[Fields], trails: Trails, now_ns: int) -> list[dict[str, Any]]:
-    """Arrow, name and trail of each vehicle whose place is known."""
+def vehicle_markers(states: Iterable[Fields], now_ns: int) -> list[dict[str, Any]]:
+    """Arrow and name of each vehicle whose place is known."""
     made = []
     for state in states:
         place = place_of(state)
         if place is None:
             continue
-        connected, sysid = bool(state.get("connected")), state["sysid"]
-        color = GREY if not connected else RED if state.get("failsafe") else GREEN
+        color, sysid = _color(state), state["sysid"]
         yaw = math.radians((state.get("position") or {}).get("yaw_world_deg") or 0.0) / 2
         arrow = _marker("vehicle", sysid, ARROW, color, now_ns, (1.0, 0.3, 0.3))
         arrow["pose"] = {"position": xyz(place), "orientation": {"z": math.sin(yaw), "w": math.cos(yaw)}}
@@ -93,11 +133,17 @@ def vehicle_markers(states: Iterable[Fields], trails: Trails, now_ns: int) -> li
         name["pose"]["position"] = xyz((place[0], place[1], place[2] + 1.0))
         name["text"] = text(f"{state['name']}  {place[2]:.1f} m  {state.get('mode') or ''}".rstrip())
         made += [arrow, name]
-        trail = list(trails.points.get(state["name"], ()))
-        if len(trail) > 1:
-            line = _marker("trail", sysid, LINE_STRIP, (*color[:3], 0.5), now_ns, (0.08, 0.0, 0.0))
-            made.append(line | {"points": [xyz(point) for point in trail]})
     return made
+
+
+def trail_lines(states: Iterable[Fields], trails: Trails) -> list[Line]:
+    """The trail of each vehicle that has one."""
+    known = [(state, trails.points.get(state["name"], ())) for state in states]
+    return [
+        Line("trail", state["sysid"], (*_color(state)[:3], 0.5), 0.08, list(points))
+        for state, points in known
+        if len(points) > 1
+    ]
 
 
 def fence_markers(fences: Iterable[Fields], now_ns: int) -> list[dict[str, Any]]:
@@ -110,15 +156,26 @@ def fence_markers(fences: Iterable[Fields], now_ns: int) -> list[dict[str, Any]]
     return made
 
 
-def plan_markers(paths: Iterable[Fields], status: Fields, now_ns: int) -> list[dict[str, Any]]:
-    """Paths of trajectory.paths, and the goals of plan.status."""
+def path_lines(paths: Iterable[Fields]) -> list[Line]:
+    """The paths of trajectory.paths, each with MOST_PATH_POINTS at most."""
     made = []
     for number, path in enumerate(list(paths)[:MOST_PATHS]):
         points = [point for point in path.get("points_enu_m") or () if len(point) == 3 and None not in point]
         points = points[:: max(math.ceil(len(points) / MOST_PATH_POINTS), 1)]
         if len(points) > 1:
-            line = _marker("plan", number, LINE_STRIP, BLUE, now_ns, (0.1, 0.0, 0.0))
-            made.append(line | {"points": [xyz(point) for point in points]})
+            made.append(Line("plan", number, BLUE, 0.1, points))
+    return made
+
+
+def deleted(lines: Iterable[Line], now_ns: int) -> list[dict[str, Any]]:
+    """Markers that take lines from the display."""
+    made = (_marker(line.namespace, line.number, LINE_STRIP, line.color, now_ns, (0.1, 0.0, 0.0)) for line in lines)
+    return [marker | {"action": DELETE} for marker in made]
+
+
+def goal_markers(status: Fields, now_ns: int) -> list[dict[str, Any]]:
+    """The goals of plan.status."""
+    made = []
     for number, row in enumerate((status.get("vehicles") or ())[:MOST_PATHS]):
         goal = row.get("goal_enu_m")
         if goal is not None and len(goal) == 3 and None not in goal:
@@ -126,6 +183,10 @@ def plan_markers(paths: Iterable[Fields], status: Fields, now_ns: int) -> list[d
             ball["pose"]["position"] = xyz(goal)
             made.append(ball)
     return made
+
+
+def _color(state: Fields) -> Color:
+    return GREY if not state.get("connected") else RED if state.get("failsafe") else GREEN
 
 
 def _marker(

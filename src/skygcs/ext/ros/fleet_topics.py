@@ -20,7 +20,7 @@ from typing import Any
 import structlog
 
 from skygcs.core.ros import fleet_markers, fleet_messages
-from skygcs.core.ros.fleet_markers import Trails
+from skygcs.core.ros.fleet_markers import Line, LineTurns, Trails
 from skygcs.core.ros.interfaces import InterfaceError
 from skygcs.errors import RpcError
 from skygcs.ext.ros.graph import Node, PublicationPort
@@ -60,7 +60,10 @@ class FleetTopics:
         self._vehicles = vehicles
         self._unix_ns = unix_ns
         self._plan: Mapping[str, Any] = {}
-        self._paths: list[dict[str, Any]] = []
+        self._turns = LineTurns()
+        self._paths: list[Line] = []
+        self._paths_before: list[Line] = []
+        """Paths that are still in the display."""
         self._paths_key: str | None = None
 
     async def follow_events(self, gcs: Client) -> None:
@@ -108,7 +111,8 @@ class FleetTopics:
         now_ns = self._unix_ns()
         self._write(self.fleet, lambda: fleet_messages.fleet(self._vehicles(), self.has_origin, False, now_ns))
         self._write(self.plan, lambda: fleet_messages.plan({"state": "unknown"}, now_ns))
-        self._plan, self._paths, self._paths_key = {}, [], None
+        self._plan, self._paths_key = {}, None
+        self._take_paths([])
 
     async def _look_at_paths(self, gcs: Client) -> None:
         try:
@@ -117,13 +121,21 @@ class FleetTopics:
             return
         self._paths_key = answer["key"]
         if answer["paths"] is not None:
-            self._paths = answer["paths"]
+            self._take_paths(fleet_markers.path_lines(answer["paths"]))
+
+    def _take_paths(self, paths: list[Line]) -> None:
+        self._paths_before = self._paths[len(paths) :]  # the others are drawn over
+        self._paths = paths
 
     def _markers(self, states: list[State], now_ns: int) -> list[dict[str, Any]]:
+        gone, self._paths_before = self._paths_before, []
+        lines = [*self._paths, *fleet_markers.trail_lines(states, self.trails)]
         return [
-            *fleet_markers.vehicle_markers(states, self.trails, now_ns),
+            *fleet_markers.deleted(gone, now_ns),
+            *fleet_markers.vehicle_markers(states, now_ns),
             *fleet_markers.fence_markers(self.fences.values() if self.has_origin else (), now_ns),
-            *fleet_markers.plan_markers(self._paths, self._plan, now_ns),
+            *fleet_markers.goal_markers(self._plan, now_ns),
+            *self._turns.markers(lines, now_ns),
         ]
 
     def _write(self, publication: PublicationPort, made: Callable[[], dict[str, Any]]) -> None:

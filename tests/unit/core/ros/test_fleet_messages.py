@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.ros import fleet_markers, fleet_messages
-from skygcs.core.ros.fleet_markers import MOST_TRAILS, TRAIL_POINTS, Trails
+from skygcs.core.ros.fleet_markers import LINE_POINTS, MOST_PATH_POINTS, MOST_TRAILS, TRAIL_POINTS, LineTurns, Trails
 from skygcs.core.ros.interfaces import ros2_interfaces
 
 NOW_NS = 1_700_000_000 * 10**9 + 5
@@ -121,9 +121,9 @@ def test_a_plan_is_a_message() -> None:
 # -- markers
 
 
-def array(markers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def array(markers: list[dict[str, Any]], lifetime_s: int = 3) -> list[dict[str, Any]]:
     made: list[dict[str, Any]] = sent("visualization_msgs/msg/MarkerArray", {"markers": markers})["markers"]
-    assert all(marker["header"]["frame_id"] == "map" and marker["lifetime"]["sec"] == 3 for marker in made)
+    assert all(m["header"]["frame_id"] == "map" and m["lifetime"]["sec"] == lifetime_s for m in made)
     assert len({(marker["ns"], marker["id"]) for marker in made}) == len(made)
     return made
 
@@ -133,16 +133,17 @@ def test_a_vehicle_is_an_arrow_a_name_and_a_trail() -> None:
     for x in range(5):
         trails.add("alpha", [float(x), 0.0, 10.0])
         trails.add("alpha", [x + 0.1, 0.0, 10.0])  # too near to be a point of its own
-    arrow, name, trail = array(fleet_markers.vehicle_markers([state()], trails, NOW_NS))
+    arrow, name = array(fleet_markers.vehicle_markers([state()], NOW_NS))
+    (trail,) = array(LineTurns().markers(fleet_markers.trail_lines([state(), state("v", 2)], trails), NOW_NS), 60)
     assert arrow["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 10.0} and arrow["type"] == 0
     assert arrow["pose"]["orientation"]["z"] == pytest.approx(math.sin(math.pi / 4))
     assert name["text"] == "alpha  10.0 m  AUTO.LOITER" and name["pose"]["orientation"]["w"] == 1.0
     assert [point["x"] for point in trail["points"]] == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert array(fleet_markers.vehicle_markers([state(position=None), {"name": "v", "sysid": 2}], trails, 0)) == []
+    assert array(fleet_markers.vehicle_markers([state(position=None), {"name": "v", "sysid": 2}], 0)) == []
     for more, color in (({"failsafe": True}, "r"), ({}, "g")):
-        row = array(fleet_markers.vehicle_markers([state(**more)], Trails(), 0))[0]["color"]
+        row = array(fleet_markers.vehicle_markers([state(**more)], 0))[0]["color"]
         assert max("rgb", key=row.get) == color
-    grey = array(fleet_markers.vehicle_markers([state(connected=False)], Trails(), 0))[0]["color"]
+    grey = array(fleet_markers.vehicle_markers([state(connected=False)], 0))[0]["color"]
     assert grey["r"] == grey["g"] == grey["b"]
 
 
@@ -175,7 +176,31 @@ def test_a_plan_is_its_paths_and_goals() -> None:
         {"vehicle": "charlie"},
     ]
     rows = [{"goal_enu_m": None}, {"goal_enu_m": [1.0, 2.0, 3.0]}, {}]
-    line, goal = array(fleet_markers.plan_markers(paths, {"vehicles": rows}, NOW_NS))
-    assert 2 <= len(line["points"]) <= fleet_markers.MOST_PATH_POINTS
+    lines = fleet_markers.path_lines(paths)
+    (line,) = array(LineTurns().markers(lines, NOW_NS), 60)
+    assert MOST_PATH_POINTS / 2 < len(line["points"]) <= MOST_PATH_POINTS
+    (goal,) = array(fleet_markers.goal_markers({"vehicles": rows}, NOW_NS))
     assert goal["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 3.0}
-    assert array(fleet_markers.plan_markers([], {}, 0)) == []
+    assert array(fleet_markers.goal_markers({}, 0)) == []
+    (gone,) = array(fleet_markers.deleted(lines, NOW_NS))
+    assert (gone["ns"], gone["id"], gone["action"]) == (line["ns"], line["id"], 2)
+
+
+def test_lines_have_their_turns_and_a_message_stays_small() -> None:
+    """250 vehicles with whole trails and paths: all have been sent before the first is gone from the display."""
+    trails = Trails()
+    for number in range(250):
+        for x in range(TRAIL_POINTS):
+            trails.add(f"v{number}", (float(x), 0.0, 0.0))
+    path = {"points_enu_m": [[float(n), 0.0, 5.0] for n in range(MOST_PATH_POINTS)]}
+    lines = fleet_markers.trail_lines([state(f"v{n}", n) for n in range(250)], trails)
+    lines += fleet_markers.path_lines([path] * 250)
+    turns, seen, messages = LineTurns(), set[tuple[str, int]](), 0
+    while len(seen) < 500:
+        made = turns.markers(lines, NOW_NS)
+        assert made and sum(len(marker["points"]) for marker in made) <= LINE_POINTS
+        seen |= {(marker["ns"], marker["id"]) for marker in made}
+        messages += 1
+    assert messages / 2 < fleet_markers.LINE_LIFETIME_S - 10
+    assert turns.markers([], NOW_NS) == []
+    assert len(turns.markers(lines[:1], NOW_NS)) == 1

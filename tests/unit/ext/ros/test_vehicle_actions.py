@@ -229,8 +229,8 @@ async def test_silence_of_the_daemon_ends_a_goal(rig: Rig) -> None:
 
 
 async def test_goals_without_end_are_refused_and_remembered_within_bounds(rig: Rig) -> None:
-    for _ in range(200):
+    for _ in range(100):
         await rig.begin()
     assert len(rig.table.goals) == 65 and len(rig.table.under_way) == 1
-    assert rig.actions.counters()["results_forgotten"] == 135
+    assert rig.actions.counters()["results_forgotten"] == 35
     assert not rig.actions._asked and not rig.actions._holds
