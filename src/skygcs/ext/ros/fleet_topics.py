@@ -20,7 +20,7 @@ from typing import Any
 import structlog
 
 from skygcs.core.ros import fleet_markers, fleet_messages
-from skygcs.core.ros.fleet_markers import Line, LineTurns, Trails
+from skygcs.core.ros.fleet_markers import Line, Trails, Turns
 from skygcs.core.ros.interfaces import InterfaceError
 from skygcs.errors import RpcError
 from skygcs.ext.ros.graph import Node, PublicationPort
@@ -60,7 +60,7 @@ class FleetTopics:
         self._vehicles = vehicles
         self._unix_ns = unix_ns
         self._plan: Mapping[str, Any] = {}
-        self._turns = LineTurns()
+        self._turns = Turns()
         self._paths: list[Line] = []
         self._paths_before: list[Line] = []
         """Paths that are still in the display."""
@@ -132,10 +132,10 @@ class FleetTopics:
         lines = [*self._paths, *fleet_markers.trail_lines(states, self.trails)]
         return [
             *fleet_markers.deleted(gone, now_ns),
-            *fleet_markers.vehicle_markers(states, now_ns),
+            *fleet_markers.vehicle_markers(self._turns.vehicles(states), now_ns),
             *fleet_markers.fence_markers(self.fences.values() if self.has_origin else (), now_ns),
             *fleet_markers.goal_markers(self._plan, now_ns),
-            *self._turns.markers(lines, now_ns),
+            *self._turns.lines(lines, now_ns),
         ]
 
     def _write(self, publication: PublicationPort, made: Callable[[], dict[str, Any]]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.ros import fleet_markers, fleet_messages
-from skygcs.core.ros.fleet_markers import LINE_POINTS, MOST_PATH_POINTS, MOST_TRAILS, TRAIL_POINTS, LineTurns, Trails
+from skygcs.core.ros.fleet_markers import LINE_POINTS, MOST_PATH_POINTS, MOST_TRAILS, TRAIL_POINTS, Trails, Turns
 from skygcs.core.ros.interfaces import ros2_interfaces
 
 NOW_NS = 1_700_000_000 * 10**9 + 5
@@ -121,7 +121,7 @@ def test_a_plan_is_a_message() -> None:
 # -- markers
 
 
-def array(markers: list[dict[str, Any]], lifetime_s: int = 3) -> list[dict[str, Any]]:
+def array(markers: list[dict[str, Any]], lifetime_s: int = 5) -> list[dict[str, Any]]:
     made: list[dict[str, Any]] = sent("visualization_msgs/msg/MarkerArray", {"markers": markers})["markers"]
     assert all(m["header"]["frame_id"] == "map" and m["lifetime"]["sec"] == lifetime_s for m in made)
     assert len({(marker["ns"], marker["id"]) for marker in made}) == len(made)
@@ -134,7 +134,7 @@ def test_a_vehicle_is_an_arrow_a_name_and_a_trail() -> None:
         trails.add("alpha", [float(x), 0.0, 10.0])
         trails.add("alpha", [x + 0.1, 0.0, 10.0])  # too near to be a point of its own
     arrow, name = array(fleet_markers.vehicle_markers([state()], NOW_NS))
-    (trail,) = array(LineTurns().markers(fleet_markers.trail_lines([state(), state("v", 2)], trails), NOW_NS), 60)
+    (trail,) = array(Turns().lines(fleet_markers.trail_lines([state(), state("v", 2)], trails), NOW_NS), 60)
     assert arrow["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 10.0} and arrow["type"] == 0
     assert arrow["pose"]["orientation"]["z"] == pytest.approx(math.sin(math.pi / 4))
     assert name["text"] == "alpha  10.0 m  AUTO.LOITER" and name["pose"]["orientation"]["w"] == 1.0
@@ -177,10 +177,10 @@ def test_a_plan_is_its_paths_and_goals() -> None:
     ]
     rows = [{"goal_enu_m": None}, {"goal_enu_m": [1.0, 2.0, 3.0]}, {}]
     lines = fleet_markers.path_lines(paths)
-    (line,) = array(LineTurns().markers(lines, NOW_NS), 60)
+    (line,) = array(Turns().lines(lines, NOW_NS), 60)
     assert MOST_PATH_POINTS / 2 < len(line["points"]) <= MOST_PATH_POINTS
     (goal,) = array(fleet_markers.goal_markers({"vehicles": rows}, NOW_NS))
-    assert goal["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 3.0}
+    assert goal["points"] == [{"x": 1.0, "y": 2.0, "z": 3.0}]
     assert array(fleet_markers.goal_markers({}, 0)) == []
     (gone,) = array(fleet_markers.deleted(lines, NOW_NS))
     assert (gone["ns"], gone["id"], gone["action"]) == (line["ns"], line["id"], 2)
@@ -195,12 +195,21 @@ def test_lines_have_their_turns_and_a_message_stays_small() -> None:
     path = {"points_enu_m": [[float(n), 0.0, 5.0] for n in range(MOST_PATH_POINTS)]}
     lines = fleet_markers.trail_lines([state(f"v{n}", n) for n in range(250)], trails)
     lines += fleet_markers.path_lines([path] * 250)
-    turns, seen, messages = LineTurns(), set[tuple[str, int]](), 0
+    turns, seen, messages = Turns(), set[tuple[str, int]](), 0
     while len(seen) < 500:
-        made = turns.markers(lines, NOW_NS)
+        made = turns.lines(lines, NOW_NS)
         assert made and sum(len(marker["points"]) for marker in made) <= LINE_POINTS
         seen |= {(marker["ns"], marker["id"]) for marker in made}
         messages += 1
     assert messages / 2 < fleet_markers.LINE_LIFETIME_S - 10
-    assert turns.markers([], NOW_NS) == []
-    assert len(turns.markers(lines[:1], NOW_NS)) == 1
+    assert turns.lines([], NOW_NS) == []
+    assert len(turns.lines(lines[:1], NOW_NS)) == 1
+
+
+def test_vehicles_have_their_turns_within_a_lifetime() -> None:
+    states, turns = [state(f"v{n}", n) for n in range(230)], Turns()
+    seen = [[one["name"] for one in turns.vehicles(states)] for _ in range(10)]
+    assert {len(names) for names in seen} == {fleet_markers.VEHICLES_AT_ONCE}
+    for first in range(5):
+        assert len({name for names in seen[first : first + 5] for name in names}) == 230
+    assert turns.vehicles(states[:7]) == states[:7] and list(turns.vehicles([])) == []
