@@ -50,7 +50,7 @@ ARRIVED_M = 2.0
 SMALLEST_TOLERANCE_M, LARGEST_TOLERANCE_M = 0.2, 100.0
 
 HEIGHT_SHARE = 0.1
-"""Of a take-off's height that may be missing; half a metre at least."""
+"""Share of a take-off's height that may be missing at its end; half a metre at least."""
 
 SLOW_MPS = 0.7
 """It stays there: faster than a vehicle drifts that holds."""

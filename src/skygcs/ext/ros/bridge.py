@@ -76,7 +76,7 @@ class Bridge:
         self._counted: dict[str, int] = {}
         self._origin: Origin | None = None
         self._settings: Mapping[str, Mapping[str, Any]] = {}
-        """What the fleet file says of each vehicle, by name (ros.settings)."""
+        """Settings of the fleet file for each vehicle, by name (ros.settings)."""
         self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
         self._sources = list(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES})
         """Names of the messages that topics are made of."""
