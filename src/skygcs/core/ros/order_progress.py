@@ -155,6 +155,7 @@ class OrderProgress:
         self._outcomes: list[str] = []
         """Orders that were accepted since this one was sent, until its own outcome is known."""
         self._own_due = 0
+        """Own outcomes that are still to come: 0 after SETTLE_S, when it was lost."""
         self._accepted_at = math.inf
         self._heard_at = -math.inf
         self._mode_seen = self._was_armed = False
@@ -203,6 +204,8 @@ class OrderProgress:
 
     def on_time(self, now: float) -> End | None:
         """To be called some times a second."""
+        if now - self._accepted_at > SETTLE_S:
+            self._own_due = 0
         if now - self._heard_at > SILENT_S:
             return End(ABORTED, f"the daemon reports no state of it for {SILENT_S:g} s")
         if now - self._nearest_at > STALLED_S:

@@ -168,6 +168,14 @@ def test_its_own_outcome_may_come_after_the_answer_but_once() -> None:
     assert progress.on_event(outcome("goto")) == (ABORTED, "replaced: goto was ordered")
 
 
+def test_its_own_outcome_that_was_lost_hides_no_other_for_long() -> None:
+    progress = OrderProgress("goto", goal("goto"), state())
+    progress.accepted(100.0)
+    progress.on_state(state(position={"enu_m": [9.0, 0.0, 10.0]}), 100.1 + SETTLE_S)
+    assert progress.on_time(100.1 + SETTLE_S) is None
+    assert progress.on_event(outcome("goto")) == (ABORTED, "replaced: goto was ordered")
+
+
 @pytest.mark.parametrize(
     ("seen", "ends"),
     [
