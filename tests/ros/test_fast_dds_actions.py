@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from support.process import wait_until
 FLIGHT_S = 600
 """A flight takes half a minute; the machine may be slow."""
 
-SUCCEEDED, CANCELED = 4, 5
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,25 @@ def test_bytes_that_are_no_goals_and_unknown_goals_harm_nothing(program: Path, f
     assert said["unknown"] == ["100"] and said["cancel"] == ["0 0"]
     wait_until(lambda: fleet.call("ros.status")["report"]["rejected"] > before, "requests that were none are counted")
     assert fleet.vehicles()["bravo"]["armed"] is False
+
+
+def test_a_goal_is_aborted_at_once_when_the_daemon_is_killed(program: Path, tmp_path: Path) -> None:
+    """The process of ROS ends with its daemon: what waits for a result gets it before."""
+    with RosFleet(tmp_path) as fleet:
+        ran(program, fleet, "takeoff", "/alpha", "6")
+        x, y, _ = fleet.vehicles()["alpha"]["position"]["enu_m"]
+        line = [str(program), str(fleet.domain), "goto", "/alpha", str(x + 40), str(y), "6"]
+        with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as client:
+            assert client.stdout is not None
+            for text in client.stdout:
+                if text.startswith("first "):
+                    break
+            fleet.kill()
+            killed_at = time.monotonic()
+            said = client.stdout.readline(), time.monotonic() - killed_at
+            rest = client.stdout.read()
+        assert said[0] == f"status {ABORTED} {ABORTED}\n" and said[1] < 5
+        assert "result 0 " in rest and "the connection to the daemon is lost" in rest
 
 
 def _has_place(state: dict[str, Any]) -> bool:
