@@ -20,7 +20,7 @@ FLIGHT_S = 600
 @pytest.fixture(scope="module")
 def program() -> Path:
     needs("g++", "fastddsgen", "libfastrtps-dev")
-    return built()
+    return built("offboard_node")
 
 
 def ran(program: Path, fleet: RosFleet, *words: str) -> subprocess.CompletedProcess[str]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from skygcs.core.ros.interfaces import ros2_interfaces
+from skygcs.ext.ros.graph import MOST_PENDING
 
 
 class KeptPublication:
@@ -22,7 +23,7 @@ class KeptPublication:
 
     @property
     def wanted(self) -> bool:
-        return self.readers > 0 or self.quality == "latched"
+        return self.readers > 0 or self.quality in ("latched", "newest", "events")
 
     def write(self, fields: Any) -> None:
         known = ros2_interfaces()
@@ -46,16 +47,24 @@ class KeptSubscriber:
 class KeptService:
     """A service: `call` it."""
 
-    def __init__(self, name: str, type_: str, handler: Callable[[dict[str, Any]], Any]) -> None:
-        self.name, self.type = name, type_
+    def __init__(self, name: str, type_: str, handler: Callable[[dict[str, Any]], Any], most_pending: int) -> None:
+        self.name, self.type, self.most_pending = name, type_, most_pending
+        self.pending = 0
         self.calls = self.overflown = self.rejected = 0
         self._handler = handler
 
     async def call(self, **request: Any) -> dict[str, Any]:
         known = ros2_interfaces()
-        self.calls += 1
         read = known.decode(f"{self.type}_Request", known.encode(f"{self.type}_Request", request))
-        response = await self._handler(read)
+        if self.pending >= self.most_pending:
+            self.overflown += 1
+            raise TimeoutError(f"{self.name} does not answer")
+        self.calls += 1
+        self.pending += 1
+        try:
+            response = await self._handler(read)
+        finally:
+            self.pending -= 1
         name = f"{self.type}_Response"
         return known.decode(name, known.encode(name, response))
 
@@ -74,8 +83,8 @@ class KeptNode:
     def subscribe(self, name: str, type_: str, quality: str, on_message: Any) -> KeptSubscriber:
         return self.subscribers.setdefault(name, KeptSubscriber(name, type_, on_message))
 
-    def serve(self, name: str, type_: str, handler: Any) -> KeptService:
-        return self.services.setdefault(name, KeptService(name, type_, handler))
+    def serve(self, name: str, type_: str, handler: Any, most_pending: int = MOST_PENDING) -> KeptService:
+        return self.services.setdefault(name, KeptService(name, type_, handler, most_pending))
 
     def count_readers(self) -> None: ...
 

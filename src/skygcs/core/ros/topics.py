@@ -3,6 +3,8 @@
 sensor      best effort, the last 5          as rclcpp's SensorDataQoS
 default     reliable, the last 10
 latched     reliable, the last 10, and what was sent before for a reader that comes later (transient local)
+newest      the same with the last one only: states, and the states of an action's goals
+events      the same with the last 100
 px4         best effort, the last one, which a later reader gets: what PX4's uxrce_dds_client writes by
 """
 
@@ -15,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 from skygcs.core.ros import condition, inertial, position
 from skygcs.core.ros.memory import Sample, VehicleMemory
 
-Quality = Literal["sensor", "default", "latched", "px4"]
+Quality = Literal["sensor", "default", "latched", "newest", "events", "px4"]
 
 
 class Topic(NamedTuple):

@@ -5,6 +5,8 @@ Tasks of one connection:
     messages    decoded MAVLink of every vehicle -> topics
     states      who is there, connected, under control -> vehicles, lost connections, the frames of TF
     reports     each second: what was measured -> ros.status and /diagnostics; what readers need -> requested rates
+    outcomes    of orders, whoever gave them -> goals of actions that they replace
+    fleet       states, events, the plan -> /skygcs/…
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from skygcs.core.ros.ros_names import vehicle_root
 from skygcs.core.ros.stamps import header
 from skygcs.core.ros.topics import SOURCES
 from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.fleet_topics import FleetTopics
 from skygcs.ext.ros.graph import Node, SharedTopics, diagnostic
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
@@ -64,6 +67,7 @@ class Bridge:
         self.vehicles: dict[str, VehicleTopics] = {}
         self.controls: dict[str, VehicleControl] = {}
         """By vehicle's name; empty if nodes only read."""
+        self.fleet = FleetTopics(node, lambda: ((v.state, v.root) for v in self.vehicles.values()), unix_ns)
         self._gcs: Client | None = None
         self.faults = 0
         """Messages that could not be converted."""
@@ -71,6 +75,8 @@ class Bridge:
         self._refused: set[str] = set()
         self._counted: dict[str, int] = {}
         self._origin: Origin | None = None
+        self._settings: Mapping[str, Mapping[str, Any]] = {}
+        """Settings of the fleet file for each vehicle, by name (ros.settings)."""
         self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
         self._sources = list(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES})
         """Names of the messages that topics are made of."""
@@ -87,6 +93,10 @@ class Bridge:
             self._states(gcs),
             self._reports(gcs, requests),
             self._count_readers(),
+            self.fleet.follow_events(gcs),
+            self.fleet.follow_plan(gcs),
+            self.fleet.publish_states(gcs),
+            *([self._outcomes(gcs)] if self.config.commands == "all" else []),
         )
         tasks = [asyncio.ensure_future(one) for one in work]
         try:
@@ -102,6 +112,7 @@ class Bridge:
                 control.lost()
             for vehicle in self.vehicles.values():  # nothing is known of any vehicle without the daemon
                 vehicle.on_lost(self._unix_ns())
+            self.fleet.lost()
 
     # -- messages
 
@@ -141,7 +152,7 @@ class Bridge:
         if self._px4 is not None and vehicle.px4 is None and state.get("autopilot") == "px4":
             self._add_px4(vehicle, self._px4)
         if (control := self.controls.get(vehicle.name)) is not None:
-            control.step()
+            control.on_state()
         if not state["connected"]:
             vehicle.on_lost(self._unix_ns())
         place = state.get("ekf_origin")
@@ -172,7 +183,13 @@ class Bridge:
             vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state)
             if self.config.commands != "none":
                 self.controls[name] = VehicleControl(
-                    self.node, self.config, vehicle, lambda: self._gcs, lambda: self._origin, self._unix_ns
+                    self.node,
+                    self.config,
+                    vehicle,
+                    lambda: self._gcs,
+                    lambda: self._origin,
+                    self._unix_ns,
+                    lambda: self._settings.get(name, {}).get("takeoff_height_m"),
                 )
         except ValueError as error:
             if len(self._refused) < MOST_VEHICLES:
@@ -185,6 +202,13 @@ class Bridge:
         vehicle.px4 = Px4Topics(self.node, known, vehicle.root, vehicle.sysid)
         if (control := self.controls.get(vehicle.name)) is not None:
             control.add_px4(known, vehicle.px4)
+
+    async def _outcomes(self, gcs: Client) -> None:
+        """A subscription of its own: no flood of other events pushes an outcome out."""
+        async for event in gcs.events(kinds=["command"]):
+            for control in self.controls.values():
+                if control.actions is not None:
+                    control.actions.on_event(event)
 
     # -- reports
 
@@ -201,6 +225,10 @@ class Bridge:
         while True:
             origin = (await gcs.call("origin.get"))["origin"]
             self._origin = None if origin is None else Origin(**origin)
+            if not self.vehicles.keys() <= self._settings.keys():
+                self._settings = {**self._settings, **(await gcs.call("ros.settings"))["vehicles"]}
+            self.fleet.has_origin = origin is not None
+            self.fleet.fences = {name: settings["fence"] for name, settings in self._settings.items()}
             await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
             began = loop.time()
             self.shared.diagnose(self._unix_ns(), self.diagnostics())
@@ -254,15 +282,24 @@ class Bridge:
             )
             for vehicle in self.vehicles.values()
         ]
-        return connections + [
-            diagnostic(
-                0 if control.stream.refusal is None else 1,
-                f"{self.vehicles[name].mavros}: setpoints",
-                control.stream.status(),
-                {"sent": control.stream.sent, "refused": control.stream.refused},
-            )
+        actions = [
+            diagnostic(0, f"{self.vehicles[name].root}/skygcs: actions", made.status() or "no goal", made.counters())
             for name, control in self.controls.items()
+            if (made := control.actions) is not None
         ]
+        return (
+            connections
+            + actions
+            + [
+                diagnostic(
+                    0 if control.stream.refusal is None else 1,
+                    f"{self.vehicles[name].mavros}: setpoints",
+                    control.stream.status(),
+                    {"sent": control.stream.sent, "refused": control.stream.refused},
+                )
+                for name, control in self.controls.items()
+            ]
+        )
 
 
 def _turn(origin: Origin) -> dict[str, float]:

@@ -30,7 +30,7 @@ class RosConfig(Model):
     """Addresses that are asked instead of multicast, which many a Wi-Fi does not carry."""
     commands: Literal["none", "setpoints", "all"] = "none"
     """none: nodes only read. setpoints: also setpoints for vehicles that a person has engaged (control set). all: also
-    services, OFFBOARD and GUIDED by set_mode among them."""
+    services and actions, OFFBOARD and GUIDED by set_mode among them."""
     rates: dict[str, Annotated[float, Field(gt=0, le=200)]] = Field(default_factory=dict, max_length=40)
     """Rate in Hz of a MAVLink message that is requested while a topic made of it has a reader."""
     frame_prefix: Annotated[str, Field(max_length=80)] = "{name}/"

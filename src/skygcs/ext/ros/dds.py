@@ -28,9 +28,15 @@ from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces, dds_t
 from skygcs.core.ros.topics import Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.dds_reception import Reception
-from skygcs.ext.ros.graph import Handler
+from skygcs.ext.ros.graph import MOST_PENDING, Handler
 
-DEPTHS: dict[str, int] = {"sensor": 5, "default": 10, "latched": 10, "service": 10, "px4": 1}
+DEPTHS: dict[str, int] = {
+    **{"sensor": 5, "default": 10, "latched": 10, "newest": 1, "events": 100, "px4": 1},
+    **{"service": 10, "waiting": 100},
+}
+"""Samples of each quality that are kept; "waiting": of a service whose answers may take long."""
+
+LATCHED = frozenset({"latched", "newest", "events"})
 
 TAKE = 16
 """Samples of one reader in one turn of the loop; the others get their turn, then it goes on."""
@@ -42,10 +48,6 @@ SERVICE_HEADER = struct.Struct("<QQ")
 
 MOST_SEQUENCE = 1 << 40
 """A larger number is no number of a request: another layer of ROS sends requests without this header."""
-
-MOST_PENDING = 16
-"""Requests of one service that are carried out at the same time; further ones are dropped, and their clients time
-out."""
 
 
 class Network(NamedTuple):
@@ -76,7 +78,7 @@ class Publication:
     def __init__(self, node: DdsNode, name: str, type_: str, quality: Quality | str, user_data: bytes) -> None:
         self.name = name.removeprefix("rt")
         self.type = type_
-        self.latched = quality == "latched"
+        self.latched = quality in LATCHED
         self.readers = 0
         """Matched now."""
         self.sent = 0
@@ -146,18 +148,20 @@ class Subscriber:
 class Service:
     """A service as rmw_cyclonedds serves it."""
 
-    def __init__(self, node: DdsNode, name: str, type_: str, handler: Handler) -> None:
+    def __init__(self, node: DdsNode, name: str, type_: str, handler: Handler, most_pending: int) -> None:
         self.name = name
         self.calls = 0
         self.overflown = 0
-        """Requests that were dropped: MOST_PENDING were being carried out."""
+        """Requests that were dropped, and whose clients time out: ``most_pending`` were being carried out."""
+        self._most_pending = most_pending
         self._type = type_
         self._handler = handler
         self._node = node
         self._tasks: set[asyncio.Task[None]] = set()
         data = f"serviceid={os.urandom(16).hex()};".encode() + node.type_data(type_)
-        self._replies = Publication(node, f"rr{name}Reply", f"{type_}_Response", "service", data)
-        self.requests = Subscriber(node, f"rq{name}Request", f"{type_}_Request", "service", self._on_request, data)
+        quality = "service" if most_pending <= MOST_PENDING else "waiting"
+        self._replies = Publication(node, f"rr{name}Reply", f"{type_}_Response", quality, data)
+        self.requests = Subscriber(node, f"rq{name}Request", f"{type_}_Request", quality, self._on_request, data)
 
     @property
     def rejected(self) -> int:
@@ -172,7 +176,7 @@ class Service:
         if not 0 < sequence < MOST_SEQUENCE:
             raise InterfaceError(f"{self.name}: a request of another layer of ROS than rmw_cyclonedds")
         request = self._node.interfaces.decode(f"{self._type}_Request", data[:4] + data[4 + SERVICE_HEADER.size :])
-        if len(self._tasks) >= MOST_PENDING:
+        if len(self._tasks) >= self._most_pending:
             self.overflown += 1
             return
         self.calls += 1
@@ -225,9 +229,9 @@ class DdsNode:
         self.subscribers[name] = made
         return made
 
-    def serve(self, name: str, type_: str, handler: Handler) -> Service:
-        """Answer requests of this service by a coroutine function."""
-        made = Service(self, name, type_, handler)
+    def serve(self, name: str, type_: str, handler: Handler, most_pending: int = MOST_PENDING) -> Service:
+        """Answer requests of this service by a coroutine function, ``most_pending`` at the same time."""
+        made = Service(self, name, type_, handler, most_pending)
         self.services[name] = made
         return made
 
@@ -274,7 +278,7 @@ def _qos(quality: Quality | str, user_data: bytes) -> Qos:
         parts.append(Policy.Reliability.BestEffort)
     else:
         parts.append(Policy.Reliability.Reliable(duration(seconds=0)))  # never wait for a reader that does not answer
-    if quality in ("latched", "px4"):
+    if quality == "px4" or quality in LATCHED:
         parts.append(Policy.Durability.TransientLocal)
         parts.append(Policy.DurabilityService(0, Policy.History.KeepLast(depth), depth, 1, depth))
     return Qos(*parts)

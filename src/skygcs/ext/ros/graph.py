@@ -12,6 +12,10 @@ from skygcs.core.ros.topics import Quality
 Handler = Callable[[dict[str, Any]], Awaitable[Fields]]
 """The fields of the response to those of a request."""
 
+MOST_PENDING = 16
+"""Requests of one service that are carried out at the same time, unless it is made for more; further ones are dropped,
+and their clients time out."""
+
 
 class PublicationPort(Protocol):
     """A topic that is published."""
@@ -66,7 +70,7 @@ class Node(Protocol):
     def subscribe(
         self, name: str, type_: str, quality: Quality, on_message: Callable[[dict[str, Any]], None]
     ) -> SubscriberPort: ...
-    def serve(self, name: str, type_: str, handler: Handler) -> ServicePort: ...
+    def serve(self, name: str, type_: str, handler: Handler, most_pending: int = MOST_PENDING) -> ServicePort: ...
     def count_readers(self) -> None: ...
     def close(self) -> None: ...
 

@@ -1,4 +1,4 @@
-"""ros.status, and ros.report, by which the process tells what it measured."""
+"""ros.status; ros.report, by which the process tells what it measured, and ros.settings, which it reads."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Annotated, Any, Protocol
 
 from pydantic import Field
 
+from skygcs.core.geo import Origin
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Result
@@ -45,6 +46,15 @@ class RosReport(MethodParams):
     rejected: int = Field(description="Samples that were no message of their topic's interface.")
 
 
+class RosVehicleSettings(Result):
+    takeoff_height_m: float
+    fence: dict[str, list[float]] = Field(description="x_m, y_m, up_m: the box of flight control about the origin.")
+
+
+class RosSettings(Result):
+    vehicles: dict[str, RosVehicleSettings] = Field(description="By name.")
+
+
 class RosStatus(Result):
     running: bool
     pid: int | None
@@ -57,6 +67,17 @@ def ros_report(context: Context, params: RosReport) -> JsonObject:
     """Take what the process of ROS has measured, for ros.status."""
     _extension(context).take(params)
     return {}
+
+
+def ros_settings(context: Context, params: NoParams) -> JsonObject:
+    """Return what the process of ROS needs of the fleet file: take-off height and control fence of each vehicle."""
+    about = Origin(0.0, 0.0, 0.0)
+    settings = {}
+    for actor in context.services.fleet.vehicles.values():
+        fence = actor.config.control.fence_at(about)
+        box = {"x_m": list(fence.x_m), "y_m": list(fence.y_m), "up_m": list(fence.up_m)}
+        settings[actor.name] = {"takeoff_height_m": actor.config.takeoff_height_m, "fence": box}
+    return {"vehicles": settings}
 
 
 def ros_status(context: Context, params: NoParams) -> JsonObject:
@@ -85,5 +106,6 @@ def _extension(context: Context) -> ReportKeeper:
 
 METHODS: tuple[Method[Context], ...] = (
     Method("ros.report", RosReport, ros_report, dict[str, Any]),
+    Method("ros.settings", NoParams, ros_settings, RosSettings),
     Method("ros.status", NoParams, ros_status, RosStatus),
 )

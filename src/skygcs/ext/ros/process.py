@@ -23,6 +23,9 @@ from skygcs.rpc.client import connect
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 """Between two attempts to reach the daemon."""
 
+FAREWELL_S = 0.2
+"""Time before the node is closed, in which the results of goals that ended with the connection go out."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -76,6 +79,7 @@ async def serve_ros(options: Options) -> None:
         if serving.done():
             serving.result()
         await ended(serving)
+        await asyncio.sleep(FAREWELL_S)
     finally:
         node.close()
 

@@ -1,4 +1,4 @@
-"""Control of one vehicle by nodes: setpoints, services, and OFFBOARD by them, as [ros] allows it."""
+"""Control of one vehicle by nodes: setpoints, services, OFFBOARD by them, and actions, as [ros] allows it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from skygcs.ext.ros.offboard import Engage, TakeOff
 from skygcs.ext.ros.px4_control import Px4Commands, Px4Setpoints
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.setpoint_stream import SetpointStream
+from skygcs.ext.ros.vehicle_actions import VehicleActions
 from skygcs.ext.ros.vehicle_services import VehicleServices
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
@@ -24,7 +25,7 @@ ERROR, INFO = 3, 6
 
 
 class VehicleControl:
-    """Control of one vehicle, from its discovery on. Call `step` with each of its states, and some times a second."""
+    """Control of one vehicle, from its discovery on. `on_state` with each of its states, `step` some times a second."""
 
     def __init__(
         self,
@@ -34,6 +35,7 @@ class VehicleControl:
         gcs: Callable[[], Client | None],
         origin: Callable[[], Origin | None],
         unix_ns: Callable[[], int],
+        takeoff_height_m: Callable[[], float | None],
     ) -> None:
         clock = asyncio.get_running_loop().time
         self.stream = SetpointStream(node, vehicle, gcs, origin, clock, unix_ns)
@@ -46,8 +48,10 @@ class VehicleControl:
         self._node = node
         self._services: VehicleServices | None = None
         self._px4_commands: Px4Commands | None = None
+        self.actions: VehicleActions | None = None
         if config.commands == "all":
             self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
+            self.actions = VehicleActions(node, vehicle, gcs, takeoff_height_m, self._end_offboard, clock, unix_ns)
 
     def add_px4(self, known: Interfaces, px4: Px4Topics) -> None:
         """Take setpoints, and commands if services are allowed, from PX4's own topics as well."""
@@ -61,8 +65,16 @@ class VehicleControl:
             sysid = self._vehicle.sysid
             self._px4_commands = Px4Commands(self._node, known, root, sysid, self._services, boot_us, self._log)
 
+    def on_state(self) -> None:
+        """A state of the vehicle has come."""
+        if self.actions is not None:
+            self.actions.on_state(self._vehicle.state)
+        self.step()
+
     def step(self) -> None:
         """Do what is due."""
+        if self.actions is not None:
+            self.actions.step()
         self.stream.settle()
         offboard, now = self.stream.offboard, self._clock()
         match offboard.next_step(self._vehicle.state, now):
@@ -84,6 +96,13 @@ class VehicleControl:
             task.cancel()
         if self._px4_commands is not None:
             self._px4_commands.cancel()
+        if self.actions is not None:
+            self.actions.lost()
+
+    def _end_offboard(self) -> None:
+        """An order by an action takes the place of OFFBOARD, as a mode does."""
+        self.stream.offboard.end()
+        self._vehicle.shown_mode = ""
 
     async def _take_off(self, height_m: float | None) -> None:
         gcs = self._gcs()
