@@ -59,7 +59,7 @@ async def test_a_conflict_across_sites_is_an_event_everywhere_and_in_the_list_of
 async def test_a_vehicle_that_two_sites_hear_is_in_no_conflict_with_itself(hub: Hub, tmp_path: Path) -> None:
     """Named in [federation.vehicles] of one of them it is one vehicle there; another of the same name is not."""
     from skygcs.config.models import FleetConfig
-    from skygcs.federation.conflict_watch import ConflictWatch
+    from skygcs.ext.federation.bridge.conflict_watch import ConflictWatch
 
     north, south = FakeDaemon(2), FakeDaemon(2)
     for daemon in (north, south):

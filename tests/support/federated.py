@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.federation.bridge_election import BridgeState
-from skygcs.federation.metrics import ORDERS_TAKEN
-from skygcs.federation.process import ONE_BRIDGE, FederationOptions, FederationProcess
+from skygcs.ext.federation.bridge.metrics import ORDERS_TAKEN
+from skygcs.ext.federation.bridge.process import ONE_BRIDGE, FederationOptions, FederationProcess
+from skygcs.ext.federation.protocol.bridge_election import BridgeState
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
