@@ -6,16 +6,18 @@ sending: `core.routing.send_gates`.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
 from skygcs.errors import RefusedError
 from skygcs.ext.federation.authority import CLOCK_ERROR_S, MAX_VALID_S, Authority
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Result
+
+if TYPE_CHECKING:  # the bridge reads the table, too, and has no daemon
+    from skygcs.rpc.context import Context, JsonObject
 
 
 class _LeaseParams(MethodParams):
