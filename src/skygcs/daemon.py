@@ -20,9 +20,7 @@ from skygcs.config.token_file import read_token
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
-from skygcs.core.routing.authority import AuthorityGate
 from skygcs.errors import ConfigError
-from skygcs.events import Event
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
@@ -44,6 +42,7 @@ from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
+from skygcs.runtime.send_gate_watch import SendGateWatch
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.unattended_holds import STATION_MESSAGES
@@ -51,7 +50,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:  # see above
     from skygcs.core.vehicle.vehicle import Vehicle
-    from skygcs.runtime.supervised_child import SupervisedChild
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
@@ -96,7 +94,8 @@ class Daemon:
         self.recorder = self._new_recorder() if own.record else None
         self.signing = Signing(dialect, publish, SigningStore(default_state_dir()))
         # links
-        self.hub = self._new_hub()
+        keys = self.signing
+        self.hub = Hub(config, dialect, self.loop, publish, recorder=self.recorder, signing=keys)
         self.links = LinkTable(config, dialect, self.hub, self.loop, publish, self.signing)
         self.link_watch = LinkWatch(self.hub)
         self.third_party = AdmissionReports(self.hub, own, dialect, publish)
@@ -135,7 +134,8 @@ class Daemon:
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
         self.extensions = self._new_extensions()
         self._connect_extensions(view)
-        self.federation = self._federation_child()
+        names = {vehicle.sysid: name for name, vehicle in config.vehicles.items()}
+        self.send_gate_watch = SendGateWatch(self.hub, self.fleet, names, publish)
 
     def _vehicles(self) -> Iterator[Vehicle]:
         return (actor.vehicle for actor in self.fleet.vehicles.values())
@@ -152,21 +152,6 @@ class Daemon:
         if problems := control_place_problems(self.config, extensions.places_of_control()):
             raise ConfigError(self.source, [f"{'.'.join(map(str, p.path))}: {p.text}" for p in problems])
         return extensions
-
-    def _federation_child(self) -> SupervisedChild | None:
-        """The process that connects this station to others; None without [federation]."""
-        if self.config.federation is None:
-            return None
-        from skygcs.rpc import authority  # noqa: F401 - a grant or a revocation must wait for no import
-        from skygcs.runtime.supervised_child import federation_child
-
-        config, publish = self.config.federation, self.event_log.publish
-        return federation_child(config, self.source, self.socket_path, self.loop, publish)
-
-    def _new_hub(self) -> Hub:
-        gate = _authority_gate(self.config)
-        keys, publish = self.signing, self.event_log.publish
-        return Hub(self.config, self.dialect, self.loop, publish, recorder=self.recorder, signing=keys, authority=gate)
 
     def _new_recorder(self) -> Recorder:
         own = self.config.daemon
@@ -190,7 +175,8 @@ class Daemon:
         self.event_log.on("reboot", self.leftover_streams.on_reboot)
 
     def _connect_extensions(self, view: LinkView) -> None:
-        """Give them orders to check and frames to observe, and leave them their part of the links."""
+        """Give them orders to check, frames to observe and vehicles to gate, and leave them their part of the links."""
+        self.hub.gate_sending(self.extensions.send_gates())
         self.fleet.order_refusal = self.extensions.order_refusal
         self.fleet.flights_elsewhere.update(self.extensions.flights_elsewhere())
         view.taken_bytes_per_s = self.extensions.bytes_per_s
@@ -245,7 +231,6 @@ class Daemon:
                 for extension in self.extensions:
                     await extension.start()
                 self.ready.set()
-                clocks += [group.create_task(child.run(), name=child.what) for child in self._children()]
                 await self._stopping.wait()
                 await self.fleet.wind_down(UNDO_S)  # while the links are open
                 await self._park()
@@ -280,18 +265,13 @@ class Daemon:
             ),
         ]
         clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
-        if self.hub.authority is not None:
-            clocks.append(
-                group.create_task(self._every(FLEET_TICK_S, self.check_authority), name="authority over vehicles")
-            )
+        if self.hub.send_gates is not None:
+            clocks.append(group.create_task(self._every(FLEET_TICK_S, self.check_sending), name="gates of sending"))
         for extension in self.extensions:
             for clock in extension.clocks():
                 clocks.append(group.create_task(self._every(clock.period_s, clock.action), name=clock.name))
         clocks += [group.create_task(run, name=table) for table, run in self.extensions.runs()]
         return clocks
-
-    def _children(self) -> list[SupervisedChild]:
-        return [] if self.federation is None else [self.federation]
 
     async def _park(self) -> None:
         """Order vehicles that are flown by setpoints to hold before these stop: an ArduCopter in attitude control would
@@ -341,21 +321,9 @@ class Daemon:
         values = {"type": kind, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
-    def check_authority(self) -> None:
-        """Stop the work on vehicles whose grant has ended, and repeat the stream requests to vehicles that have a new
-        one. Each change is an event."""
-        gate = self.hub.authority
-        if gate is None:
-            return
-        now = self.hub.authority_clock()
-        for name, sysid in gate.gains(now):
-            self.fleet.authority_gained(sysid)
-            text = f"{name} is commanded by {gate.site}"
-            self.event_log.publish(Event("authority", name, sysid, text, {"held": True}))
-        for lapse in gate.lapses(now):
-            self.fleet.authority_lost(lapse.sysid, lapse.text)
-            data = {"held": False}
-            self.event_log.publish(Event("authority", lapse.name, lapse.sysid, lapse.text, data))
+    def check_sending(self) -> None:
+        """See `SendGateWatch.tick`."""
+        self.send_gate_watch.tick()
 
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())
@@ -380,16 +348,7 @@ class Daemon:
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
-            "federation": None if self.federation is None else self.federation.status(),
             "companion_of": self.config.aboard,
             "to_undo": self.fleet.journal.number_left,
             **self.extensions.info(),
         }
-
-
-def _authority_gate(config: FleetConfig) -> AuthorityGate | None:
-    """The gate of the vehicles that other sites may command; None without [federation.vehicles]."""
-    federation = config.federation
-    if federation is None or federation.site is None or not federation.vehicles:
-        return None
-    return AuthorityGate(federation.site, {name: config.vehicles[name].sysid for name in federation.vehicles})

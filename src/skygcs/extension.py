@@ -1,13 +1,14 @@
 """The one door of the daemon: what an extension is, and how the daemon runs the ones that its fleet file asks for.
 
 An extension is one class. It owns one table of the fleet file, whose presence turns it on, and may bring methods,
-groups of a vehicle's state, clocks, a start and an end, and hooks: frames that it observes, and orders that it checks
-before they are sent. The package that has it names it as an entry point of the group `skygcs.extensions`, with the name
-of the table: docs/howto/extension.md shows one of 60 lines.
+groups of a vehicle's state, clocks, a start and an end, and hooks: frames that it observes, orders that it checks
+before they are sent, and a gate before bytes are sent. The package that has it names it as an entry point of the group
+`skygcs.extensions`, with the name of the table: docs/howto/extension.md shows one of 60 lines.
 
 What a running daemon calls, and when:
 
     __init__       once, before a link is open; `core` is complete but for its socket
+    send_gate      once, before a link is open; the daemon does not start without the gate
     claim          before anything begins: bind an address, open a file
     run, clocks    their tasks run from the opening of the links to the end
     new_flight     a vehicle is met whose `ControlSettings.at` is its own
@@ -28,6 +29,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from skygcs.config.tables import Model, Problem
+from skygcs.core.routing.send_gates import SendGate, SendGates
 from skygcs.errors import ConfigError
 
 if TYPE_CHECKING:  # an extension imports what it uses
@@ -92,9 +94,14 @@ class Extension(Generic[C]):
         return []
 
     @classmethod
+    def summary(cls, config: Any) -> str:
+        """Return what one line of `skygcs check` shows of it; "": nothing."""
+        return ""
+
+    @classmethod
     def applied(cls, config: Any, fleet: FleetConfig) -> FleetConfig:
-        """The fleet file as the daemon runs it with this table: other ids of ours, a further link. Called also for a
-        file that has problems."""
+        """The fleet file as the daemon runs it with this table: other ids of ours, a further link, the vehicles that
+        other ground stations may command. Called also for a file that has problems."""
         return fleet
 
     # -- what it adds
@@ -164,6 +171,12 @@ class Extension(Generic[C]):
         landing, a return, a hold or a disarming: what ends a flight always passes."""
         return None
 
+    def send_gate(self) -> SendGate | None:
+        """The gate of vehicles to which it lets nothing be sent at times, by whoever: not a byte but vehicles.stop
+        leaves for one that it refuses, control of it ends, and orders are refused in the gate's words. A gate that
+        raises is closed. None: it gates no vehicle."""
+        return None
+
 
 class Extensions:
     """The extensions of one running daemon. What one of them does wrong is reported as a fault and stops nothing."""
@@ -227,6 +240,11 @@ class Extensions:
             if refusal is not None:
                 return refusal
         return None
+
+    def send_gates(self) -> SendGates:
+        """Their gates. Raises what one raises that cannot give its gate: nothing may be sent without it."""
+        gates = {table: gate for table, part in self._parts.items() if (gate := part.send_gate()) is not None}
+        return SendGates(gates, self._on_fault)
 
     def info(self) -> dict[str, Any]:
         """Return what they show in daemon.info, by the names of their tables."""

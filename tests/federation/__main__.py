@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from skygcs.errors import SkygcsError
-from skygcs.federation.server_program import find_server
+from skygcs.ext.federation.server_program import find_server
 
 
 def main(words: list[str]) -> int:

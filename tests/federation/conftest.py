@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.errors import SkygcsError
-from skygcs.federation.server_program import find_server
+from skygcs.ext.federation.server_program import find_server
 from support.hub import Hub
 
 

@@ -9,7 +9,7 @@ import nats.js.errors
 import pytest
 
 from skygcs.errors import HubAway, NobodyThere, NotPermitted, ReplyLost
-from skygcs.federation.bus import Message
+from skygcs.ext.federation.bridge.bus import Message
 from support.hub import Hub, until
 
 

@@ -59,7 +59,9 @@ async def test_a_conflict_across_sites_is_an_event_everywhere_and_in_the_list_of
 async def test_a_vehicle_that_two_sites_hear_is_in_no_conflict_with_itself(hub: Hub, tmp_path: Path) -> None:
     """Named in [federation.vehicles] of one of them it is one vehicle there; another of the same name is not."""
     from skygcs.config.models import FleetConfig
-    from skygcs.federation.conflict_watch import ConflictWatch
+    from skygcs.ext.federation.bridge.conflict_watch import ConflictWatch
+    from skygcs.ext.federation.config import FederationConfig
+    from skygcs.ext.federation.extension import Federation
 
     north, south = FakeDaemon(2), FakeDaemon(2)
     for daemon in (north, south):
@@ -69,7 +71,8 @@ async def test_a_vehicle_that_two_sites_hear_is_in_no_conflict_with_itself(hub: 
         assert isinstance(watch, ConflictWatch)
         table = {"servers": [hub.url], "nkey": "n.nk", "site": "north", **ONE_PLACE}
         vehicles = {"alpha": {"sysid": 1}, "bravo": {"sysid": 2}}
-        fleet = FleetConfig.model_validate({"federation": table, "vehicles": vehicles})
+        fleet = FleetConfig.model_validate({"vehicles": vehicles})
+        fleet = Federation.applied(FederationConfig.model_validate(table), fleet)
         again = ConflictWatch(fleet, watch._own, watch._sites, watch._clock, watch._send)
         async with asyncio.timeout(60):
             while not again.described():

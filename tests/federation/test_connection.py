@@ -19,12 +19,12 @@ import nats.errors
 import pytest
 from nats.aio.client import Client
 
-from skygcs.config.federation import FederationConfig
 from skygcs.errors import BusError
-from skygcs.federation.bus import Message
-from skygcs.federation.hub_config import MAX_PAYLOAD_BYTES
-from skygcs.federation.nkeys_files import new_key
-from skygcs.federation.process import tls_context
+from skygcs.ext.federation.bridge.bus import Message
+from skygcs.ext.federation.bridge.hub_config import MAX_PAYLOAD_BYTES
+from skygcs.ext.federation.bridge.nkeys_files import new_key
+from skygcs.ext.federation.bridge.process import tls_context
+from skygcs.ext.federation.config import FederationConfig
 from support.certificates import Authority
 from support.hub import Hub, until
 from support.process import ROOT, free_port

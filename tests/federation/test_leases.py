@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from bench.federation.leases import killed, stopped, without_hub
-from skygcs.core.federation.lease import TTL_S
 from skygcs.errors import RpcError
-from skygcs.federation.hub_config import LEASES
+from skygcs.ext.federation.bridge.hub_config import LEASES
+from skygcs.ext.federation.protocol.lease import TTL_S
 from support.hub import Hub, RawClient, until
 from support.lease_races import USERS, Racer, race
 from support.process import DaemonProcess

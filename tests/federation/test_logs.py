@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from skygcs.errors import BusError, SkygcsError
-from skygcs.federation.bus import Bus
-from skygcs.federation.hub_config import LOGS
-from skygcs.federation.logs import MAX_FILES, PART_BYTES, LogCollector, SiteLogs
+from skygcs.ext.federation.bridge.bus import Bus
+from skygcs.ext.federation.bridge.hub_config import LOGS
+from skygcs.ext.federation.bridge.logs import MAX_FILES, PART_BYTES, LogCollector, SiteLogs
 from support.hub import Hub
 from support.made_logs import made
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from skygcs.federation.metrics import METRICS
+from skygcs.ext.federation.bridge.metrics import METRICS
 from support.fake_daemon import FakeDaemon
 from support.federated import Site, site
 from support.hub import Hub, until

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.federation.order_messages import OrderRequest, OutcomeQuestion, decode_reply
 from skygcs.errors import RpcError
+from skygcs.ext.federation.protocol.order_messages import OrderRequest, OutcomeQuestion, decode_reply
 from skygcs.rpc.client import Client
 from support.fake_daemon import FakeDaemon
 from support.federated import Site, site

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.federation.process import cancelled
+from skygcs.ext.federation.bridge.process import cancelled
 from support.certificates import Authority
 from support.hub import Hub
 from support.process import TIMEOUT_S, DaemonProcess, free_port, wait_until
@@ -207,7 +207,7 @@ def test_the_configuration_is_one_that_nats_server_takes(tmp_path: Path) -> None
 
 def test_without_the_program_the_package_is_named(inventory: int, tmp_path: Path) -> None:
     code = (
-        "import skygcs.federation.server_program as p; p.SYSTEM_FOLDERS = ''\n"
+        "import skygcs.ext.federation.server_program as p; p.SYSTEM_FOLDERS = ''\n"
         f"from skygcs.cli.serve import main; main(['federation', 'up', {str(tmp_path)!r}])"
     )
     done = subprocess.run(

@@ -10,7 +10,7 @@ import nats.errors
 import nats.js.errors
 import pytest
 
-from skygcs.federation.bus import Message
+from skygcs.ext.federation.bridge.bus import Message
 from support.hub import Hub, RawClient, until
 
 SITES = ("north", "south", "east")

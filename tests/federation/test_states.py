@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.core.federation.state_batch import StateBatch, decode_batch, encode_batch
 from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.errors import RpcError
+from skygcs.ext.federation.protocol.state_batch import StateBatch, decode_batch, encode_batch
 from skygcs.rpc.client import Client
 from skygcs.web.daemon_connection import DaemonConnection
 from skygcs.web.state_batches import LatestStates

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import RpcError
-from skygcs.federation.process import ONE_BRIDGE
+from skygcs.ext.federation.bridge.process import ONE_BRIDGE
 from skygcs.rpc.client import Client
 from support.fake_daemon import FakeDaemon
 from support.federated import Site, site

@@ -14,8 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.cli.status import commander_word
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
+from skygcs.ext.federation.config import FederationConfig, SharedVehicle
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.fence_orders import VehicleFence
+from skygcs.runtime.supervised_child import SupervisedChild
 from skygcs.sim.firmware_modes import Px4Mode
 from support.flown import Flown, flown
 from support.pymav import PymavPeer
@@ -36,15 +38,18 @@ class Authority:
         self.token = 0
 
     async def run(self, daemon: Daemon) -> None:
-        gate = daemon.hub.authority
-        assert gate is not None
+        shared = daemon.extensions["federation"].authority
         while True:
-            now = daemon.hub.authority_clock()
+            now = daemon.hub.boot_clock()
             if self.granting:
                 self.token += 1
-                assert gate.grant("v1", now + VALID_S, now, token=self.token, hub="h") == "granted"
+                assert shared.grant("v1", now + VALID_S, now, token=self.token, hub="h") == "granted"
                 self.until = now + VALID_S
             await asyncio.sleep(1.0)
+
+
+async def _no_process(child: SupervisedChild) -> None:
+    """In the place of `SupervisedChild.run`."""
 
 
 @contextlib.asynccontextmanager
@@ -59,9 +64,10 @@ async def shared(folder: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
         await ready(self)
 
     monkeypatch.setattr(Daemon, "_run_inner", run_inner)
-    monkeypatch.setattr(Daemon, "_federation_child", lambda self: None)
-    table = {"site": "north", "servers": ["nats://127.0.0.1:4222"], "nkey": "north.nk"}
-    tables = {"vehicles": {"v1": {"sysid": 1}}, "federation": {**table, "vehicles": {"v1": {"home": "north"}}}}
+    monkeypatch.setattr(SupervisedChild, "run", _no_process)
+    shares = {"v1": SharedVehicle(home="north")}
+    table = FederationConfig(site="north", servers=("nats://127.0.0.1:4222",), nkey=Path("north.nk"), vehicles=shares)
+    tables = {"vehicles": {"v1": {"sysid": 1}}, "extensions": {"federation": table}, "delegated": {"v1"}}
     async with flown(folder, tables=tables) as gcs:
         try:
             yield gcs, authority
@@ -187,10 +193,9 @@ async def test_every_order_is_refused_in_words_and_only_a_stop_passes(
         gcs.link.peer.send(camera.pack(mav.MAVLink_heartbeat_message(30, 8, 0, 0, 4, 3)))
         await asyncio.sleep(0.5)
         authority.granting = False
-        gate = gcs.daemon.hub.authority
-        assert gate is not None
-        gate.revoke("v1", token=authority.token, hub="h", commander="south")
-        gcs.daemon.check_authority()
+        shared_vehicles = gcs.daemon.extensions["federation"].authority
+        shared_vehicles.revoke("v1", token=authority.token, hub="h", commander="south")
+        gcs.daemon.check_sending()
         since = gcs.now
         for method, params in ORDERS.items():
             given = {name: str(key) if value == "KEY" else value for name, value in params.items()}
@@ -240,9 +245,8 @@ async def test_the_state_says_who_commands_it_as_status_shows_it(
 
         assert await shown() == "here"
         authority.granting = False
-        gate = gcs.daemon.hub.authority
-        assert gate is not None
-        gate.revoke("v1", token=authority.token, hub="h", commander="south")
+        shared_vehicles = gcs.daemon.extensions["federation"].authority
+        shared_vehicles.revoke("v1", token=authority.token, hub="h", commander="south")
         assert await shown() == "south"
-        gate.revoke("v1", token=authority.token, hub="h")
+        shared_vehicles.revoke("v1", token=authority.token, hub="h")
         assert await shown() == "nobody"

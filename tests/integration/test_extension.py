@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import re
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -15,10 +16,14 @@ import pytest
 from skygcs.config.control import ControlSettings
 from skygcs.config.loader import load_fleet_and_dialect
 from skygcs.config.models import VehicleSettings
+from skygcs.config.tables import Model
+from skygcs.core.routing.send_gates import SendGate
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, RpcError
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.client import connect
+from support.flown import flown
+from support.send_gate import TimedGate
 
 PAGE = (Path(__file__).parents[2] / "docs/howto/extension.md").read_text()
 FLEET = """
@@ -184,6 +189,70 @@ async def test_a_daemon_without_what_flies_its_vehicles_does_not_start(tmp_path:
     elsewhere = VehicleSettings(control=ControlSettings(at="companion"))
     with pytest.raises(ConfigError, match=r"defaults.control.at: must be one of ground, not 'companion'"):
         Daemon(config.model_copy(update={"defaults": elsewhere}), dialect)
+
+
+class Range(Extension[Any]):
+    """One that gates v1; its gate is open until a test closes it."""
+
+    Config = Model
+
+    def __init__(self, core: Any, config: Any) -> None:
+        super().__init__(core, config)
+        self.gate = TimedGate(1)
+        self.gate.until[1] = math.inf
+
+    def send_gate(self) -> SendGate | None:
+        return self.gate
+
+
+RANGE = {"vehicles": {"v1": {"sysid": 1}}, "extensions": {"range": Model()}}
+
+
+@pytest.mark.looptime
+@pytest.mark.parametrize("how", ["closed", "failing"])
+async def test_one_of_any_name_gates_what_is_sent_to_a_vehicle(
+    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("skygcs.daemon.find_owners", lambda names: (dict.fromkeys(names, Range), []))
+    async with flown(tmp_path, tables=RANGE) as gcs:
+        gate: TimedGate = gcs.daemon.extensions["range"].gate
+        await gcs.fly("position")
+        began = gcs.now
+        if how == "closed":
+            gate.until[1], words = began, "1 is not ours now"
+        else:
+            gate.fault, words = ValueError("broken"), "[range] could not be asked"
+        await asyncio.sleep(1.0)
+        # nothing leaves, control ends, an order is refused in words
+        assert [s for s in gcs.sent if s.at > began] == []
+        assert gcs.control()["state"] == "off"
+        (told,) = gcs.texts(began, "authority")
+        assert words in told
+        assert words in str(await gcs("vehicles.land", targets="v1"))
+        assert "[range] decides" in str(await gcs("vehicles.renumber", target="v1", sysid=9))
+        # when it opens again, orders pass; the stop passes always
+        gate.fault, gate.until[1] = None, math.inf
+        await asyncio.sleep(0.5)
+        assert gcs.texts(began, "authority")[1:] == ["v1 may be commanded from here"]
+        await gcs.done("vehicles.hold")
+        gate.fault = ValueError("broken")
+        await gcs.done("vehicles.stop", action="land")
+        gcs.told.clear()  # the faults
+
+
+async def test_a_daemon_does_not_start_without_a_gate_that_was_promised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: Range) -> None:
+        raise ValueError("broken")
+
+    monkeypatch.setattr(Range, "send_gate", broken)
+    monkeypatch.setattr("skygcs.daemon.find_owners", lambda names: (dict.fromkeys(names, Range), []))
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET)
+    config, dialect = load_fleet_and_dialect(path)
+    with pytest.raises(ValueError, match="broken"):
+        Daemon(config.model_copy(update={"extensions": {"range": Model()}}), dialect)
 
 
 def test_names_that_are_not_its_own_are_refused() -> None:

@@ -17,7 +17,7 @@ import pytest
 from lab.programs import needs
 from lab.test_prometheus import printed
 from skygcs.errors import SkygcsError
-from skygcs.federation.server_program import find_server
+from skygcs.ext.federation.server_program import find_server
 from support.fake_daemon import FakeDaemon
 from support.federated import site
 from support.hub import Hub, until

@@ -29,7 +29,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "core/vehicle/flight_evidence.py": ("core/vehicle/test_flight_evidence.py",),
     },
     "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
-    "order-gate": {"core/federation/order_gate.py": ("core/federation/test_order_gate.py",)},
+    "order-gate": {"ext/federation/protocol/order_gate.py": ("ext/federation/protocol/test_order_gate.py",)},
     "outgoing-gate": {
         "core/vehicle/gate.py": ("core/vehicle/test_gate.py", "core/vehicle/test_gate_table.py"),
         "core/vehicle/stick_modes.py": ("core/vehicle/test_gate.py",),
@@ -39,5 +39,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "core/plan/certify.py": ("core/plan/test_certify.py",),
         "core/plan/closest_approach.py": ("core/plan/test_closest_approach.py", "core/plan/test_certify.py"),
     },
-    "leases": {"core/federation/lease.py": ("core/federation/test_lease_steps.py", "core/federation/test_lease.py")},
+    "leases": {
+        "ext/federation/protocol/lease.py": (
+            "ext/federation/protocol/test_lease_steps.py",
+            "ext/federation/protocol/test_lease.py",
+        )
+    },
 }

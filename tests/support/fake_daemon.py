@@ -610,7 +610,7 @@ class FakeDaemon:
         self.hub = SimpleNamespace(
             observers=SimpleNamespace(add=self._add_observer),
             statistics=SimpleNamespace(link_quality=lambda key: quality, router_stats=self._router_stats),
-            authority=None,
+            send_gates=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
         self.extensions = Extensions({}, _raised)

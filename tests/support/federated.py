@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.federation.bridge_election import BridgeState
-from skygcs.federation.metrics import ORDERS_TAKEN
-from skygcs.federation.process import ONE_BRIDGE, FederationOptions, FederationProcess
+from skygcs.ext.federation.bridge.metrics import ORDERS_TAKEN
+from skygcs.ext.federation.bridge.process import ONE_BRIDGE, FederationOptions, FederationProcess
+from skygcs.ext.federation.config import FederationConfig
+from skygcs.ext.federation.extension import Federation
+from skygcs.ext.federation.protocol.bridge_election import BridgeState
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
@@ -47,7 +49,9 @@ async def site(
     table = {"servers": [hub.url], "nkey": str(hub.key_file(name)), "role": role, **federation}
     if role == "site":
         table["site"] = name
-    fleet = FleetConfig.model_validate({"federation": table, "daemon": {"log_dir": str(folder / f"logs-{name}")}})
+    joined = FederationConfig.model_validate(table)
+    fleet = FleetConfig.model_validate({"daemon": {"log_dir": str(folder / f"logs-{name}")}})
+    fleet = Federation.applied(joined, fleet.model_copy(update={"extensions": {"federation": joined}}))
     path = folder / f"{name}.sock"
     server = None if daemon is None else RpcServer(daemon, path)  # type: ignore[arg-type]
     if server is not None:

@@ -11,11 +11,11 @@ from typing import Any
 
 from nats.aio.client import Client
 
-from skygcs.config.hub_inventory import inventory_of
 from skygcs.events import Event
-from skygcs.federation.bus import Bus, BusOptions
-from skygcs.federation.hub_process import HubProcess, make_stores
-from skygcs.federation.nkeys_files import StationKey, new_key, read_seed, write_new_seed
+from skygcs.ext.federation.bridge.bus import Bus, BusOptions
+from skygcs.ext.federation.bridge.hub_process import HubProcess, make_stores
+from skygcs.ext.federation.bridge.nkeys_files import StationKey, new_key, read_seed, write_new_seed
+from skygcs.ext.federation.hub_inventory import inventory_of
 from support.process import free_port
 
 TIMEOUT_S = 60.0
@@ -102,7 +102,7 @@ class Hub:
             raise
 
     def _keeper_tls(self) -> Any:
-        from skygcs.federation.hub_process import own_tls
+        from skygcs.ext.federation.bridge.hub_process import own_tls
 
         return own_tls(self.process.inventory)
 

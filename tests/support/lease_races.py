@@ -8,12 +8,12 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from skygcs.config.federation import SharedVehicle
-from skygcs.core.federation.lease import NEW_HUB_S, State
-from skygcs.core.routing.authority import AuthorityGate
 from skygcs.events import Event
-from skygcs.federation.bus import Bus
-from skygcs.federation.leases import Leases, boot_s
+from skygcs.ext.federation.authority import Authority
+from skygcs.ext.federation.bridge.bus import Bus
+from skygcs.ext.federation.bridge.leases import Leases, boot_s
+from skygcs.ext.federation.config import SharedVehicle
+from skygcs.ext.federation.protocol.lease import NEW_HUB_S, State
 from support.hub import Hub, until
 
 RACERS = ("north", "south")
@@ -25,7 +25,7 @@ class GateLink:
     """In the place of the connection to a daemon: a real gate."""
 
     def __init__(self, site: str, vehicles: list[str]) -> None:
-        self.gate = AuthorityGate(site, {name: i for i, name in enumerate(vehicles)})
+        self.gate = Authority(site, {name: i for i, name in enumerate(vehicles)})
         self.client: object | None = None
         self._observers: list[Callable[[], None]] = []
 
@@ -57,7 +57,7 @@ class GateLink:
 
     def held(self) -> set[str]:
         now = boot_s()
-        return {name for name, sysid in self.gate.vehicles.items() if not self.gate.is_closed(sysid, now)}
+        return {name for name, sysid in self.gate.vehicles.items() if self.gate.refusal(sysid, now) is None}
 
 
 class Racer:

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from random import Random
 
-from skygcs.core.federation.lease import (
+from skygcs.ext.federation.authority import Authority
+from skygcs.ext.federation.protocol.lease import (
     TTL_S,
     VALID,
     VALID_S,
@@ -25,8 +26,7 @@ from skygcs.core.federation.lease import (
     Revoke,
     Write,
 )
-from skygcs.core.federation.lease_store import LeaseStore, StoreQuestion
-from skygcs.core.routing.authority import AuthorityGate
+from skygcs.ext.federation.protocol.lease_store import LeaseStore, StoreQuestion
 
 VEHICLE, SYSID = "alpha", 7
 STEP_S = 0.02
@@ -97,7 +97,7 @@ class Site:
 
     def restart_daemon(self) -> None:
         """Both processes anew: the daemon's grants are gone, and its run has another name."""
-        self.gate = AuthorityGate(self.name, {VEHICLE: SYSID})
+        self.gate = Authority(self.name, {VEHICLE: SYSID})
         self.run = f"{self.name}-{next(self.runs)}"
         self.daemon_inbox.clear()
         self.restart_bridge()
@@ -119,7 +119,7 @@ class Site:
     @property
     def sends(self) -> bool:
         """Whether a frame of its daemon would reach the vehicle now. A stopped daemon sends nothing."""
-        return not self.daemon_stopped and not self.gate.is_closed(SYSID, self.now())
+        return not self.daemon_stopped and self.gate.refusal(SYSID, self.now()) is None
 
     # -- the bridge's side
 

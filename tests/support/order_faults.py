@@ -25,13 +25,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.core.federation.order_gate import STOP_LATE_S
-from skygcs.core.federation.order_messages import STOP
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.federation.audit_file import AuditFile
-from skygcs.federation.daemon_orders import DaemonOrders
-from skygcs.federation.orders_sent import OrdersSent, RemoteVehicle
-from skygcs.federation.orders_taken import OrdersTaken
+from skygcs.ext.federation.bridge.audit_file import AuditFile
+from skygcs.ext.federation.bridge.daemon_orders import DaemonOrders
+from skygcs.ext.federation.bridge.orders_sent import OrdersSent, RemoteVehicle
+from skygcs.ext.federation.bridge.orders_taken import OrdersTaken
+from skygcs.ext.federation.protocol.order_gate import STOP_LATE_S
+from skygcs.ext.federation.protocol.order_messages import STOP
 from support.inline_disk import inline_disk
 
 VEHICLES = tuple(f"v{number}" for number in range(1, 9))

@@ -8,8 +8,8 @@ import random
 from collections import Counter
 from pathlib import Path
 
-from skygcs.core.federation.remote_sites import RemoteSites
-from skygcs.federation.orders_sent import OrdersSent
+from skygcs.ext.federation.bridge.orders_sent import OrdersSent
+from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from support.memory_hub import Faults, MemoryBus, MemoryHub
 from support.order_faults import HomeBridge, ModelDaemon, run_schedule, verdicts
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from pydantic_core import to_json
 
-from skygcs.core.federation.remote_sites import RemoteSites
-from skygcs.federation.bus import Bus, BusOptions, Message
-from skygcs.federation.orders_sent import OrdersSent
-from skygcs.federation.site_clock import SiteClock
+from skygcs.ext.federation.bridge.bus import Bus, BusOptions, Message
+from skygcs.ext.federation.bridge.orders_sent import OrdersSent
+from skygcs.ext.federation.bridge.site_clock import SiteClock
+from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from support.hub import Hub, until
 from support.hub_proxy import HubProxy
 from support.memory_hub import Faults

@@ -15,7 +15,7 @@ from support.process import ROOT
 SWALLOWS = {
     ("runtime/planning_queue.py", "run"): "a planning request that an operator cancelled is refused to its client",
     (
-        "federation/orders_taken.py",
+        "ext/federation/bridge/orders_taken.py",
         "_carry_out",
     ): "ends its task: the record says that the outcome is unknown",
     ("cli/missions.py", "sent"): "Ctrl-C: shows what the vehicles hold, and ends",

@@ -22,7 +22,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.config.hub_inventory import load_inventory
 from skygcs.config.loader import load_fleet
 from skygcs.config.router_import import import_router
 from skygcs.core.geo import Origin
@@ -36,6 +35,7 @@ from skygcs.core.plan.skyc import write_skyc
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory import Piece as _Piece
 from skygcs.errors import SkygcsError
+from skygcs.ext.federation.hub_inventory import load_inventory
 
 ORIGIN = Origin(47.4, 8.5, 400.0)
 

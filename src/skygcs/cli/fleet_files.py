@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from importlib.util import find_spec
+from collections.abc import Mapping
 from pathlib import Path
 
 from skygcs.cli.render import table
 from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
-from skygcs.config.extension_tables import find_owners
-from skygcs.config.federation import FederationConfig, is_loopback, server_address
+from skygcs.config.extension_tables import TableOwner, find_owners
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
@@ -30,16 +29,11 @@ from skygcs.config.models import (
 from skygcs.config.router_import import import_router
 from skygcs.config.signing import read_key
 from skygcs.core.geo import EAST_DEG
-from skygcs.errors import ConfigError, KeyFileError, SkygcsError
+from skygcs.errors import ConfigError, KeyFileError
 from skygcs.terminal_text import visible
 
 PIPE_COLUMNS = 160
 """Width where there is no terminal: a table has room for a path."""
-
-EXTRAS = {
-    "federation": ("nats", "nkeys"),
-}
-"""Tables of the fleet file that need an extra of their own name, and what it installs."""
 
 
 def check(file: Path) -> int:
@@ -72,9 +66,10 @@ def _show(file: Path, config: FleetConfig) -> None:
         origin = config.origin
         axes = "" if origin.x_heading_deg == EAST_DEG else f", x to {origin.x_heading_deg:g}°"
         screen.print(f"origin   {origin.lat_deg}, {origin.lon_deg}, {origin.alt_amsl_m} m above sea level{axes}")
-    if config.federation is not None:
-        joined = config.federation
-        screen.print(escape(f"hub      {', '.join(joined.servers)} as {joined.role} {joined.site or ''}".rstrip()))
+    owners = find_owners(set(config.extensions))[0]
+    for name, owner in owners.items():
+        if summary := owner.summary(config.extensions[name]):
+            screen.print(escape(f"{name:8} {summary}"))
     # links
     rows = []
     for name, link in config.links.items():
@@ -94,7 +89,7 @@ def _show(file: Path, config: FleetConfig) -> None:
         screen.print("vehicles none named; a vehicle that is heard gets its system id as its name")
     if rows or vehicles:
         screen.print()
-    for note in _notes(config):
+    for note in _notes(config, owners):
         screen.print(f"note: {escape(note)}")
 
 
@@ -116,7 +111,7 @@ def _where(link: LinkConfig) -> str:
     return f"{link.host}:{link.port}"
 
 
-def _notes(config: FleetConfig) -> list[str]:
+def _notes(config: FleetConfig, owners: Mapping[str, type[TableOwner]]) -> list[str]:
     """Problems that may be solved before the daemon runs: a device that is not plugged in, a file or a package
     that is missing."""
     notes = []
@@ -135,33 +130,8 @@ def _notes(config: FleetConfig) -> list[str]:
     token = config.daemon.token_file
     if token is not None and not token.is_file():
         notes.append(f"daemon.token_file: the file {token} does not exist now")
-    for name, owner in find_owners(set(config.extensions))[0].items():
+    for name, owner in owners.items():
         notes += [f"{name}: {text}" for text in owner.notes(config.extensions[name])]
-    for table_name, modules in EXTRAS.items():
-        missing = [module for module in modules if find_spec(module) is None]
-        if getattr(config, table_name) is not None and missing:
-            notes.append(
-                f"{table_name}: {', '.join(missing)} is not installed here: pip install 'skygcs[{table_name}]'"
-            )
-    return notes + ([] if config.federation is None else _hub_notes(config.federation))
-
-
-def _hub_notes(federation: FederationConfig) -> list[str]:
-    """A key that is not there yet, and what is wrong with the nats-server of this computer if it is the hub's."""
-    notes = []
-    for key in ("nkey", "ca", "cert", "key"):
-        path = getattr(federation, key)
-        if path is not None and not path.is_file():
-            notes.append(f"federation.{key}: the file {path} does not exist now")
-    if any(is_loopback(server_address(server).host) for server in federation.servers):
-        from skygcs.federation.server_program import find_server, server_version, version_warning
-
-        try:
-            warning = version_warning(server_version(find_server()))
-        except SkygcsError as error:
-            warning = str(error)
-        if warning is not None:
-            notes.append(f"federation.servers: {warning}")
     return notes
 
 

@@ -53,7 +53,6 @@ COMMANDS = (
     ("messages", ("message",)),
     ("gate", ("gate",)),
     ("links", ("links", "link")),
-    ("federation", ("federation",)),
     ("origin", ("origin",)),
     ("missions", ("mission",)),
     ("fences", ("fence", "undo")),

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skygcs import __version__
-from skygcs.cli.federation_process import add_federation
 from skygcs.cli.process import (
     EXIT_FAILED,
     EXIT_OK,
@@ -67,7 +66,6 @@ def new_parser(*, whole: bool = True) -> argparse.ArgumentParser:
     _add_sim(commands)
     _add_sitl(commands)
     add_web(commands)
-    add_federation(commands)
     if whole:
         for module in extension_programs().values():
             importlib.import_module(module).add_to_program(commands)

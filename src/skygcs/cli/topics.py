@@ -35,7 +35,7 @@ TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "stations": (
         "computers on vehicles, and other sites",
-        ("federation",),
+        (),
     ),
     "files": ("recorded flights, without a daemon", ()),
     "program": ("any method of the socket", ("call", "discover")),
@@ -48,7 +48,7 @@ up for the first page, and for a command that the core does not have: it takes 5
 
 OF_SKYGCS = (
     *("run", "init", "check", "import-router", "metrics", "service", "completion", "demo", "sim", "sitl"),
-    *("web", "federation"),
+    "web",
 )
 """The commands of `skygcs` itself in the core, which runs what these ones talk to."""
 

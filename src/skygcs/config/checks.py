@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import combinations
 
 from skygcs.config.control import GROUND, ControlSettings
-from skygcs.config.federation import federation_problems
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
@@ -49,7 +48,6 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _simulated(config)
     problems += _radios(config)
     problems += _control(config)
-    problems += federation_problems(config.federation, config.vehicles)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
     problems += _own_places(active)

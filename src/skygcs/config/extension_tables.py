@@ -39,6 +39,11 @@ class TableOwner(Protocol):
         """Return what is missing and may come before the daemon starts."""
         ...
 
+    @classmethod
+    def summary(cls, config: Any) -> str:
+        """One line of `skygcs check`."""
+        ...
+
 
 def installed() -> dict[str, EntryPoint]:
     """The extensions that are installed, by the name of their table; reads the packages' metadata (5 to 20 ms)."""

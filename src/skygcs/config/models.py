@@ -10,7 +10,6 @@ from pydantic import AfterValidator, Field, SerializeAsAny, field_validator, mod
 
 from skygcs.config.alarms import AlarmsConfig
 from skygcs.config.control import ControlSettings
-from skygcs.config.federation import FederationConfig
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
 from skygcs.config.separation import MonitorConfig, SeparationSettings
@@ -370,7 +369,7 @@ class VehicleConfig(Model):
     named: bool = False
     """True if it is in the fleet file."""
     delegated: bool = False
-    """True if [federation.vehicles] names it."""
+    """True if other ground stations may command it, too."""
 
 
 class OriginConfig(Model):
@@ -391,8 +390,8 @@ class OriginConfig(Model):
         return self
 
 
-NO_TABLES = frozenset({"extensions", "aboard"})
-"""Fields of `FleetConfig` that no file has: the loader fills them in."""
+NO_TABLES = frozenset({"extensions", "aboard", "delegated"})
+"""Fields of `FleetConfig` that no file has: the loader and extensions fill them in."""
 
 
 class FleetConfig(Model):
@@ -401,7 +400,6 @@ class FleetConfig(Model):
     daemon: DaemonConfig = DaemonConfig()
     monitor: MonitorConfig = MonitorConfig()
     alarms: AlarmsConfig = AlarmsConfig()
-    federation: FederationConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)
@@ -412,6 +410,8 @@ class FleetConfig(Model):
     """Tables of extensions, by their names (`config.extension_tables`)."""
     aboard: str | None = None
     """The vehicle on whose computer the daemon runs, under the system id of its autopilot; None: a ground station."""
+    delegated: frozenset[str] = frozenset()
+    """Names of vehicles that other ground stations may command, too."""
 
     @field_validator("links")
     @classmethod
@@ -466,5 +466,5 @@ class FleetConfig(Model):
                 merged["separation"] = layer.separation.over(merged.get("separation", SeparationSettings()))
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
-        merged["delegated"] = self.federation is not None and name in self.federation.vehicles
+        merged["delegated"] = name in self.delegated
         return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

@@ -54,6 +54,7 @@ class Services(Protocol):
     """The parts of a running daemon that methods act on; `skygcs.daemon.Daemon` has all of them."""
 
     config: FleetConfig
+    source: str
     socket_path: Path
     dialect: Dialect
     fleet: Fleet
@@ -77,7 +78,7 @@ class Services(Protocol):
     def stopping(self) -> bool: ...
     def now(self) -> float: ...
     def info(self) -> JsonObject: ...
-    def check_authority(self) -> None: ...
+    def check_sending(self) -> None: ...
 
 
 class Context(Protocol):
@@ -192,9 +193,6 @@ def state_of(services: Services, vehicle: VehicleActor, names: frozenset[str] | 
     state = vehicle.state(services.now(), names)
     if "links" in state:
         state["links"] = services.hub.statistics.link_quality(vehicle.sysid << 8 | vehicle.compid)
-    gate = services.hub.authority
-    if gate is not None and "authority" in state:
-        state["authority"] = gate.status_of(vehicle.sysid, services.hub.authority_clock())
     if "separation" in state:
         state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
     if "companion" in state:

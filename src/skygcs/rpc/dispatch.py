@@ -266,7 +266,7 @@ class _MethodNotFound(SkygcsError):
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         table, dot, _ = name[:MAX_ECHO_CHARS].partition(".")
         if dot and not any(one.startswith(f"{table}.") for one in known):
-            hint = f"; rpc.discover lists the methods, and an extension's need its table in the fleet file, [{table}]"
+            hint = f"; rpc.discover lists the methods; an extension's need its table in the fleet file, as [{table}]"
         super().__init__(f"no method {_clip(name)}{hint}")
 
 

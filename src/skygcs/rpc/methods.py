@@ -154,12 +154,6 @@ METHODS: MethodTable[Context] = MethodTable(
     Later("skygcs.rpc.alarms", "METHODS", ("alarms.list", "alarms.acknowledge"), while_stopping=("alarms.list",)),
     Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),
     Later(
-        "skygcs.rpc.authority",  # imported at the start where the fleet file has [federation]
-        "METHODS",
-        ("authority.grant", "authority.revoke", "authority.status"),
-        while_stopping=("authority.grant", "authority.revoke", "authority.status"),
-    ),
-    Later(
         "skygcs.rpc.missions",
         "METHODS",
         (

@@ -423,7 +423,7 @@ class Fleet:
         self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
 
     def authority_gained(self, sysid: int) -> None:
-        """Repeat the stream requests to each autopilot of this system: the gate has blocked them until now."""
+        """Repeat the stream requests to each autopilot of this system: a gate has blocked them until now."""
         for key in sorted(self._of_system.get(sysid, ())):
             self.vehicles[key].streams.restart(self._loop.time())
 

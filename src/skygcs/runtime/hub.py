@@ -7,7 +7,6 @@ where a frame goes, the fleet updates the state of its vehicle.
 from __future__ import annotations
 
 import asyncio
-import secrets
 import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -19,9 +18,9 @@ from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.authority import NO_TARGET, AuthorityGate, target_of
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
+from skygcs.core.routing.send_gates import NO_TARGET, SendGates, target_of
 from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.core.vehicle.gate import Clearance, is_exempt, standing
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -75,10 +74,8 @@ class Hub:
         *,
         recorder: Recorder | None = None,
         signing: Signing | None = None,
-        authority: AuthorityGate | None = None,
     ) -> None:
-        """``recorder`` gets every accepted frame and every message of ours. ``authority``: the gate of vehicles that
-        other sites may command; None: there are none."""
+        """``recorder`` gets every accepted frame and every message of ours."""
         own = config.daemon
         self.reading = ReadingTurns()
         self.fast_path: Table | None = new_table(dialect, recording=recorder is not None)
@@ -106,8 +103,6 @@ class Hub:
         self.statistics = ChannelStatistics(self.channels, self.router, self.flows, loop)
         self.router.received = self.statistics.received
         self.faults = 0
-        self.run = secrets.token_hex(8)
-        """Names this run of the daemon to the federation's bridge."""
         self.replayed: set[int] = set()
         """Sources (sysid<<8|compid) that exist only in a recording: they take no orders."""
         self._config = config
@@ -119,9 +114,10 @@ class Hub:
         self._record = None if recorder is None else recorder.offer
         self._signing = signing
         self.gate = OutgoingGate(loop.time, on_event)
-        self.authority = authority
-        self.authority_clock = boot_clock(loop)
-        """The clock of grants. uvloop reads the loop's own once a turn: too old in a process that was stopped."""
+        self.send_gates: SendGates | None = None
+        """The gates of vehicles that an extension closes; None: there are none. See `gate_sending`."""
+        self.boot_clock = boot_clock(loop)
+        """The clock of gates. uvloop reads the loop's own once a turn: too old in a process that was stopped."""
         self._on_event = on_event
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
@@ -137,6 +133,13 @@ class Hub:
             self.router.may_fly = fleet.may_fly
             self.router.on_replaced = fleet.replaced
             self.router.on_switched = self._on_switched
+
+    def gate_sending(self, gates: SendGates) -> None:
+        """Ask these gates before bytes are sent. Call it once, before links open: raises RuntimeError afterwards, when
+        frames could have left without a question."""
+        if self.channels or self.send_gates is not None:
+            raise RuntimeError("gates come before channels, and once")
+        self.send_gates = gates if gates else None
 
     # -- what links call
 
@@ -155,7 +158,7 @@ class Hub:
             if channel.translator.renumbers:
                 self._renumbering[channel.id] = channel.translator
         self.router.open(channel.id, channel_policy(channel.config, self.dialect, sysids))
-        if self.authority is not None and channel.translator is None:  # behind a bound channel there is a program
+        if self.send_gates is not None and channel.translator is None:  # behind a bound channel there is a program
             channel.gate = self.may_leave
         if self._signing is not None:
             self._signing.attach(channel)
@@ -181,8 +184,8 @@ class Hub:
             self.statistics.on_detached(channel)
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
-            if self.authority is not None:
-                self.authority.forget_channel(channel.id)
+            if self.send_gates is not None:
+                self.send_gates.forget_channel(channel.id)
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """Handle the frames of one read. Hot: no decoding, no await, no log; a fault is contained in its frame."""
@@ -195,8 +198,8 @@ class Hub:
         on_vehicle_frame = None if self._fleet is None else self._fleet.on_frame
         shown = self._shown_of(channel)
         unix_us = time.time_ns() // 1000
-        renumbering, observers, record, gate = self._renumbering, self.observers, self._record, self.authority
-        split = gate is not None or not channel.in_datagrams or len(frames) < 2  # a gate checks each frame
+        renumbering, observers, record, gates = self._renumbering, self.observers, self._record, self.send_gates
+        split = gates is not None or not channel.in_datagrams or len(frames) < 2  # gates check each frame
         together: list[tuple[Frame, tuple[int, ...]]] | None = None if split else []
         for frame in frames:
             raw, key = frame.raw, frame.sysid << 8 | frame.compid
@@ -216,8 +219,8 @@ class Hub:
                 counts = True
                 if state_sources and key in state_sources:
                     counts = self._counts(channel, frame, decision.verdict, now)
-                if gate is not None:
-                    self._send_gated(gate, channel_id, frame, decision.destinations)
+                if gates is not None:
+                    self._send_gated(gates, channel_id, frame, decision.destinations)
                 elif together is None:
                     for destination in decision.destinations:
                         if destination in renumbering:
@@ -308,12 +311,12 @@ class Hub:
         elif shown:
             channel.send(shown[0])
 
-    # -- vehicles that other sites may command
+    # -- vehicles that an extension gates
 
     def may_leave(self, channel_id: int, outgoing: Outgoing) -> bool:
-        """True if this may be written to a channel now, by the clock of now: see `core.routing.authority`."""
-        gate = self.authority
-        if gate is None:
+        """True if this may be written to a channel now, by the clock of now: see `core.routing.send_gates`."""
+        gates = self.send_gates
+        if gates is None:
             return True
         if isinstance(outgoing, OwnMessage):
             if outgoing.exempt:
@@ -327,14 +330,18 @@ class Hub:
                 return False
             target = target_of(frame.info, frame.payload)
         others: set[int] = set()
-        if target == NO_TARGET and gate.leads_to_gated(channel_id):
+        if target == NO_TARGET and gates.leads_to_gated(channel_id):
             others = {key >> 8 for key in self.router.autopilots_on(channel_id)}
-        return gate.passes(channel_id, target, others, self.authority_clock())
+        return gates.passes(channel_id, target, others, self.boot_clock())
 
-    def _send_gated(self, gate: AuthorityGate, source_id: int, frame: Frame, destinations: tuple[int, ...]) -> None:
+    def _send_gated(self, gates: SendGates, source_id: int, frame: Frame, destinations: tuple[int, ...]) -> None:
         """Forward a frame as a frame, so that the channel can check it again when it is written; and note where gated
         vehicles are heard."""
-        if gate.gates(frame.sysid) and self.router.hears(source_id, frame.sysid) and gate.hear(source_id, frame.sysid):
+        if (
+            gates.gates(frame.sysid)
+            and self.router.hears(source_id, frame.sysid)
+            and gates.hear(source_id, frame.sysid)
+        ):
             self.flows.forget()
         for destination in destinations:
             if destination in self._renumbering:
@@ -350,8 +357,8 @@ class Hub:
 
     def _needs_each_frame(self, channel_id: int) -> bool:
         """True if frames sent to this channel have to be translated, or checked, one by one."""
-        gate = self.authority
-        return channel_id in self._renumbering or (gate is not None and gate.leads_to_gated(channel_id))
+        gates = self.send_gates
+        return channel_id in self._renumbering or (gates is not None and gates.leads_to_gated(channel_id))
 
     # -- recordings
 
@@ -428,8 +435,8 @@ class Hub:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
         ``everywhere``: on every channel on which it was heard, as for emergencies. ``clearance``: of the outgoing gate
-        (`OutgoingGate.passes`); that of vehicles.stop needs no authority. False if that id was not heard lately, the
-        gate keeps it back, another site commands it, or every link refused. Raises ValueError as `pack` does.
+        (`OutgoingGate.passes`); that of vehicles.stop passes every gate. False if that id was not heard lately, a
+        gate keeps it back, or every link refused. Raises ValueError as `pack` does.
         """
         ids = self.channels_to(
             sysid,
@@ -513,7 +520,7 @@ class Hub:
             if (
                 channel is not None and channel.translator is None
             ):  # a program bound to vehicles gets no messages of ours
-                if self.authority is not None and not self.may_leave(channel_id, message):
+                if self.send_gates is not None and not self.may_leave(channel_id, message):
                     continue
                 sent |= channel.send(message, priority, key)
         return sent

@@ -157,14 +157,14 @@ class LinkView:
         self._hub.flows.forget()
 
     def authority_refusal(self, sysid: int) -> str | None:
-        """See `AuthorityGate.refusal`."""
-        gate = self._hub.authority
-        return None if gate is None else gate.refusal(sysid, self._hub.authority_clock())
+        """See `SendGates.refusal`."""
+        gates = self._hub.send_gates
+        return None if gates is None else gates.refusal(sysid, self._hub.boot_clock())
 
     def may_broadcast(self) -> bool:
         """False if a link drops frames of some sources: a vehicle whose frames are dropped would still hear us. False,
-        too, where other sites may command a vehicle: it would take the order that is for ours."""
-        return self._hub.authority is None and not any(
+        too, where an extension gates a vehicle: it would take the order that is for others."""
+        return self._hub.send_gates is None and not any(
             link.enabled
             and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
             for link in self._links.configs.values()

@@ -1,4 +1,4 @@
-"""The clocks of the daemon: the loop's, to the microsecond, and one for grants of authority."""
+"""The clocks of the daemon: the loop's, to the microsecond, and one for gates before sending."""
 
 from __future__ import annotations
 

@@ -179,9 +179,9 @@ class MessageSender:
         return f"{info.name} has no target field: on the same link {shown} got it as well"
 
     def _why_not(self, *sysids: int) -> str:
-        gate = self._hub.authority
-        for sysid in sysids if gate is not None else ():
-            if gate is not None and (why := gate.refusal(sysid, self._hub.authority_clock())) is not None:
+        gates = self._hub.send_gates
+        for sysid in sysids if gates is not None else ():
+            if gates is not None and (why := gates.refusal(sysid, self._hub.boot_clock())) is not None:
                 return why
         if sysids and all(any(key >> 8 == sysid for key in self._hub.replayed) for sysid in sysids):
             return "its target exists only in a recording"

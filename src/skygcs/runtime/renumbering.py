@@ -100,14 +100,14 @@ class Renumbering:
     # -- checks
 
     def _require_possible(self, actor: VehicleActor, sysid: int, *, force: bool) -> None:
-        # rules of the federation and of ids
+        # rules of gates and of ids
         vehicle = actor.vehicle
         now = self._loop.time()
-        gate = self._hub.authority
-        if gate is not None and (gate.gates(actor.sysid) or gate.gates(sysid)):
+        gates = self._hub.send_gates
+        if gates is not None and (tables := gates.tables_of(actor.sysid) or gates.tables_of(sysid)):
             raise RefusedError(
-                "[federation.vehicles] names a vehicle with this system id, by which the other sites know it: change "
-                "the id while one site runs alone, then every site's fleet file"
+                f"[{tables[0]}] decides when something may be sent to a vehicle with this system id: change the id "
+                "with a daemon without that table, then the fleet file of every station that has it"
             )
         if not 1 <= sysid <= MAX_SYSID:
             raise RefusedError(f"system id {sysid} is not between 1 and {MAX_SYSID}")

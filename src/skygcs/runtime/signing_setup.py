@@ -108,8 +108,8 @@ class SigningSetup:
         what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
         try:
             require_connected(vehicle, self._loop.time())
-            gate = self._hub.authority
-            if gate is not None and (why := gate.refusal(vehicle.sysid, self._hub.authority_clock())) is not None:
+            gates = self._hub.send_gates
+            if gates is not None and (why := gates.refusal(vehicle.sysid, self._hub.boot_clock())) is not None:
                 raise RefusedError(why)
             if (why := why_not_idle(vehicle, self._loop.time())) is not None:
                 raise RefusedError(f"{why}: {ONLY_DISARMED}")

@@ -1,7 +1,7 @@
 """Notices that this computer slept: the loop's clock stood still meanwhile, so what came before looks fresh.
 
 CLOCK_BOOTTIME goes on during a suspend, CLOCK_MONOTONIC (which both loops use) does not: what the first gains on the
-second is the time that was slept. Federation counts by CLOCK_BOOTTIME itself (`federation.site_clock`).
+second is the time that was slept. What counts across computers reads CLOCK_BOOTTIME itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A process beside the daemon ([web], [federation]): started with it, restarted when it ends, ended with it.
+"""A process beside the daemon of an extension: started with it, restarted when it ends, ended with it.
 
     running     it ends                  -> waiting; an event, the first time of a series
     waiting     FIRST_PAUSE_S, doubling to LONGEST_PAUSE_S -> running
@@ -11,18 +11,14 @@ The daemon never waits for it: it is looked at twice a second.
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from skygcs.config.federation import FederationConfig
-from skygcs.config.station_path import station_socket
 from skygcs.events import Event
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
@@ -136,16 +132,3 @@ class SupervisedChild:
             "pid": None if process is None else process.pid,
             "restarts": self.restarts,
         }
-
-
-def federation_child(
-    config: FederationConfig,
-    fleet_file: str,
-    socket_path: Path,
-    loop: asyncio.AbstractEventLoop,
-    on_event: Callable[[Event], None],
-) -> SupervisedChild:
-    """`skygcs federation run` for this fleet file. It reads the file itself, and ends if that cannot be read."""
-    line = ["federation", "run", "--supervised", "--socket", os.fspath(socket_path), fleet_file]
-    more = {"site": config.site, "role": config.role, "socket": station_socket(str(socket_path))}
-    return SupervisedChild("the bridge to other stations", "federation", line, loop, on_event, more=more)

@@ -350,7 +350,7 @@ class VehicleActor:
         self.uplink.moved()
 
     def authority_lost(self, text: str) -> None:
-        """Another site may command it from now on: end control and everything in progress but vehicles.stop, without
+        """Nothing may be sent to it from now on: end control and everything in progress but vehicles.stop, without
         sending anything."""
         self.takeoffs.cancel()
         self.offboard.release(text)

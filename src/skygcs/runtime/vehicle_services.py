@@ -96,8 +96,8 @@ class VehicleLinks(Protocol):
         ...
 
     def authority_refusal(self, sysid: int) -> str | None:
-        """Why nothing may be sent to this system now, as another site may command it; None if it may. By the clock of
-        now: call it at the moment of sending."""
+        """Why nothing may be sent to this system now, as an extension gates it; None if it may. By the clock of now:
+        call it at the moment of sending."""
         ...
 
 

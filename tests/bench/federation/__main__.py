@@ -20,7 +20,7 @@ from bench.federation.full import check_full, measure_full
 from bench.federation.leases import check_races, check_takeover, measure_races, measure_takeover
 from bench.federation.state import check_state, measure_state
 from skygcs.errors import SkygcsError
-from skygcs.federation.server_program import find_server
+from skygcs.ext.federation.server_program import find_server
 from support.process import ROOT
 
 OUT = ROOT / "build" / "bench"

@@ -17,7 +17,7 @@ from typing import Any
 
 import structlog
 
-from skygcs.core.federation.lease import TTL_S
+from skygcs.ext.federation.protocol.lease import TTL_S
 from support.heard_vehicle import boot_s
 from support.hub import Hub
 from support.lease_races import USERS, race

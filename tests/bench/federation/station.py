@@ -23,13 +23,13 @@ import structlog
 
 from bench.federation.synthetic import SyntheticLink, age_of
 from skygcs.cli.process import run_loop
-from skygcs.core.federation.own_states import OwnStates
-from skygcs.core.federation.remote_sites import RemoteSites
-from skygcs.federation.bus import Bus, BusOptions
-from skygcs.federation.nkeys_files import read_seed
-from skygcs.federation.publisher import Publisher
-from skygcs.federation.readers import Readers
-from skygcs.federation.site_clock import SiteClock
+from skygcs.ext.federation.bridge.bus import Bus, BusOptions
+from skygcs.ext.federation.bridge.nkeys_files import read_seed
+from skygcs.ext.federation.bridge.publisher import Publisher
+from skygcs.ext.federation.bridge.readers import Readers
+from skygcs.ext.federation.bridge.site_clock import SiteClock
+from skygcs.ext.federation.protocol.own_states import OwnStates
+from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 
 GOOD_CLOCK_S = 0.02
 """A comparison of clocks with a smaller bound is there soon on a busy machine, too."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from skygcs.cli.fleet_files import EXTRAS, check
-from skygcs.config.models import FleetConfig
-from support.public_data import ROOT
+from skygcs.cli.fleet_files import check
 
 FLEET = """
 [daemon]
@@ -150,11 +147,3 @@ def test_a_package_that_a_table_needs_is_noted(
     assert check(path) == 0
     notes = [line for line in capsys.readouterr().out.splitlines() if "not installed" in line]
     assert notes == ["note: metrics: prometheus_client is not installed here: pip install 'skygcs[metrics]'"]
-
-
-def test_the_extras_are_those_of_the_package() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    for name, modules in EXTRAS.items():
-        assert hasattr(FleetConfig(), name)
-        for module in modules:
-            assert any(package.startswith(module.replace("_", "-")) for package in extras[name]), f"{module} of {name}"

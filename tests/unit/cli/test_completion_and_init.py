@@ -14,11 +14,11 @@ from skygcs.cli.completion import SHELLS, script
 from skygcs.cli.fleet_files import check, write_example
 from skygcs.cli.main import app
 from skygcs.config.examples import scenarios
-from skygcs.config.hub_inventory import load_inventory
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import SimulatedLinkConfig
 from skygcs.core.geo import distance_m
 from skygcs.errors import ConfigError
+from skygcs.ext.federation.hub_inventory import load_inventory
 from support.public_data import ROOT
 from support.table import each
 
@@ -40,7 +40,7 @@ def test_what_init_writes_of_several_stations_stands_alone(tmp_path: Path, capsy
     for site in inventory.sites:
         text = (folder / f"{site}.toml").read_text()
         assert '"../' not in text and "configs/" not in text and f"skygcs run {site}.toml" in text
-        federation = load_fleet(folder / f"{site}.toml").federation
+        federation = load_fleet(folder / f"{site}.toml").extensions["federation"]
         assert federation is not None and federation.site == site
         assert federation.nkey == inventory.users[site].nkey_file, "`federation up` makes the key that it names"
         assert federation.servers == (inventory.local_url,)

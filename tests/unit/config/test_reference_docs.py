@@ -11,7 +11,6 @@ from pydantic import BaseModel
 
 from skygcs.config import (
     control,
-    federation,
     models,
     preflight,
     separation,
@@ -45,8 +44,6 @@ LINKS = get_args(models.LinkConfig)
         preflight.PreflightSettings,
         preflight.RuleSettings,
         *extension_tables(),
-        federation.FederationConfig,
-        federation.SharedVehicle,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,

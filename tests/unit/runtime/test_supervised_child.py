@@ -1,4 +1,4 @@
-"""The processes beside a daemon: the command lines that start them are ones that `skygcs` takes."""
+"""The processes beside a daemon: they are started again, and end with it."""
 
 from __future__ import annotations
 
@@ -8,35 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.cli.serve import new_parser
-from skygcs.config.federation import FederationConfig
 from skygcs.events import Event
 from skygcs.runtime import supervised_child
-from skygcs.runtime.supervised_child import SupervisedChild, federation_child
+from skygcs.runtime.supervised_child import SupervisedChild
 from support.hub import until
-
-SOCKET = Path("/run/x y.sock")
-
-
-async def test_the_bridge_gets_its_fleet_file_and_the_daemons_socket() -> None:
-    table = FederationConfig(site="north", servers=("tls://h",), nkey=Path("n.nk"))
-    child = federation_child(table, "/etc/fleet.toml", SOCKET, asyncio.get_running_loop(), lambda event: None)
-    args = new_parser().parse_args(child._line[3:])
-    assert (args.file, args.socket, args.supervised, args.no_daemon) == (
-        Path("/etc/fleet.toml"),
-        str(SOCKET),
-        True,
-        False,
-    )
-    assert child.status() == {
-        **{"site": "north", "role": "site", "socket": f"{SOCKET}.federation"},
-        **{"running": False, "pid": None, "restarts": 0},
-    }
 
 
 async def test_a_child_that_ends_again_and_again_is_reported_once_and_ends_with_its_parent(

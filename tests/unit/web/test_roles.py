@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skygcs.federation.station_methods import DESCRIBED
+from skygcs.ext.federation.bridge.station_methods import DESCRIBED
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, ORDERS, READ, STATION_ORDERS, access, may
 from support.extension_parts import ALL_METHODS
 

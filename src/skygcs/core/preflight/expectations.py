@@ -33,7 +33,7 @@ class Expectations:
     hdop_max: float = 2.0
     """PX4 wants a PDOP of 2.5, ArduPilot an HDOP of 1.4 or 2.0 by its board."""
     delegated: bool = False
-    """True if other sites may command it, too ([federation.vehicles])."""
+    """True if other ground stations may command it, too."""
     mocap: bool = False
     """True if it flies by poses of motion capture, without GPS."""
     estimator: bool = True

@@ -152,7 +152,7 @@ _KEYS: tuple[tuple[str, _Read], ...] = (
     ("system_status", lambda v, _: name_of(SYSTEM_STATUS, v.system_status)),
     ("landed", lambda v, now: v.landed(now)),
     ("failsafe", lambda v, _: v.failsafe),
-    ("authority", _filled_in_later),  # by the gate of vehicles that several sites command
+    ("authority", _filled_in_later),  # by an extension that gates the vehicle
     ("control", _filled_in_later),  # by flight control
     ("uplink", _filled_in_later),  # by the uplink watch
     ("separation", _filled_in_later),  # by the monitor

@@ -6,8 +6,8 @@ import json
 import re
 from importlib.resources import files
 
+from skygcs.ext.federation.bridge.metrics import METRICS as FEDERATION_METRICS
 from skygcs.ext.metrics.table import METRICS as DAEMON_METRICS
-from skygcs.federation.metrics import METRICS as FEDERATION_METRICS
 from support.public_data import ROOT
 
 METRICS = DAEMON_METRICS | FEDERATION_METRICS

@@ -1,0 +1,1 @@
+"""[federation]: this station among others, over a hub that all of them reach."""
