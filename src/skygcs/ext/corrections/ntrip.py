@@ -22,6 +22,7 @@ that it does not have with the table of those that it has, so that is what the t
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -44,6 +45,8 @@ FIRST_BINARY = 0x80
 """Bytes from here on are no text: the first byte of an RTCM message is 0xD3."""
 
 USER_AGENT = "NTRIP skygcs"
+
+_END_OF_HEAD = re.compile(rb"\r?\n\r?\n")
 
 State = Literal["status", "head", "icy", "table", "stream"]
 
@@ -86,7 +89,7 @@ def request(mountpoint: Mountpoint, password: str, *, revision: int, gga: bytes 
 
 
 class NtripAnswer:
-    """The caster's answer, in pieces of any length. It holds less than one head or one line."""
+    """The caster's answer, in pieces of any length. Beside the last piece it holds less than one head or one line."""
 
     def __init__(self, mountpoint: Mountpoint, *, with_password: bool = False) -> None:
         self.state: State = "status"
@@ -129,15 +132,14 @@ class NtripAnswer:
     # -- the inside
 
     def _take_status(self, data: bytes) -> bytes:
-        self._held += data[: MAX_STATUS_BYTES + 1]
-        end = self._held.find(b"\n")
-        if end < 0 or end > MAX_STATUS_BYTES:
-            if self._held and not _is_text(self._held[:4]) or len(self._held) > MAX_STATUS_BYTES:
+        self._held += data
+        end = self._held.find(b"\n", 0, MAX_STATUS_BYTES)
+        if end < 0:
+            if not _is_text(self._held[:4]) or len(self._held) >= MAX_STATUS_BYTES:
                 raise RefusedByCaster("it sends data without an answer: this address is no NTRIP caster")
             return b""
         line = self._held[:end].strip()
-        rest = self._held + data[MAX_STATUS_BYTES + 1 :] if len(data) > MAX_STATUS_BYTES + 1 else self._held
-        self._held = b""
+        rest, self._held = self._held, b""
         upper = line.upper()
         if upper.startswith(b"HTTP/1."):
             self.revision, self.state = 2, "head"
@@ -162,17 +164,14 @@ class NtripAnswer:
         return RefusedByCaster(f"it answers {_shown(line)}")
 
     def _take_head(self, data: bytes) -> bytes:
-        self._held += data[: MAX_HEAD_BYTES + 1]
-        left = data[MAX_HEAD_BYTES + 1 :]
-        ends = [(at, size) for mark, size in ((b"\r\n\r\n", 4), (b"\n\n", 2)) if (at := self._held.find(mark)) >= 0]
-        if not ends or min(ends)[0] > MAX_HEAD_BYTES:
-            if len(self._held) > MAX_HEAD_BYTES:
+        self._held += data
+        end = _END_OF_HEAD.search(self._held, 0, MAX_HEAD_BYTES)
+        if end is None:
+            if len(self._held) >= MAX_HEAD_BYTES:
                 raise RefusedByCaster(f"the head of its answer has more than {MAX_HEAD_BYTES} bytes: no NTRIP caster")
             return b""
-        at, size = min(ends)
-        status, *lines = self._held[:at].replace(b"\r\n", b"\n").split(b"\n")
-        rest = self._held[at + size :] + left
-        self._held = b""
+        status, *lines = self._held[: end.start()].split(b"\n")
+        rest, self._held = self._held[end.end() :], b""
         fields: dict[bytes, bytes] = {}
         for line in lines:
             name, _, value = line.partition(b":")
@@ -223,24 +222,21 @@ class NtripAnswer:
 
     def _take_icy_lines(self, data: bytes) -> bytes:
         """Skip lines of a head that some casters send after "ICY 200 OK", and others do not."""
-        self._held += data[: MAX_HEAD_BYTES + 1]
-        left = data[MAX_HEAD_BYTES + 1 :]
-        while self._held:
-            end = self._held.find(b"\n")
-            line = self._held if end < 0 else self._held[:end]
+        held = self._held + data
+        while self.state == "icy" and held:
+            line, newline, rest = held.partition(b"\n")
             if not _is_text(line) or len(line) > MAX_STATUS_BYTES:
                 self.state = "stream"
+            elif not newline:
                 break
-            if end < 0:
-                return b""
-            self._held = self._held[end + 1 :]
-            if not line.strip():
-                self.state = "stream"
-                break
-        if self.state != "stream":
+            else:
+                held = rest
+                self.state = "icy" if line.strip() else "stream"
+        if self.state == "icy":
+            self._held = held
             return b""
-        content, self._held = self._held + left, b""
-        return content
+        self._held = b""
+        return held
 
     def _no_mountpoint(self) -> RefusedByCaster:
         known, name = self._table.mountpoints, self._mountpoint.name
