@@ -1,13 +1,13 @@
 """The chunked transfer coding of HTTP/1.1 (RFC 9112, 7.1), as casters of NTRIP 2 send their streams.
 
-    state   input                                      next
-    -----   ----------------------------------------   -----
-    size    a hex number, extensions, end of line      data; ended if it is 0
-    size    anything else, or a line that is too long  LinkError
-    data    so many bytes                              end
-    end     end of line                                size
-    end     anything else                              LinkError
-    ended   anything                                   ended
+state   input                                      next
+-----   ----------------------------------------   -----
+size    a hex number, extensions, end of line      data; ended if it is 0
+size    anything else, or a line that is too long  LinkError
+data    so many bytes                              end
+end     end of line                                size
+end     anything else                              LinkError
+ended   anything                                   ended
 """
 
 from __future__ import annotations

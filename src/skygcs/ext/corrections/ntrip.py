@@ -181,7 +181,7 @@ class NtripAnswer:
 
     def _begin_body(self, status: bytes, fields: dict[bytes, bytes]) -> None:
         """The status and the fields of an answer by HTTP."""
-        code = (status.split(maxsplit=2) + [b"", b""])[1]
+        code = [*status.split(maxsplit=2), b"", b""][1]
         if code != b"200":
             raise self._refusal(code, status, fields)
         coding = fields.get(b"transfer-encoding", b"identity").lower()
@@ -241,7 +241,9 @@ class NtripAnswer:
     def _no_mountpoint(self) -> RefusedByCaster:
         known, name = self._table.mountpoints, self._mountpoint.name
         if not known:
-            return RefusedByCaster(f"it answers a text instead of the stream {name}: is there a mountpoint of this name?")
+            return RefusedByCaster(
+                f"it answers a text instead of the stream {name}: is there a mountpoint of this name?"
+            )
         near = near_names(name, known) or sorted(known)
         shown = [visible(one) for one in near[:SHOWN_MOUNTPOINTS]]
         more = f", and {len(known) - len(shown)} more" if len(known) > len(shown) else ""

@@ -109,7 +109,9 @@ class ReceiverSetup:
             return self._place(now) if now >= self._heard_at + LOOK_S else b""
         if self.state == "running":
             if now >= self._heard_at + SURVEY_SILENT_S:
-                raise LinkError(f"no NAV-SVIN for {SURVEY_SILENT_S:g} s: it was restarted, or set up by another program")
+                raise LinkError(
+                    f"no NAV-SVIN for {SURVEY_SILENT_S:g} s: it was restarted, or set up by another program"
+                )
             return b""
         if now < self._sent_at + ANSWER_S:
             return b""

@@ -58,6 +58,9 @@ RATE_UART1 = {
 }
 """The key of an RTCM message's rate on UART1: each so many navigation epochs (of one second), 0: never."""
 
+OBSERVATIONS = {"msm4": (1074, 1084, 1094, 1124), "msm7": (1077, 1087, 1097, 1127)}
+"""GPS, GLONASS, Galileo and BeiDou."""
+
 SVIN_RATE_UART1 = 0x20910089
 
 _SIZE_CODES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}
@@ -131,16 +134,14 @@ def answered(message: UbxMessage) -> bool | None:
     return message.kind == ACK_ACK
 
 
-def output_settings(port: str, observations: str, nmea: bool = False) -> dict[int, int]:
+def output_settings(port: str, observations: str) -> dict[int, int]:
     """Have a port put out a base's messages and NAV-SVIN, and no NMEA. ``observations``: "msm4" or "msm7"."""
     place, protocols = PORTS[port]
-    wanted = {1005: 10, 1230: 10} | dict.fromkeys(range(1074, 1125, 10) if observations == "msm4" else (), 1)
-    if observations == "msm7":
-        wanted |= dict.fromkeys((1077, 1087, 1097, 1127), 1)
+    wanted = dict.fromkeys(OBSERVATIONS[observations], 1) | {1005: 10, 1230: 10}
     rates = {key + place: wanted.get(type_, 0) for type_, key in RATE_UART1.items()}
     return {
         protocols + OUT_UBX: 1,
-        protocols + OUT_NMEA: int(nmea),
+        protocols + OUT_NMEA: 0,
         protocols + OUT_RTCM: 1,
         SVIN_RATE_UART1 + place: 1,
         **rates,
