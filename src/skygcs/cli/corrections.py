@@ -199,7 +199,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             yield f"  {', '.join(lost)}"
     # what the vehicles got from it
     if status.get("rtk_fixed") or status.get("rtk_float"):
-        yield f"{status['rtk_fixed']} fixed, {status['rtk_float']} float of {plural(len(status['vehicles']), 'vehicle')}"
+        of = plural(len(status["vehicles"]), "vehicle")
+        yield f"{status['rtk_fixed']} fixed, {status['rtk_float']} float of {of}"
     for vehicle in status["vehicles"]:
         satellites = "" if vehicle["satellites"] is None else f", {vehicle['satellites']} satellites"
         yield f"{vehicle['name']}: {vehicle['fix'] or 'no GPS reported'}{satellites}"

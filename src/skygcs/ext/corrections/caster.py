@@ -126,7 +126,7 @@ class CasterSource:
                 feeder.take(content)
 
     async def _read(self, reader: asyncio.StreamReader, wait_s: float) -> bytes | None:
-        """What came; None: nothing within that time; b"": the end."""
+        """The next bytes; None: nothing within that time; b"": the end."""
         try:
             async with asyncio.timeout(max(wait_s, 0.001)):
                 return await reader.read(READ_BYTES)

@@ -44,7 +44,7 @@ class Source(Protocol):
     """Where corrections come from."""
 
     name: str
-    """For a person; never with a password."""
+    """Its name for a person; never with a password."""
 
     @property
     def kind(self) -> Literal["ntrip", "receiver"]: ...

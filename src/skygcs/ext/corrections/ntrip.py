@@ -39,7 +39,7 @@ MAX_LINE_BYTES = 2048
 MAX_MOUNTPOINTS = 4096
 SHOWN_MOUNTPOINTS = 8
 MAX_SHOWN_CHARS = 120
-"""Of a text of the caster's in a text of ours."""
+"""The caster's texts are cut to that in texts of ours."""
 
 FIRST_BINARY = 0x80
 """Bytes from here on are no text: the first byte of an RTCM message is 0xD3."""
@@ -94,7 +94,7 @@ class NtripAnswer:
     def __init__(self, mountpoint: Mountpoint, *, with_password: bool = False) -> None:
         self.state: State = "status"
         self.revision = 0
-        """As the caster answered: 1 or 2; 0: it has not yet."""
+        """The revision of the caster's answer, 1 or 2; 0: there is none yet."""
         self._mountpoint = mountpoint
         self._with_password = with_password
         self._held = b""

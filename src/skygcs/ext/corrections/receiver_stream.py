@@ -1,4 +1,4 @@
-"""What a u-blox receiver sends: RTCM and UBX messages in one stream, with NMEA between them that nobody reads.
+"""The stream of a u-blox receiver: RTCM and UBX messages in one stream, with NMEA between them that nobody reads.
 
 One search for both: the content of an RTCM message may hold the beginning of a UBX message, and the other way round.
 After anything that proves to be no message the search goes on at the next byte, so that a false start costs none that
