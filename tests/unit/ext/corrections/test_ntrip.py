@@ -128,7 +128,7 @@ def test_a_refusal_says_what_to_do(said: bytes, why: str) -> None:
 
 
 def test_a_missing_password_is_told_from_a_wrong_one() -> None:
-    with pytest.raises(RefusedByCaster, match="needs a password.*password_file"):
+    with pytest.raises(RefusedByCaster, match=r"needs a password.*password_file"):
         read(b"HTTP/1.1 401 Unauthorized\r\n\r\n", with_password=False)
 
 
