@@ -76,10 +76,8 @@ class BaseReceiver:
         self.surveyed_s, self.valid = None, False
 
     def second(self) -> None:
-        """Answer what was asked, and send what is due."""
-        if self.far is None:
-            return
-        self._answer()
+        """Answer what was asked, and send what is due; what nobody has the port open for is lost."""
+        self.answer()
         for message in self.due():
             self._send(message)
 
@@ -112,12 +110,10 @@ class BaseReceiver:
         """The longer it averages, the better."""
         return 10.0 / max(self.surveyed_s or 1, 1) ** 0.5
 
-    def _answer(self) -> None:
-        assert self.far is not None
-        try:
-            self._held += self.far.recv(65536)
-        except BlockingIOError:
-            return
+    def answer(self) -> None:
+        """Answer what was asked."""
+        with contextlib.suppress(OSError):  # nothing more, or nobody has the port open
+            self._held += b"" if self.far is None else self.far.recv(65536)
         asked, self._held = settings_in(self._held), b""
         for settings in asked:
             self.asked.append(settings)

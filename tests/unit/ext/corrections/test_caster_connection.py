@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import ssl
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from skygcs.errors import LinkError
-from skygcs.events import Event
-from skygcs.ext.corrections.caster import ANSWER_S, CasterSource, read_password
+from skygcs.ext.corrections.caster import ANSWER_S, read_password
 from skygcs.ext.corrections.config import CorrectionsConfig
-from skygcs.ext.corrections.feeder import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, REFUSED_AGAIN_S, Feeder
+from skygcs.ext.corrections.feeder import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, REFUSED_AGAIN_S
 from skygcs.ext.corrections.gga import Place
-from skygcs.runtime.correction_feed import CorrectionFeed
 from support.caster import HTTP, ICY, TABLE, Caster, Client, Conduct, never_stops, says, streams
 from support.certificates import Authority
-from support.frames import dialect
+from support.corrections_bench import CorrectionsBench
 from support.rtcm import STANDARD_1005, rtcm_frame
 
 pytestmark = pytest.mark.looptime
@@ -30,46 +28,16 @@ EPOCHS = [STANDARD_1005 + rtcm_frame(1077, epoch=n, body_bytes=250) for n in ran
 HOME = Place("alpha", 43.78, -79.46, 180.0)
 
 
-class Bench:
-    """A source at work, with a feed whose hub keeps what is sent to the vehicles."""
-
-    def __init__(self, port: int, *, place: Place | None = HOME, scheme: str = "ntrip", **keys: Any) -> None:
-        table = {"ntrip": f"{scheme}://ada@127.0.0.1:{port}/MOUNT", **keys}
-        self.config = CorrectionsConfig.model_validate(table)
-        self.clock = asyncio.get_running_loop().time
-        self.sent = bytearray()
-        hub: Any = SimpleNamespace(dialect=dialect(), channels={}, channels_to=lambda *_: (1,), send=self._send)
-        self.feed = CorrectionFeed(hub, SimpleNamespace(vehicles={}), self.clock)  # type: ignore[arg-type]
-        self.events: list[Event] = []
-        self.source = CasterSource(self.config, lambda last: place, self.clock)
-        self.feeder = Feeder(self.source, self.feed, self.clock, self.events.append)
-
-    def _send(self, info: Any, values: Any, *_: Any, **__: Any) -> bool:
-        self.sent += bytes(values["data"])[: values["len"]]
-        return True
-
-    @property
-    def status(self) -> dict[str, Any]:
-        return self.feeder.status()
-
-    def changes(self) -> list[str]:
-        return [event.data["change"] for event in self.events]
-
-
-async def until(condition: Callable[[], bool], within_s: float) -> None:
-    async with asyncio.timeout(within_s):
-        while True:
-            if condition():
-                return
-            await asyncio.sleep(0.1)
+def bench_of(port: int, *, place: Place | None = HOME, scheme: str = "ntrip", **keys: Any) -> CorrectionsBench:
+    return CorrectionsBench(lambda last: place, **{"ntrip": f"{scheme}://ada@127.0.0.1:{port}/MOUNT", **keys})
 
 
 @contextlib.asynccontextmanager
 async def at_work(
     *conducts: Conduct, tls: ssl.SSLContext | None = None, **keys: Any
-) -> AsyncIterator[tuple[Bench, Caster]]:
+) -> AsyncIterator[tuple[CorrectionsBench, Caster]]:
     async with Caster(*conducts, tls=tls) as caster:
-        bench = Bench(caster.port, **keys)
+        bench = bench_of(caster.port, **keys)
         task = asyncio.create_task(bench.feeder.run())
         try:
             yield bench, caster
@@ -117,9 +85,7 @@ async def test_no_position_is_sent_where_none_is_wanted_or_known() -> None:
 async def test_a_position_that_comes_later_is_sent_then() -> None:
     places: list[Place | None] = [None]
     async with Caster(streams(EPOCHS)) as caster:
-        bench = Bench(caster.port)
-        bench.source = CasterSource(bench.config, lambda last: places[0], bench.clock)
-        bench.feeder.source = bench.source
+        bench = CorrectionsBench(lambda last: places[0], ntrip=f"ntrip://127.0.0.1:{caster.port}/MOUNT")
         task = asyncio.create_task(bench.feeder.run())
         await asyncio.sleep(5.5)
         assert caster.clients[0].lines == []
@@ -134,7 +100,7 @@ async def test_a_caster_that_is_lost_is_called_again_ever_more_slowly() -> None:
     async with at_work(says(b"")) as (bench, caster):
         await asyncio.sleep(200.0)
         calls = [client.at for client in caster.clients]
-        pauses = [round(b - a, 1) for a, b in zip(calls, calls[1:], strict=False)]
+        pauses = [round(b - a, 1) for a, b in itertools.pairwise(calls)]
         assert pauses[:6] == [FIRST_BACK_OFF_S, 2.0, 4.0, 8.0, 16.0, LONGEST_BACK_OFF_S]
         assert set(pauses[6:]) == {LONGEST_BACK_OFF_S}
         assert bench.changes() == ["down"]  # once, not at each attempt
@@ -171,10 +137,10 @@ async def test_a_stream_that_breaks_and_comes_back_is_told() -> None:
 )
 async def test_what_is_no_stream_is_named_and_asked_for_again_later(conduct: Conduct, why: str, again_s: float) -> None:
     async with at_work(conduct) as (bench, caster):
-        await until(lambda: bench.status["state"] == "down", 15.0)
+        await bench.until(lambda: bench.status["state"] == "down", 15.0)
         assert why in bench.status["text"]
         ended = bench.clock()
-        await until(lambda: len(caster.clients) == 2, 70.0)
+        await bench.until(lambda: len(caster.clients) == 2, 70.0)
         assert bench.clock() - ended == pytest.approx(again_s, abs=0.3)
         assert bench.sent == b""
         assert bench.changes() == ["down"]
@@ -234,7 +200,7 @@ async def test_when_it_ends_another_programs_may_follow_at_once() -> None:
 
 
 async def test_no_caster_at_all() -> None:
-    bench = Bench(1)
+    bench = bench_of(1)
     task = asyncio.create_task(bench.feeder.run())
     await asyncio.sleep(0.5)
     assert "connection refused" in bench.status["text"]
@@ -370,7 +336,7 @@ async def test_aiohttps_chunks_are_read(authority: Authority) -> None:
     await runner.setup()
     site = web.TCPSite(runner, "127.0.0.1", 0, ssl_context=server_context(authority, "127.0.0.1"))
     await site.start()
-    bench = Bench(runner.addresses[0][1], scheme="ntrips", ca_file=authority.file)
+    bench = bench_of(runner.addresses[0][1], scheme="ntrips", ca_file=authority.file)
     task = asyncio.create_task(bench.feeder.run())
     await asyncio.sleep(5.5)
     task.cancel()
