@@ -135,7 +135,7 @@ class CasterSource:
 
     def _silence(self, answer: NtripAnswer, streams: bool) -> LinkError:
         if not streams:
-            if answer.state == "table":
+            if answer.state in ("head", "table"):
                 return answer.ended()
             return LinkError(f"no answer within {ANSWER_S:g} s: is this address an NTRIP caster's?")
         why = f"the caster was silent for {self._config.silent_s:g} s"

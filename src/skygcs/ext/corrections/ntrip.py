@@ -127,6 +127,10 @@ class NtripAnswer:
             return self._no_mountpoint()
         if self.state == "stream":
             return LinkError("the caster closed the connection")
+        if self.state == "head":  # some send no more than the status of a refusal
+            status = self._held.partition(b"\n")[0].strip()
+            if (code := _code(status)) != b"200":
+                return self._refusal(code, status, {})
         return LinkError("the caster closed the connection without an answer")
 
     # -- the inside
@@ -181,7 +185,7 @@ class NtripAnswer:
 
     def _begin_body(self, status: bytes, fields: dict[bytes, bytes]) -> None:
         """The status and the fields of an answer by HTTP."""
-        code = [*status.split(maxsplit=2), b"", b""][1]
+        code = _code(status)
         if code != b"200":
             raise self._refusal(code, status, fields)
         coding = fields.get(b"transfer-encoding", b"identity").lower()
@@ -278,6 +282,11 @@ class SourceTable:
             name = rest.partition(b";")[0].decode("utf-8", "replace").strip()[:MAX_SHOWN_CHARS]
             if name:
                 self.mountpoints.append(name)
+
+
+def _code(status: bytes) -> bytes:
+    """The number in a status line of HTTP; empty if there is none."""
+    return [*status.split(maxsplit=2), b"", b""][1]
 
 
 def _is_text(data: bytes) -> bool:

@@ -163,6 +163,12 @@ def test_a_table_or_a_page_that_only_ends_counts_too() -> None:
     assert "closed the connection" in str(read(ICY, STREAM)[1].ended())
 
 
+def test_a_refusal_whose_head_has_no_end_is_read_when_the_connection_ends() -> None:
+    _, answer = read(b"HTTP/1.0 401 Unauthorized\r\n")  # RTKLIB 2.4.3 closes then
+    assert isinstance(answer.ended(), RefusedByCaster) and "accepts neither user" in str(answer.ended())
+    assert "without an answer" in str(read(b"HTTP/1.0 200 OK\r\n")[1].ended())
+
+
 def test_a_table_without_an_end_is_bounded() -> None:
     table = SourceTable()
     while not table.complete:
