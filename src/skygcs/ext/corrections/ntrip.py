@@ -218,10 +218,10 @@ class NtripAnswer:
                 f"{self._mountpoint.name} needs a password (401): write the user into ntrip (ntrip://USER@HOST/...), "
                 "and set password_file or password_env"
             )
-        user = self._mountpoint.user or "no user"
+        user = self._mountpoint.user or "none"
         return RefusedByCaster(
-            f"the caster accepts neither user nor password, or not for {self._mountpoint.name} (401): {user} in ntrip, "
-            "and the password of password_file or password_env"
+            f"user or password is wrong, or not meant for {self._mountpoint.name} (401): correct the user in ntrip "
+            f"({user}), or the password in password_file or password_env"
         )
 
     def _take_icy_lines(self, data: bytes) -> bytes:

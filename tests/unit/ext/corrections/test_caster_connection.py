@@ -278,7 +278,7 @@ async def test_the_password_is_sent_and_shown_nowhere(tmp_path: Path, monkeypatc
             ]
             shown = f"{bench.status} {bench.events} {bench.config} {bench.source.name}"
             assert "tops3cret" not in shown and "YWRhOnRvcHMzY3JldA" not in shown
-            assert "accepts neither user nor password" in bench.events[0].text
+            assert "user or password is wrong" in bench.events[0].text
 
 
 @pytest.mark.parametrize(
