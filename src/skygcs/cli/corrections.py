@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cancellation import ended
-from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show
+from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show, show
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
 from skygcs.cli.render import cut, plural, print_json, screen_width
@@ -217,7 +217,8 @@ def own_source_lines(own: dict[str, Any]) -> Iterator[str]:
         yield "  " + " ".join(f"{type_}:{count:,}" for type_, count in own["types"].items())
     if (gga := own["gga"]) is not None:
         if gga["age_s"] is None:
-            yield "  no position sent to it yet: no vehicle has a fix"
+            connected = own["state"] in ("waiting", "streaming", "held_off")
+            yield f"  no position sent to it yet{': no vehicle has a fix' if connected else ''}"
         else:
             yield f"  position of {visible(gga['from'])} sent to it {plural(gga['sent'], 'time')}"
     if (survey := own["survey"]) is not None:
@@ -244,7 +245,15 @@ def survey(json_output: Json = False) -> None:
 
     Example: skygcs-cli corrections survey
     """
-    run_show("corrections.survey", json_output, own_source_lines)
+
+    async def command(gcs: Client) -> int:
+        if (await gcs.call("corrections.status")).get("own_source") is None:
+            fail("the daemon has no receiver of its own: its fleet file has no table [corrections]")
+            return Exit.FAILED
+        show(await gcs.call("corrections.survey"), json_output, own_source_lines)
+        return Exit.DONE
+
+    run(command)
 
 
 # --- the stream -------------------------------------------------------------------------------------------------------

@@ -69,7 +69,9 @@ class CasterSource:
         tls = await self._tls() if self._mountpoint.tls else None
         try:
             async with asyncio.timeout(CONNECT_S):
-                reader, writer = await asyncio.open_connection(host, port, ssl=tls, limit=BUFFER_BYTES)
+                reader, writer = await asyncio.open_connection(
+                    host, port, ssl=tls, limit=BUFFER_BYTES, ssl_handshake_timeout=None if tls is None else CONNECT_S
+                )
         except TimeoutError:
             raise LinkError(
                 f"no connection within {CONNECT_S:g} s: is the network up, and {host}:{port} right?"
