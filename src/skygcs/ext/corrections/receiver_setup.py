@@ -19,10 +19,9 @@ would move every vehicle.
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, Protocol
 
 from skygcs.errors import LinkError
-from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.ubx import (
     SurveyIn,
     UbxMessage,
@@ -46,10 +45,25 @@ SURVEY_SILENT_S = 10.0
 State = Literal["outputs", "look", "restart", "place", "running"]
 
 
+class BaseSettings(Protocol):
+    """The wishes of a fleet file; `CorrectionsConfig` has them."""
+
+    @property
+    def survey_s(self) -> float: ...
+    @property
+    def survey_accuracy_m(self) -> float: ...
+    @property
+    def position(self) -> tuple[float, float, float] | None: ...
+    @property
+    def position_accuracy_m(self) -> float: ...
+    @property
+    def observations(self) -> Literal["msm4", "msm7"]: ...
+
+
 class ReceiverSetup:
     """The dialogue with one receiver, from the opening of its port to its end."""
 
-    def __init__(self, config: CorrectionsConfig, port: str) -> None:
+    def __init__(self, config: BaseSettings, port: str) -> None:
         """``port``: the receiver's own that the cable is in, a key of `ubx.PORTS`."""
         self.state: State = "outputs"
         self.survey: SurveyIn | None = None
