@@ -15,7 +15,7 @@ class Event:
     vehicle_discovered vehicle_lost vehicle_back vehicle_forgotten armed disarmed mode landed system_status statustext
     reboot failsafe command control mission fence origin conflict duplicate link_up link_down link_degraded
     link_recovered route signing recorder params third_party undo separation uplink_lost uplink_back
-    authority unattended takeoff alarm mocap companion ground_lost federation warning
+    authority unattended takeoff alarm mocap corrections companion ground_lost federation warning
     fault
     """
 

@@ -11,6 +11,7 @@ PROGRAMS = {
     "prometheus": "prometheus",
     "promtool": "prometheus",
     "sshd": "openssh-server",
+    "str2str": "rtklib",
     "systemd-analyze": "systemd",
 }
 """Program -> package."""

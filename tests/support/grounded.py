@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
@@ -16,14 +17,18 @@ from support.flown import FIELD, Flown
 
 
 @contextlib.asynccontextmanager
-async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
-    """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways."""
+async def on_the_ground(
+    tmp_path: Path, *, extensions: Mapping[str, Any] | None = None, **link: float
+) -> AsyncIterator[Flown]:
+    """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways; ``extensions``: their
+    tables."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
             "links": {"air": {"type": "memory", "role": "radio", **{"seed": 7, **link}}},
         }
     )
+    config = config.model_copy(update={"extensions": dict(extensions or {})})
     daemon = Daemon(config, load_dialect(config.dialect))
     sims = make_vehicles(
         load_dialect("ardupilotmega"),

@@ -17,12 +17,13 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cancellation import ended
-from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show
+from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show, show
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
 from skygcs.cli.render import cut, plural, print_json, screen_width
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
+from skygcs.terminal_text import visible
 
 corrections = typer.Typer(help="RTK corrections for all vehicles: send them, see what became of them.")
 
@@ -164,9 +165,12 @@ def status(json_output: Json = False) -> None:
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of corrections.status for a person."""
+    # the source that the daemon asks itself
+    if (own := status.get("own_source")) is not None:
+        yield from own_source_lines(own)
     # what came in
     if status["age_s"] is None:
-        yield "nothing was sent yet through this daemon's socket"
+        yield "nothing was sent yet" if own else "nothing was sent yet through this daemon's socket"
     else:
         source = f"from {status['source']}" if status["source"] else "no source at present"
         yield (
@@ -194,9 +198,62 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         if lost:
             yield f"  {', '.join(lost)}"
     # what the vehicles got from it
+    if status.get("rtk_fixed") or status.get("rtk_float"):
+        of = plural(len(status["vehicles"]), "vehicle")
+        yield f"{status['rtk_fixed']} fixed, {status['rtk_float']} float of {of}"
     for vehicle in status["vehicles"]:
         satellites = "" if vehicle["satellites"] is None else f", {vehicle['satellites']} satellites"
         yield f"{vehicle['name']}: {vehicle['fix'] or 'no GPS reported'}{satellites}"
+
+
+def own_source_lines(own: dict[str, Any]) -> Iterator[str]:
+    """The source of [corrections] for a person."""
+    rate = f", {own['bytes_per_s']:,.0f} B/s" if own["state"] in ("streaming", "held_off") else ""
+    age = "" if own["age_s"] is None else f", the last message {own['age_s']:,.0f} s ago"
+    yield f"{own['name']}: {own['state'].replace('_', ' ')} for {own['since_s']:,.0f} s{rate}{age}"
+    if own["text"]:
+        yield f"  {visible(own['text'])}"
+    if own["types"]:
+        yield "  " + " ".join(f"{type_}:{count:,}" for type_, count in own["types"].items())
+    if (gga := own["gga"]) is not None:
+        if gga["age_s"] is None:
+            connected = own["state"] in ("waiting", "streaming", "held_off")
+            yield f"  no position sent to it yet{': no vehicle has a fix' if connected else ''}"
+        else:
+            yield f"  position of {visible(gga['from'])} sent to it {plural(gga['sent'], 'time')}"
+    if (survey := own["survey"]) is not None:
+        yield f"  {_survey_line(survey)}"
+
+
+def _survey_line(survey: dict[str, Any]) -> str:
+    if survey["state"] == "setting_up":
+        return "the receiver is being set up"
+    if survey["state"] == "fixed":
+        return "position: from the fleet file"
+    if survey["duration_s"] is None:
+        return "survey-in: begun"
+    done = "done" if survey["state"] == "surveyed" else "running"
+    return (
+        f"survey-in {done}: {survey['duration_s']:,} s of at least {survey['minimum_s']:,.0f} s, "
+        f"{survey['accuracy_m']:.2f} m of {survey['wanted_m']:g} m, {survey['observations']:,} observations"
+    )
+
+
+@corrections.command("survey")
+def survey(json_output: Json = False) -> None:
+    """Have the base receiver of [corrections] survey its position in anew, as after its antenna was moved.
+
+    Example: skygcs-cli corrections survey
+    """
+
+    async def command(gcs: Client) -> int:
+        if (await gcs.call("corrections.status")).get("own_source") is None:
+            fail("the daemon has no receiver of its own: its fleet file has no table [corrections]")
+            return Exit.FAILED
+        show(await gcs.call("corrections.survey"), json_output, own_source_lines)
+        return Exit.DONE
+
+    run(command)
 
 
 # --- the stream -------------------------------------------------------------------------------------------------------

@@ -39,6 +39,9 @@ TABLES_WITH_TLS = ("companion", "companions")
 """Tables of extensions that serve or call over TLS inside the daemon. They stand here because OpenSSL is loaded with
 asyncio or never: before anything is imported that could find an extension and ask it."""
 
+TLS_IN_AN_ADDRESS = "ntrips://"
+"""And [corrections] calls over TLS if its address begins so."""
+
 _ERRORS = (
     "CertificateError",
     "SSLError",
@@ -53,13 +56,13 @@ _NUMBERS = {"SSL_ERROR_WANT_READ": 2, "SSL_ERROR_WANT_WRITE": 3, "SSL_ERROR_SYSC
 
 
 def needs_tls(arguments: list[str]) -> bool:
-    """True if one of these files has one of `TABLES_WITH_TLS`."""
+    """True if one of these files has one of `TABLES_WITH_TLS`, or corrections from a caster over TLS."""
     for argument in arguments:
         try:
             text = Path(argument).read_bytes() if argument.endswith(".toml") else b""
         except OSError:
             continue  # what is wrong with it is reported when it is read
-        if any(name.encode() in text for name in TABLES_WITH_TLS) and _speaks_tls(text):
+        if any(name.encode() in text for name in (*TABLES_WITH_TLS, TLS_IN_AN_ADDRESS)) and _speaks_tls(text):
             return True
     return False
 
@@ -69,7 +72,9 @@ def _speaks_tls(text: bytes) -> bool:
         table = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         return False
-    return any(name in table for name in TABLES_WITH_TLS)
+    corrections = table.get("corrections")
+    address = corrections.get("ntrip") if isinstance(corrections, dict) else None
+    return any(name in table for name in TABLES_WITH_TLS) or str(address).startswith(TLS_IN_AN_ADDRESS)
 
 
 def prepare_daemon(*, tls: bool = False) -> None:

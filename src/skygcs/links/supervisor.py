@@ -24,6 +24,23 @@ STABLE_AFTER_S = 5.0
 """A link that was up for less has not recovered: the next back-off is longer still."""
 
 
+class BackOff:
+    """Pauses before the next attempt: each twice the one before, from ``first_s`` to ``longest_s``. An attempt that was
+    a success for `STABLE_AFTER_S` or longer has them begin anew."""
+
+    def __init__(self, first_s: float = FIRST_BACK_OFF_S, longest_s: float = LONGEST_BACK_OFF_S) -> None:
+        self._first_s = self._next_s = first_s
+        self._longest_s = longest_s
+
+    def after(self, up_s: float) -> float:
+        """The pause after an attempt that was up for so long, 0 if never."""
+        if up_s >= STABLE_AFTER_S:
+            self._next_s = self._first_s
+        pause_s = self._next_s
+        self._next_s = min(2 * pause_s, self._longest_s)
+        return pause_s
+
+
 class LinkSupervisor:
     """Owner of one link's life. ``state`` since ``since`` (loop time); ``last_error`` is the latest reason, also after
     recovery. The first failure is reported by a link_down event, later ones are counted in ``failures``, and a link_up
@@ -42,19 +59,17 @@ class LinkSupervisor:
 
     async def run(self) -> None:
         """Until cancelled, or until the link has finished by itself. Nothing a link raises ends it."""
-        back_off_s = FIRST_BACK_OFF_S
+        back_off = BackOff()
         try:
             while True:
                 reason = await self._one_life()
-                if self.state == "up" and self.link.loop.time() - self.since >= STABLE_AFTER_S:
-                    back_off_s = FIRST_BACK_OFF_S
+                up_s = self.link.loop.time() - self.since if self.state == "up" else 0.0
                 await self._close()
                 if self.link.finished:
                     self._finish(reason)
                     return
                 self._went_down(reason)
-                await asyncio.sleep(back_off_s)
-                back_off_s = min(2 * back_off_s, LONGEST_BACK_OFF_S)
+                await asyncio.sleep(back_off.after(up_s))
         finally:
             await self._close()
 

@@ -79,6 +79,7 @@ EVENT_KINDS = (
     "separation",
     "authority",
     "mocap",
+    "corrections",
     "companion",
     "ground_lost",
     "federation",

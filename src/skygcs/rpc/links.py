@@ -116,6 +116,15 @@ class CorrectionsStatus(Result):
         "(sysid/compid), what waits and what was sent, replaced, dropped. Ground stations' included."
     )
     vehicles: list[dict[str, Any]] = Field(description="name, fix (rtk_fixed, rtk_float, 3d, ...), satellites.")
+    rtk_float: int = Field(description="Vehicles with a float solution.")
+    rtk_fixed: int = Field(description="Vehicles with a fixed solution.")
+    own_source: dict[str, Any] | None = Field(
+        description="The source of [corrections]; null: the fleet file has none. kind (ntrip, receiver), name, state "
+        "(connecting, waiting, streaming, held_off, down), text (the latest trouble), since_s, connected (times), "
+        "failures (attempts since), bytes, bytes_per_s, messages, age_s (of the last), types (messages by RTCM type), "
+        "gga (from, sent, age_s), survey (state: setting_up, surveying, surveyed or fixed; duration_s, minimum_s, "
+        "accuracy_m, wanted_m, observations)"
+    )
 
 
 def links_list(context: Context, _: NoParams) -> list[JsonObject]:

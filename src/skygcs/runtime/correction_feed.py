@@ -43,6 +43,8 @@ class CorrectionFeed:
         self._sent = dict.fromkeys(("messages", "bytes", "refused", "too_long", "bad_crc", "skipped_bytes"), 0)
         self._types: dict[int, list[float]] = {}
         """Messages, bytes and time of the last one, by RTCM type."""
+        self.own_source: Callable[[], dict[str, Any]] | None = None
+        """The status of the source that this daemon asks itself ([corrections]); None: it has none."""
         self._recent: deque[tuple[float, int]] = deque(maxlen=MAX_RECENT)
 
     def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
@@ -86,6 +88,7 @@ class CorrectionFeed:
     def status(self) -> dict[str, Any]:
         """Messages sent since the daemon's start, those that each radio carried, and the fix of each vehicle."""
         now = self._clock()
+        fixes = self._fixes(now)
         while self._recent and self._recent[0][0] < now - RATE_S:
             self._recent.popleft()
         return {
@@ -109,7 +112,10 @@ class CorrectionFeed:
                 for channel in self._hub.channels.values()
                 if channel.air is not None
             ],
-            "vehicles": self._fixes(now),
+            "vehicles": fixes,
+            "rtk_float": sum(vehicle["fix"] == "rtk_float" for vehicle in fixes),
+            "rtk_fixed": sum(vehicle["fix"] == "rtk_fixed" for vehicle in fixes),
+            "own_source": None if self.own_source is None else self.own_source(),
         }
 
     def _follow(self, source: str, now: float) -> None:

@@ -76,6 +76,7 @@ ORDERS = frozenset(
         "control.record",
         "control.set",
         "control.setpoint",
+        "corrections.survey",
         "fence.set",
         "fence.status",
         "fence.test",

@@ -23,12 +23,14 @@ from skygcs.cli.corrections import (
     at_rate,
     forward,
     line_of,
+    own_source_lines,
     status_lines,
 )
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.errors import DaemonUnreachable, RefusedError
 from support.controlled import Commanded, commanded
 from support.rtcm import STANDARD_1005, rtcm_frame
+from support.table import each
 
 NOTHING = dict.fromkeys(("messages", "bytes", "refused", "too_long", "bad_crc", "skipped_bytes"), 0)
 
@@ -246,6 +248,67 @@ def test_the_status_shows_what_went_and_the_fixes(fleet: Commanded) -> None:
         "alpha: rtk_fixed, 14 satellites",
         "bravo: no GPS reported",
     ]
+
+
+OWN: dict[str, Any] = {
+    **{"kind": "ntrip", "name": "caster.example:2101/VRS", "state": "streaming", "text": "", "since_s": 312.4},
+    **{"connected": 1, "failures": 0, "bytes": 171000, "bytes_per_s": 569.2, "messages": 1280, "age_s": 0.4},
+    **{"types": {"1005": 32, "1074": 1312}, "gga": {"from": "al\x1bpha", "sent": 1, "age_s": 3.0}, "survey": None},
+}
+SURVEY: dict[str, Any] = {
+    **{"state": "surveying", "duration_s": 120, "minimum_s": 300.0, "accuracy_m": 3.2345, "wanted_m": 2.0},
+    "observations": 1120,
+}
+RECEIVER = {**OWN, "kind": "receiver", "name": "/dev/ttyACM0", "gga": None, "types": {}}
+
+
+def test_the_status_begins_with_the_daemons_own_source() -> None:
+    status = {**STATUS, "rtk_fixed": 1, "rtk_float": 0, "own_source": OWN}
+    lines = list(status_lines(status))
+    assert lines[:3] == [
+        "caster.example:2101/VRS: streaming for 312 s, 569 B/s, the last message 0 s ago",
+        "  1005:32 1074:1,312",
+        "  position of al\\x1bpha sent to it 1 time",
+    ]
+    assert "1 fixed, 0 float of 2 vehicles" in lines
+    nothing = {**status, "age_s": None, "own_source": {**OWN, "state": "down", "text": "connection refused"}}
+    lines = list(status_lines(nothing))
+    assert lines[0].startswith("caster.example:2101/VRS: down for 312 s, the last") and "B/s" not in lines[0]
+    assert lines[1] == "  connection refused" and "nothing was sent yet" in lines
+
+
+@each(
+    ("own", "line"),
+    [
+        (
+            {**OWN, "gga": {"from": None, "sent": 0, "age_s": None}},
+            "  no position sent to it yet: no vehicle has a fix",
+        ),
+        (
+            {**OWN, "state": "down", "gga": {"from": None, "sent": 0, "age_s": None}},
+            "  no position sent to it yet",
+        ),
+        (
+            {**RECEIVER, "survey": SURVEY},
+            "  survey-in running: 120 s of at least 300 s, 3.23 m of 2 m, 1,120 observations",
+        ),
+        (
+            {**RECEIVER, "survey": {**SURVEY, "state": "surveyed", "duration_s": 1301}},
+            "  survey-in done: 1,301 s of at least 300 s, 3.23 m of 2 m, 1,120 observations",
+        ),
+        ({**RECEIVER, "survey": {**SURVEY, "duration_s": None}}, "  survey-in: begun"),
+        ({**RECEIVER, "survey": {**SURVEY, "state": "fixed"}}, "  position: from the fleet file"),
+        ({**RECEIVER, "survey": {**SURVEY, "state": "setting_up"}}, "  the receiver is being set up"),
+    ],
+)
+def test_how_far_the_source_is(own: dict[str, Any], line: str) -> None:
+    assert list(own_source_lines(own))[-1] == line
+
+
+def test_a_survey_is_refused_without_the_table(fleet: Commanded) -> None:
+    fleet.daemon.corrections.told = STATUS
+    shown = fleet.run("corrections", "survey", code=1)
+    assert "[corrections]" in shown
 
 
 def test_the_status_shows_what_each_radio_made_of_it() -> None:

@@ -96,12 +96,15 @@ def test_a_name_that_a_stand_in_lacks_comes_from_the_module(monkeypatch: pytest.
         ("[companion]\nvehicle = 'a'\n", True),
         ("[companions.a]\nhost = 'h'\n", True),
         ("companions = { a = { host = 'h' } }\n", True),
+        ("[corrections]\nntrip = 'ntrips://h/M'\n", True),
+        ("[corrections]\nntrip = 'ntrip://h/M'\n# or ntrips://h/M\n", False),
+        ("corrections = 'ntrips://h/M'\n", False),
         ("# [companion]\n[links.companion]\ntype = 'memory'\n", False),
         ("[companion\n", False),
         ("", False),
     ],
 )
-def test_a_daemon_with_companions_speaks_tls(text: str, needs: bool, tmp_path: Path) -> None:
+def test_a_daemon_that_speaks_tls_is_known_by_its_tables(text: str, needs: bool, tmp_path: Path) -> None:
     (tmp_path / "fleet.toml").write_text(text)
     assert needs_tls(["-q", str(tmp_path / "fleet.toml")]) is needs
     assert not needs_tls([str(tmp_path / "absent.toml"), str(tmp_path)])

@@ -16,17 +16,11 @@ from typing import Any, Literal, Protocol
 from skygcs.core.clock_offset import ClockComparison, ClockOffset
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError, SkygcsError
 from skygcs.events import Event
+from skygcs.links.supervisor import BackOff
 from skygcs.runtime.loop_clock import exact_clock
 
 JsonObject = dict[str, Any]
 LinkState = Literal["connecting", "up", "down"]
-
-FIRST_BACK_OFF_S = 0.5
-LONGEST_BACK_OFF_S = 5.0
-"""A companion that comes back into the Wi-Fi is connected within this."""
-
-STABLE_AFTER_S = 5.0
-"""A connection that lasted for less has not recovered: the next back-off is longer still."""
 
 CONNECT_S = 5.0
 """Time for TCP, TLS and the first answer: two round trips of a link with 0.8 s of delay, and a lost packet."""
@@ -182,14 +176,12 @@ class CompanionLink:
 
     async def run(self) -> None:
         """Until cancelled. Nothing that a companion does ends it."""
-        back_off_s = FIRST_BACK_OFF_S
+        back_off = BackOff()  # one that comes back into the Wi-Fi is connected within five seconds
         while True:
             reason = await self._one_connection()
-            if self.state == "up" and self._loop.time() - self.since >= STABLE_AFTER_S:
-                back_off_s = FIRST_BACK_OFF_S
+            up_s = self._loop.time() - self.since if self.state == "up" else 0.0
             self._went_down(reason)
-            await asyncio.sleep(back_off_s)
-            back_off_s = min(2 * back_off_s, LONGEST_BACK_OFF_S)
+            await asyncio.sleep(back_off.after(up_s))
 
     async def _one_connection(self) -> str:
         """Connect, and wait for the end; its reason."""

@@ -14,11 +14,11 @@ from skygcs.events import Event
 from skygcs.ext.companions.companion_link import (
     ANSWERS_SILENT_S,
     CONNECT_S,
-    LONGEST_BACK_OFF_S,
     MAX_CALLS,
     STATE_GROUPS,
     CompanionLink,
 )
+from skygcs.links.supervisor import LONGEST_BACK_OFF_S
 
 pytestmark = pytest.mark.looptime
 
