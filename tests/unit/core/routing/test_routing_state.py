@@ -106,6 +106,7 @@ def test_a_station_that_handed_back_frames_gives_way_to_the_vehicles_own_channel
         net.datagram("radio", heartbeat(1, seq=2 * n + 1))
         net.datagram("gcs", heartbeat(1, seq=2 * n + 1))
     assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+    assert net.router.channels_of(KEY) == (net.ids["radio"],), "the station was no way to it"
 
 
 def test_the_channel_that_supplies_the_state_comes_first() -> None:
