@@ -37,9 +37,11 @@ def equivalent() -> dict[str, dict[str, str]]:
 
 
 def measure(modules: dict[str, tuple[str, ...]], count: int | None) -> dict[str, str]:
-    """What became of each mutant, by module and key. Raises SystemExit where a test fails without a mutant."""
+    """What became of each mutant, by module and key. Raises SystemExit where a test fails without a mutant, and where
+    one was not measured."""
     known = equivalent()
-    tasks = [
+    tasks = [Task(SRC / name, None) for name in modules]
+    tasks += [
         Task(SRC / name, mutant)
         for name in modules
         for mutant in sampled(SRC / name, count)
@@ -49,9 +51,15 @@ def measure(modules: dict[str, tuple[str, ...]], count: int | None) -> dict[str,
     run = MutantRun(tasks)
     plugins = ["-p", "no:cacheprovider", "-p", "no:benchmark", "--hypothesis-profile", "mutants"]
     code = pytest.main(["-q", "--no-header", *plugins, *tests], plugins=[run])
+    if run.errors:
+        raise SystemExit("\n".join(run.errors))
     if code or len(run.results) < len(tasks):
         raise SystemExit("the tests do not pass without a mutant")
-    return {f"{_module(tasks[number])} {tasks[number].mutant.key}": run.results[number] for number in range(len(tasks))}
+    return {
+        f"{_module(task)} {task.mutant.key}": run.results[number]
+        for number, task in enumerate(tasks)
+        if task.mutant is not None
+    }
 
 
 def _module(task: Task) -> str:

@@ -240,7 +240,6 @@ class Guard:
     def check(self, facts: Facts, now: float) -> Verdict:
         """The verdict for this tick. After a hold or a release it stays the same, with its first reasons."""
         if self._as_before and now >= self._checked_at and all_well(self.config, facts, self.wanted):
-            self._checked_at = now
             return self._as_wanted  # the full check would find the same: 0.8 us instead of 3.9 us
         if self._ended:
             return self._ended

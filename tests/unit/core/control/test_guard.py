@@ -173,6 +173,12 @@ UNFIT = [
         "the link leaves 1.9 setpoints per second (velocity needs 2",
     ),
     (
+        {"rate_hz": 0.5, "rate_min_hz": 0.8},
+        ControlMode.POSITION,
+        "attitude_rate",
+        "(attitude needs 0.8): each is held until the next, on average 1.000 s of additional delay, instead of 0.625 s",
+    ),
+    (
         {"rate_hz": 0.0},
         ControlMode.POSITION,
         "attitude_rate",

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from bench.plans.random_plans import judge
 from bench.plans.refusals import Case, cases, line, passing
+from skygcs.core.plan import certify as certifying
+from skygcs.core.plan.bernstein_arrays import gathered
 from skygcs.core.plan.certify import MAX_NAMED, certify, motions_of
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion, Uncertainty
@@ -83,6 +85,8 @@ def test_without_barriers_a_vehicle_may_be_anywhere_on_its_way_while_another_is(
         for a, b in itertools.combinations(names, 2)
     )
     assert found.closest is not None and found.kind == "free"
+    one, other = (np.array(place) / (1.0, 1.0, RULE.downwash_ratio) for place in found.closest.places_m)
+    assert float(np.linalg.norm(one - other)) == pytest.approx(found.closest.distance_m, abs=1e-9)
     assert found.closest.distance_m - 1e-6 <= least_m <= found.closest.distance_m + step_m
     assert found.certified == (found.closest.distance_m >= RULE.half_m("a") * 2 - 1e-9)
     assert certify(plan, RULE).certified or not found.certified, "what needs no barriers holds with them"
@@ -164,6 +168,20 @@ def test_speeds_for_the_margin_are_bounds_and_not_far_off(pieces: list[Piece]) -
     assert motion.speed_mps <= 1.3 * peak.at_most + 1e-3
 
 
+@each("degree", [1, 3, 7])
+@each("duration_s", [0.5, 2.0])
+def test_what_coordinates_may_be_wrong_by_is_in_the_speed(
+    degree: int, duration_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the curve whose first coefficient is wrong by that to one side and its second to the other, on each
+    axis; it is the fastest at its beginning."""
+    error_m = 1e-3
+    monkeypatch.setattr(certifying, "gathered", lambda ways: gathered(ways)._replace(error_m=np.array([error_m])))
+    axis = (1.0, 5.0, *(0.0,) * (degree - 2), -1e-4)[: degree + 1]
+    (motion,) = motions_of([Trajectory([Piece(duration_s, axis, axis, axis)])])
+    assert motion.speed_mps == pytest.approx(math.sqrt(3) * (5.0 + degree * 2 * error_m / duration_s), rel=1e-7)
+
+
 # --- phases and walls -------------------------------------------------------------------------------------------------
 
 
@@ -196,7 +214,9 @@ def test_what_is_dropped_before_the_exact_distance_is_never_the_nearest_pair(
     for begins, ends in itertools.pairwise(places / [1.0, 1.0, MarginRule().downwash_ratio]):
         distances, *_ = segment_segment(begins[first], ends[first], begins[second], ends[second])
         exact.append(distances)
-    assert found.closest is not None and found.closest.distance_m == pytest.approx(float(np.min(exact)), abs=1e-9)
+    least_m = float(np.min(exact))
+    assert found.closest is not None and found.closest.distance_m == pytest.approx(least_m, abs=1e-9)
+    assert least_m - 2 * SLACK_M < found.closest.distance_at_least_m < least_m
     too_close = int((np.array(exact) - margin_m < SLACK_M).sum())
     assert len(found.too_close) == min(too_close, MAX_NAMED) or too_close > MAX_NAMED
     assert reports == [(number, phases) for number in range(phases)]
@@ -206,6 +226,47 @@ def test_all_pairs_that_are_too_close_in_a_phase_are_named() -> None:
     starts = {f"v{i}": (2.0 * i, 0.0, 10.0) for i in range(4)}
     certificate = certify(PhasedPlan(starts, (Phase("stay", {}),)), RULE)
     assert [approach.vehicles for approach in certificate.too_close] == [("v0", "v1"), ("v1", "v2"), ("v2", "v3")]
+
+
+def test_no_more_pairs_are_named_than_a_person_reads_and_the_first_of_equal_ones_is_the_closest() -> None:
+    starts = {f"v{i}": (2.0 * i, 0.0, 10.0) for i in range(3)}
+    stays = PhasedPlan(starts, tuple(Phase(f"p{number}", {}) for number in range(MAX_NAMED)))
+    certificate = certify(stays, RULE)
+    assert len(certificate.too_close) == len(certificate.reasons()) == MAX_NAMED
+    assert certificate.closest is not None
+    assert (certificate.closest.phase, certificate.closest.vehicles) == ("p0", ("v0", "v1"))
+
+
+def test_the_closest_pair_is_named_however_far_apart_and_of_one_vehicle_there_is_none() -> None:
+    starts = {"a": (-30.0, 0.0, 0.0), "b": (30.0, 0.0, 0.0), "c": (30.0, 40.0, 0.0)}
+    certificate = certify(PhasedPlan(starts, (Phase("stay", {}),)), RULE)
+    assert certificate.certified and certificate.closest is not None
+    assert (certificate.closest.vehicles, certificate.closest.distance_m) == (("b", "c"), 40.0)
+    alone = certify(PhasedPlan({"a": (0.0, 0.0, 10.0)}, (Phase("go", {"a": (5.0, 0.0, 10.0)}),)), RULE)
+    assert alone.certified and alone.closest is None
+
+
+def test_walls_are_kept_on_the_whole_of_each_leg() -> None:
+    """The first phase ends before the box, and the second one behind it."""
+    plan = PhasedPlan(
+        {"a": (0.0, 0.0, 10.0), "b": (0.0, 40.0, 10.0)},
+        (Phase("near", {"a": (4.0, 0.0, 10.0)}), Phase("through", {"a": (20.0, 0.0, 10.0)})),
+    )
+    space = FlightSpace(boxes=(((10.0, -1.0, 0.0), (12.0, 1.0, 30.0)),))
+    certificate = certify(plan, RULE, space)
+    assert not certificate.certified and certificate.too_close == ()
+    (problem,) = certificate.space
+    assert (problem.vehicle, problem.what, problem.phase, problem.t_s) == ("a", "box 1", "through", None)
+    assert problem.margin_m == 1.25 and problem.distance_m == pytest.approx(1.25, abs=1e-4)
+    assert certify(plan, RULE, FlightSpace(boxes=(((10.0, 1.3, 0.0), (12.0, 3.0, 30.0)),))).certified
+
+
+def test_no_more_problems_with_walls_are_named_than_a_person_reads() -> None:
+    starts = {f"v{i}": (10.0 * i, 0.0, 10.0) for i in range(8)}
+    plan = PhasedPlan(starts, tuple(Phase(f"p{number}", {}) for number in range(4)))
+    certificate = certify(plan, RULE, FlightSpace(floor_m=11.0))
+    assert len(certificate.space) == MAX_NAMED and not certificate.certified
+    assert {problem.margin_m for problem in certificate.space} == {0.0}, "every flight begins and ends at the floor"
 
 
 def test_no_leg_may_pass_a_standing_vehicle() -> None:

@@ -135,15 +135,15 @@ def test_curves_that_keep_their_distance_are_never_said_to_be_farther_apart() ->
 
 
 def test_a_clearance_below_the_tolerance_is_decided_and_not_rounded() -> None:
-    """Vehicles that pass each other: the least distance is that of one moment."""
+    """Vehicles that pass each other: the least distance is that of one moment, which ends no half, quarter, …"""
     for off_m in (2e-5, 9e-5, -2e-5, -9e-5):
         there = Trajectory([Piece(4.0, (-10.0, 5.0), (0.0,), (10.0,))])
-        back = Trajectory([Piece(4.0, (10.0, -5.0), (2.5 + off_m,), (10.0,))])
+        back = Trajectory([Piece(4.0, (9.0, -4.3), (2.5 + off_m,), (10.0,))])
         found = least_clearance([there, back], [1.25, 1.25], 2.0)
         assert found is not None
         assert (found.clearance_at_least_m >= 0.0) is (off_m > 0), off_m
         assert found.clearance_m == pytest.approx(off_m, abs=1e-7)
-        assert found.t_s == pytest.approx(2.0, abs=1e-2)
+        assert found.t_s == pytest.approx(19 / 9.3, abs=1e-2)
 
 
 def test_small_batches_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,6 +161,17 @@ def test_small_batches_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         if batch == 50:
             assert (found.first, found.second) == (whole.first, whole.second)
             assert found.distance_m == pytest.approx(whole.distance_m, abs=1e-3)
+
+
+def test_what_is_left_when_halving_ends_counts_as_its_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(closest_approach, "MAX_HALVINGS", 1)
+    rng = random.Random(4)
+    for _ in range(5):
+        fleet = {f"v{i}": _curve(rng, 8.0) for i in range(3)}
+        found = least_clearance(list(fleet.values()), [1.25] * 3, 2.0)
+        checked = checker.least_distance(fleet, 2.0)
+        assert found is not None and checked is not None
+        assert found.distance_at_least_m <= checked.distance_m + 1e-9
 
 
 @settings(max_examples=examples(100), deadline=None)

@@ -42,6 +42,8 @@ def anew(router: Router) -> set[int]:
 @given(STEPS)
 def test_it_is_what_all_channels_together_say(steps: list[tuple[str, str, int]]) -> None:
     net = RoutedNet()
+    for name, policy in POLICIES.items():
+        net.open(name, policy)
     seq = 0
     for kind, name, number in steps:
         if kind == "hear" and name in net.ids:

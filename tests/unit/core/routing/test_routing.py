@@ -236,6 +236,20 @@ def test_an_echo_from_a_ground_station_is_no_vehicle_and_no_way_to_it() -> None:
     assert [n.kind for n in net.router.notes].count("echo") == 1
 
 
+def test_a_vehicle_whose_own_link_is_gone_is_heard_through_the_ground_station() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("gcs", GCS)
+    net.datagram("radio", heartbeat(1, seq=1))
+    net.datagram("gcs", heartbeat(1, seq=5))
+    assert net.decisions[-1].verdict is RoutingVerdict.DUPLICATE
+    net.now += 61.0
+    net.router.expire(net.now)
+    net.datagram("gcs", heartbeat(1, seq=6))
+    assert net.decisions[-1].verdict is not RoutingVerdict.DUPLICATE
+    assert net.router.channels_of(1 << 8 | 1) == (net.ids["gcs"],)
+
+
 def test_a_recording_reaches_ground_stations_only_and_never_commands_anybody() -> None:
     net = RoutedNet()
     net.open("replay", ChannelPolicy(replayed=True))
@@ -634,6 +648,24 @@ def test_a_restart_leaves_the_routes_on_which_it_was_heard_within_two_seconds() 
         net.now += silent_s
         net.datagram("V0", message("SYSTEM_TIME", 1, 1, 4, time_boot_ms=1_000))
         assert net.router.hears(net.ids["V2"], 1) is stays, silent_s
+
+
+def test_copies_of_one_component_end_what_the_fast_path_carries_of_the_others() -> None:
+    """From then on each frame of the system shows which of the links is the better one."""
+    net = RoutedNet()
+    for name in ("a", "b", "gcs"):
+        net.open(name)
+    net.datagram("a", heartbeat(1, seq=1))
+    net.datagram("b", message("ATTITUDE", 1, seq=99))
+    assert entry(net, "a", message("ATTITUDE", 1, 2, 2)) == (net.ids["b"], net.ids["gcs"])
+    data = message("ATTITUDE", 1, seq=3)
+    net.datagram("a", data)
+    (copy,) = net.parsers["b"].feed_datagram(data)
+    changes: list[str] = []
+    net.router.on_change = lambda: changes.append("changed")
+    assert net.router.decide(net.ids["b"], copy, net.now).verdict is RoutingVerdict.DUPLICATE
+    assert changes
+    assert entry(net, "a", message("ATTITUDE", 1, 2, 4)) is None
 
 
 def test_what_every_change_of_a_route_does_to_the_fast_path() -> None:

@@ -43,6 +43,13 @@ def test_an_order_is_not_sent_to_the_other_vehicle_when_the_channel_of_the_first
     net.close("a")
     assert net.router.route_own(1, 1, net.now) == ()
     assert net.router.route_own(1, 1, net.now, everywhere=True) == (b,)
+    for n in range(20):
+        net.now += 1.0
+        net.datagram("b", heartbeat(1, seq=n))
+        net.router.expire(net.now)
+    assert net.router.route_own(1, 1, net.now) == (b,)
+    (replaced,) = [n for n in net.router.notes if n.kind == "replaced"]
+    assert (replaced.channel_id, replaced.present_id) == (b, 0), "no channel is left that it replaces"
 
 
 def test_a_restart_that_another_channel_pretends_clears_no_route() -> None:
@@ -90,6 +97,8 @@ def test_it_is_one_channel_again_when_nobody_else_has_its_ids() -> None:
         net.datagram("a", heartbeat(1, seq=n & 0xFF))
         net.router.expire(net.now)
     assert net.router.state_sources == {}
+    (over,) = [n for n in net.router.notes if n.kind == "duplicate_over"]
+    assert (over.channel_id, over.present_id) == (0, net.ids["a"])
     net.counted.clear()
     net.datagram("a", heartbeat(1, seq=99))
     assert net.counted == [], "nothing is compared any more"
@@ -106,6 +115,16 @@ def test_a_station_that_handed_back_frames_gives_way_to_the_vehicles_own_channel
         net.datagram("radio", heartbeat(1, seq=2 * n + 1))
         net.datagram("gcs", heartbeat(1, seq=2 * n + 1))
     assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+    assert net.router.channels_of(KEY) == (net.ids["radio"],), "the station was no way to it"
+
+
+def test_a_station_that_handed_back_frames_before_a_heartbeat_is_no_way_to_the_vehicle() -> None:
+    net = RoutedNet()
+    net.open("gcs", GCS)
+    net.open("radio", ChannelPolicy(role="radio", link="radio"))
+    net.datagram("gcs", message("ATTITUDE", 1))
+    net.datagram("radio", heartbeat(1, seq=3))
+    assert net.router.channels_of(KEY) == (net.ids["radio"],)
 
 
 def test_the_channel_that_supplies_the_state_comes_first() -> None:

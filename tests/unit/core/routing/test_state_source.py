@@ -174,6 +174,16 @@ def test_a_satellite_channel_is_given_longer() -> None:
     assert net.state.present_id == WIFI
 
 
+def test_a_satellite_channel_whose_heartbeats_come_again_is_an_ordinary_one() -> None:
+    net, vehicle = Net(), Machine()
+    link = net.state.links()[AIR]
+    ordinary_s = link.silent_limit_s
+    net.hear(AIR, vehicle._say("HIGH_LATENCY2", type=2, autopilot=ARDUPILOT))
+    assert link.silent_limit_s == 4 * ordinary_s
+    net.hear(AIR, vehicle.heartbeat())
+    assert link.silent_limit_s == ordinary_s
+
+
 def test_without_a_clock_of_its_own_another_channel_waits_until_the_vehicle_is_lost() -> None:
     net, vehicle = Net(), Machine()
     net.second(vehicle, AIR, seconds=5)
@@ -202,6 +212,7 @@ def test_a_closed_channel_is_followed_at_once_unless_the_other_one_contradicts()
     net.state.closed(AIR)
     net.now += 0.3
     assert net.hear(WIFI, vehicle.heartbeat())
+    assert net.state.heard_elsewhere_at() == -math.inf, "the closed one is forgotten"
     net, bench = Net(), Machine(booted_at=900.0)
     both(net, vehicle, bench, 6)
     net.state.closed(AIR)
@@ -213,8 +224,12 @@ def test_a_closed_channel_is_followed_at_once_unless_the_other_one_contradicts()
 
 def test_what_was_known_before_there_was_a_second_channel_counts() -> None:
     vehicle = Machine()
-    for other, taken in ((Machine(), True), (Machine(booted_at=700.0), False)):
-        known = [(vehicle.heartbeat(), 997.0), (vehicle.position(997.0), 997.0)]
+    for other, last_at, taken in (
+        (Machine(), 997.0, True),
+        (Machine(booted_at=700.0), 997.0, False),
+        (Machine(booted_at=700.0), 994.0, True),  # it is lost
+    ):
+        known = [(vehicle.heartbeat(), last_at), (vehicle.position(last_at), last_at)]
         assert all(frame.msgid in KNOWN_BY for frame, _ in known)
         state = StateSource(None, "", known, 1000.0)
         state.accepts(WIFI, "wifi", other.attitude(1000.0), 1000.0)
@@ -608,9 +623,54 @@ def test_three_heartbeats_that_were_only_copies_show_a_ground_stations_channel()
         assert not net.state.is_original(AIR) and not net.state.is_original(PEER)
         net.hear(AIR, vehicle.heartbeat())
         assert not net.state.is_original(WIFI), "one of its own"
+        for _ in range(2):
+            net.hear(AIR, vehicle.heartbeat(), of=WIFI)
+        assert not net.state.is_original(WIFI), "and two copies"
     net.state.take_over(WIFI, net.now)
     net._take()
     assert net.reports[-1].why == "a ground station's link, which returns its frames"
+
+
+def test_a_channel_that_agrees_but_had_no_heartbeat_of_the_autopilot_is_nothing_of_its_own() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR)
+    net.second(vehicle, AIR, WIFI, heartbeats=False)
+    assert not net.state.is_original(WIFI)
+    net.now += 6.0
+    assert not net.hear(WIFI, vehicle.attitude(net.now))
+
+
+def test_setpoints_also_go_over_another_channel_while_the_present_one_is_in_doubt() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, seconds=3)
+    net.now += 2.5
+    assert net.state.stand_in(net.now) is None, "there is no other one"
+    net.second(vehicle, AIR, WIFI, seconds=3)
+    assert net.state.stand_in(net.now) is None, "there is no doubt"
+    net.now += 2.5
+    assert net.state.stand_in(net.now) == WIFI
+    net.state.closed(AIR)
+    assert net.state.stand_in(net.now) is None, "there is none to be in doubt"
+
+
+def test_a_channel_that_is_closed_is_forgotten() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, WIFI)
+    net.state.closed(WIFI)
+    assert set(net.state.links()) == {AIR} and net.state.heard_elsewhere_at() == -math.inf
+    net.state.closed(WIFI)
+
+
+def test_the_first_channel_needs_no_trial_and_loss_is_shown_to_four_places() -> None:
+    net, vehicle = Net(), Machine()
+    net.second(vehicle, AIR, WIFI)
+    assert [net.state.link_status(c, net.now)["health"] for c in (AIR, WIFI)] == ["good", "trial"]
+    assert net.state.link_status(AIR, net.now)["recent_loss"] is None
+    for number in range(60):
+        net.now += 1.0
+        counters = {AIR: (20 * number, 10 * number), WIFI: (30 * number, 0)}
+        net.state.choose(counters.get, net.now)
+    assert [net.state.link_status(c, net.now)["recent_loss"] for c in (AIR, WIFI)] == [0.3333, 0.0]
 
 
 def test_what_channels_had_is_counted_and_shown() -> None:
@@ -677,3 +737,23 @@ def test_a_mode_that_the_vehicle_showed_lately_explains_a_late_heartbeat() -> No
         net.state.tick(net.now + 4.25)
         net._take()
         assert net.kinds() == kinds, states
+
+
+@each("begun", ["known before", "taken over"])
+def test_a_mode_that_was_shown_before_the_present_channel_explains_a_late_heartbeat(begun: str) -> None:
+    vehicle = Machine()
+    old = vehicle.heartbeat()
+    if begun == "known before":
+        net = Net(known=[(old, 999.0)])
+        present, other = AIR, WIFI
+    else:
+        net = Net()
+        present, other = WIFI, AIR
+        net.second(vehicle, AIR, WIFI, seconds=3)
+        net.state.take_over(WIFI, net.now)
+        net._take()
+    net.hear(present, vehicle.heartbeat(custom_mode=100))
+    net.hear(other, old)
+    net.state.tick(net.now + 4.25)
+    net._take()
+    assert "ignored" not in net.kinds()

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.flight_evidence import FRESH_S, contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.orders import reboot, set_home
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -27,6 +27,10 @@ def disarmed(armed_ago_s: float | None = None) -> tuple[Vehicle, Voice]:
     return vehicle, voice
 
 
+def throttle(voice: Voice, percent: int) -> Frame:
+    return voice.say(mav.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0))
+
+
 EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
     "in air": (lambda v: v.landed(2), "it reports itself in the air"),
     "takeoff": (lambda v: v.landed(3), "it reports itself in takeoff"),
@@ -35,7 +39,7 @@ EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
     "climbs": (lambda v: v.position(velocity=(0, 0, -150)), "it climbs at 1.5 m/s"),
     "sinks": (lambda v: v.position(velocity=(0, 0, 150)), "it sinks at 1.5 m/s"),
     "moves": (lambda v: v.position(velocity=(300, 400, 0)), "it moves at 5.0 m/s"),
-    "throttle": (lambda v: v.say(mav.MAVLink_vfr_hud_message(0, 0, 0, 38, 0, 0)), "its throttle is at 38 %"),
+    "throttle": (lambda v: throttle(v, 38), "its throttle is at 38 %"),
 }
 
 
@@ -51,15 +55,30 @@ def test_what_contradicts_a_disarmed_heartbeat_keeps_dangerous_orders_out(what: 
         with pytest.raises(RefusedError, match=said):
             order(vehicle, NOW)
         order(vehicle, NOW, force=True)
+    assert contradiction(vehicle, NOW + FRESH_S) == said
     vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW + 4.0)
     assert why_not_idle(vehicle, NOW + 4.0) is None, "what is older says nothing about now"
 
 
 def test_a_vehicle_on_the_ground_that_stands_is_idle() -> None:
     vehicle, voice = disarmed()
-    for frame in (voice.landed(1), voice.position(rel_m=1.5, velocity=(40, 40, 20)), voice.landed(0)):
+    for frame in (
+        voice.landed(1),
+        voice.position(rel_m=1.5, velocity=(40, 40, 20)),
+        voice.position(rel_m=5.0, velocity=(300, 0, 100)),
+        voice.landed(0),
+        throttle(voice, 9),
+    ):
         vehicle.on_frame(frame, NOW)
-    assert why_not_idle(vehicle, NOW) is None
+        assert why_not_idle(vehicle, NOW) is None
+
+
+def test_motors_that_turn_are_evidence_of_what_lifts_by_them_only() -> None:
+    for kind, percent, said in ((2, 10, "its throttle is at 10 %"), (2, 9, None), (1, 38, None)):
+        vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, kind=kind), NOW)
+        vehicle.on_frame(throttle(voice, percent), NOW)
+        assert contradiction(vehicle, NOW) == said, (kind, percent)
 
 
 def test_one_that_was_armed_just_now_is_idle_once_it_is_seen_on_the_ground() -> None:
@@ -68,8 +87,20 @@ def test_one_that_was_armed_just_now_is_idle_once_it_is_seen_on_the_ground() -> 
     assert why_maybe_flying(vehicle, NOW) is None
     vehicle.on_frame(voice.landed(1), NOW)
     assert why_not_idle(vehicle, NOW) is None
-    vehicle, _ = disarmed(armed_ago_s=3.5)
-    assert why_not_idle(vehicle, NOW) is None
+    for ago_s, said in ((0.0, "0.0 s ago"), (0.5, "0.5 s ago"), (3.0, "3.0 s ago"), (3.5, None)):
+        vehicle, _ = disarmed(armed_ago_s=ago_s)
+        why = why_not_idle(vehicle, NOW)
+        assert why is None if said is None else said in str(why), ago_s
+
+
+def test_what_was_on_the_ground_before_it_was_armed_may_have_left_it() -> None:
+    for landed_ago_s in (2.0, 1.0):
+        vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW - 2.0)
+        vehicle.on_frame(voice.landed(1), NOW - landed_ago_s)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True), NOW - 1.0)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW)
+        assert "it was armed 1.0 s ago" in str(why_not_idle(vehicle, NOW)), landed_ago_s
 
 
 def test_a_duplicate_id_is_not_idle() -> None:

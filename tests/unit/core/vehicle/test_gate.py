@@ -139,6 +139,16 @@ def test_a_parameter_in_the_air_is_harmless_or_needs_force() -> None:
             clear_param(FLYING, name, force=False)
 
 
+def test_a_raw_parameter_is_judged_by_the_firmware_of_its_vehicle() -> None:
+    assert refusal(FLYING, "PARAM_SET", param_id=b"LOG_BITMASK") is None
+    assert refusal(model("px4"), "PARAM_SET", param_id=b"LOG_BITMASK") is not None
+
+
+def test_a_command_whose_number_is_none_is_no_command_of_a_table() -> None:
+    for number in (math.nan, math.inf, "400"):
+        assert "MAV_CMD -1" in str(refusal(FLYING, "COMMAND_LONG", command=number)), number
+
+
 def mode(family: str, name: str, kind: VehicleClass = VehicleClass.COPTER) -> int:
     mav_type = {VehicleClass.COPTER: 2, VehicleClass.VTOL: 20, VehicleClass.ROVER: 10}[kind]
     return modes.mode_number(12 if family == "px4" else 3, mav_type, name)
@@ -189,6 +199,11 @@ def test_a_falling_mode_is_refused_by_every_door(family: str, fields: dict[str, 
         clear_plan(flies, Plan("mode", (Step("mode", spec),), "", force=True))
     with pytest.raises(RefusedError) as by_raw:
         clear_plan(flies, Plan("command", (Step("mode", spec),), "", force=True))
+    other = Step("interval", CommandSpec(511))
+    for step in (replace(other, instead=(Step("mode", spec),)), replace(other, undo=Step("mode", spec))):
+        with pytest.raises(RefusedError) as by_way:
+            clear_plan(flies, Plan("mode", (step,), "", force=True))
+        assert str(by_way.value) == str(by_order.value), "what may follow a step is looked at before it begins"
     for why in (by_command, by_message, str(by_order.value), str(by_raw.value)):
         assert (why is not None and "would fall" in why) or "motors would idle" in (why or "")
 

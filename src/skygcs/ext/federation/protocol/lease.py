@@ -450,7 +450,6 @@ class Lease:
             return out
         if not self._known:
             return out + self._look(now)
-        self._next_write = now + RETRY_S
         return [*out, self._write(now, None if self._entry is None else self._entry.revision)]
 
     def _go_on_alone(self, now: float) -> Actions:
@@ -529,9 +528,7 @@ class Lease:
         if over and (not self._known or self._entry is None):
             self.state = State.OBSERVED  # it has expired, or will
             return []
-        self._next_write = now + RETRY_S
-        revision = self._revision if self._entry is None or not self._known else self._entry.revision
-        return [self._write_release(now, revision)]
+        return [self._write_release(now, self._revision)]
 
     # -- private: not ours
 
@@ -622,7 +619,6 @@ class Lease:
         return self._next(now, Write(0, self.config.site, self.config.run, None, revision), release=False)
 
     def _write_release(self, now: float, revision: int | None) -> Write:
-        self._next_write = now + RETRY_S
         return self._next(now, Write(0, None, self.config.run, self._release_to, revision), release=True)
 
     def _next(self, now: float, write: Write, *, release: bool) -> Write:

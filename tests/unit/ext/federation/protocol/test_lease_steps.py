@@ -145,7 +145,11 @@ def test_a_home_whose_write_met_another_revision_does_not_go_on_alone_before_it_
     assert ticks(made, 1.5, 2.4) == [] and made.state is State.LATE
     made.hub_up("hub", 2.4)
     assert made.seen(Entry(6, "north", RUN), 2.41) == [], "it is ours: the answer was lost"
-    assert made.tick(2.42)[0] == Report("alpha: the hub is away; north goes on alone, as its home")
+    assert made.tick(2.42) == [
+        Report("alpha: the hub is away; north goes on alone, as its home"),
+        Grant(2.42, 6, "hub"),
+        Write(3, "north", RUN, None, 6),
+    ], "with the token that it read"
 
     made = held()
     made.tick(1.0)
@@ -241,8 +245,23 @@ def test_a_release_before_the_write_is_answered_gives_up_what_it_brings() -> Non
     made.revoked(1)
     assert made.tick(0.3) == [Write(2, None, RUN, None, 5)]
 
+    made = connected("south", goes_on_alone=False)
+    made.take(0.0)
+    made.tick(0.0)
+    made.release(0.1)
+    made.answered(1, 5, 0.2)
+    assert made.tick(1.0) == [Write(2, None, RUN, None, 5)], "no grant was given: nothing needs to be confirmed"
+
     made = connected("south")
     assert made.release(0.1) == [] and made.state is State.OBSERVED, "nothing to give up"
+
+
+def test_a_release_of_a_key_that_is_gone_is_written_with_the_last_revision() -> None:
+    made = held()
+    made.release(0.5)
+    assert made.seen(None, 0.6) == []
+    made.revoked(1)
+    assert made.tick(0.9) == [Write(2, None, RUN, None, 5)]
 
 
 def test_a_holder_releases_what_another_site_asks_for_unless_it_is_busy() -> None:
@@ -351,6 +370,15 @@ def test_another_site_follows_a_holder_that_vanished_a_quarter_of_a_second_after
     assert made.tick(1.99) == []
     assert made.tick(2.0) == [Write(1, "south", RUN, None, None)]
 
+    # An absence before the hub was lost does not count: the home may have come and gone since
+    made = connected("south", NORTH, goes_on_alone=False)
+    made.seen(None, 2.5)
+    made.hub_down(2.6)
+    made.hub_up("hub", 5.0)
+    made.seen(None, 6.9)
+    assert made.tick(7.14) == []
+    assert made.tick(7.15) == [Write(1, "south", RUN, None, None)]
+
 
 def test_a_home_does_not_take_what_its_operator_released_until_another_site_had_it() -> None:
     made = connected("north", SOUTH)
@@ -428,6 +456,13 @@ def test_a_bridge_goes_on_with_the_grant_of_its_daemon() -> None:
     made.adopt(until=2.0, token=5, hub="hub")
     made.seen(Entry(7, "south", "x"), 0.2)
     assert made.state is State.OBSERVED
+    made = lease(goes_on_alone=False)
+    made.adopt(until=2.0, token=5, hub="hub")
+    made.tick(2.0)
+    assert made.state is State.OBSERVED
+    made.hub_up("hub", 2.1)
+    made.seen(None, 2.2)
+    assert made.tick(2.2) == [Write(1, "north", RUN, None, None)], "the hub is the one of the grant, and not new"
 
 
 def test_entries_are_bounded_and_what_cannot_be_read_is_another_sites() -> None:

@@ -366,6 +366,24 @@ def test_a_full_table_gives_up_the_oldest_that_cannot_come_any_more() -> None:
             assert gate.known(key(1)) is not None and gate.known(key(3)) is not None
 
 
+def test_a_full_table_keeps_what_was_asked_or_restored_until_it_cannot_come_any_more() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(order_gate, "MAX_KEYS", 3)
+        patch.setattr(order_gate, "STOP_KEYS", 0)
+        for asked, may_come_s in ((True, MAX_AHEAD_S + STOP_LATE_S), (False, 1.0 + STOP_LATE_S)):
+            for late_s, gone in ((0.0, False), (0.125, True)):
+                gate = OrderGate("north", NOW)
+                if asked:
+                    assert gate.asked(OutcomeQuestion(key(1)), NOW).status == "never came"
+                else:
+                    gate.restore([Remembered(done(), NOW + 1.0, NOW)], complete=True)
+                for number in (2, 3):  # they run: they stay
+                    assert isinstance(gate.admit(order(number), NOW), Begin)
+                now = NOW + may_come_s + late_s
+                assert isinstance(gate.admit(order(4, deadline_s=now), now), Begin) is gone, (asked, late_s)
+                assert (gate.known(key(1)) is None) is gone
+
+
 def test_a_restored_table_is_bounded_and_its_latest_record_of_an_order_counts() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(order_gate, "MAX_KEYS", 2)
