@@ -69,7 +69,9 @@ def mirror() -> str:
     if given := os.environ.get("MIRROR"):
         return given
     for path in (*sorted(Path("/etc/apt").glob("sources.list.d/*.sources")), Path("/etc/apt/sources.list")):
-        if path.is_file() and (found := re.search(r"^(?:URIs:|deb)\s.*?(https?://\S+/debian)/?\s", path.read_text(), re.M)):
+        if path.is_file() and (
+            found := re.search(r"^(?:URIs:|deb)\s.*?(https?://\S+/debian)/?\s", path.read_text(), re.M)
+        ):
             return found[1]
     return MIRROR
 
@@ -88,7 +90,9 @@ def runs(root: Root) -> None:
                 time.sleep(0.5)
             link = subprocess.run(root.words(["skygcs", "web", "link"]), capture_output=True, text=True, check=True)
             assert "http://" in link.stdout, link
-            docs = subprocess.run(root.words(["skygcs-cli", "docs", "radio"]), capture_output=True, text=True, check=True)
+            docs = subprocess.run(
+                root.words(["skygcs-cli", "docs", "radio"]), capture_output=True, text=True, check=True
+            )
             assert "RFD900x" in docs.stdout
         finally:
             os.killpg(daemon.pid, signal.SIGTERM)

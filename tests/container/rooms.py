@@ -1,4 +1,4 @@
-"""Roots as a container's: a base that debootstrap made, and the steps of a Containerfile carried out in it by chroot."""
+"""Roots as a container has them: a base that debootstrap made, and a Containerfile carried out in it by chroot."""
 
 from __future__ import annotations
 
