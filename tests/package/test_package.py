@@ -162,3 +162,79 @@ def test_the_sdist_brings_the_fast_path_with_a_compiler(packages: dict[str, Path
     programs = environment(tmp_path, packages["sdist"], SKYGCS_REQUIRE_FASTPATH="1")
     assert len(list(tmp_path.rglob("_fast_path*.so"))) == 1
     flies(programs, tmp_path)
+
+
+# -- the ways of the README, each as it is written there, in a folder without anything
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clone of what is committed."""
+    folder = tmp_path_factory.mktemp("clone") / "skygcs"
+    run("git", "clone", "--quiet", "--no-hardlinks", ROOT, folder, cwd=ROOT)
+    return folder
+
+
+def ways() -> str:
+    """The table of the README."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return text.partition("## Install it")[2].partition("\n## ")[0]
+
+
+def test_pip_installs_a_clone(clone: Path, tmp_path: Path) -> None:
+    assert "`python3 -m venv ~/skygcs && ~/skygcs/bin/pip install .`" in ways()
+    venv.create(tmp_path / "skygcs", with_pip=True)
+    programs = tmp_path / "skygcs" / "bin"
+    run(programs / "pip", "install", "--quiet", "--disable-pip-version-check", ".", cwd=clone)
+    flies(programs, tmp_path)
+    works_alone(programs, tmp_path)
+
+
+def test_extras_of_an_installed_skygcs_need_no_skygcs_in_the_index(packages: dict[str, Path], tmp_path: Path) -> None:
+    assert "`pip install 'skygcs[companions]'` once skygcs itself is installed" in ways().replace("\n", " ")
+    programs = environment(tmp_path, packages["pure"])
+    out = run(programs / "pip", "install", "--disable-pip-version-check", "skygcs[companions]", cwd=tmp_path)
+    assert "Collecting skygcs" not in out and "Requirement already satisfied: skygcs[companions]" in out
+    assert "asyncssh" in of_extras(programs)
+
+
+@pytest.fixture(scope="module")
+def uv(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return environment(tmp_path_factory.mktemp("uv"), "uv") / "uv"
+
+
+def of_uv(folder: Path) -> dict[str, str]:
+    """Where it keeps everything, so that nothing of the machine's is used or changed."""
+    names = ("UV_TOOL_DIR", "UV_TOOL_BIN_DIR", "UV_CACHE_DIR", "UV_PYTHON_INSTALL_DIR", "HOME")
+    return {name: str(folder / name.lower()) for name in names} | {"UV_NO_CONFIG": "1"}
+
+
+def test_uv_installs_a_clone(clone: Path, uv: Path, tmp_path: Path) -> None:
+    assert "`uv tool install .`" in ways()
+    settings = of_uv(tmp_path)
+    run(uv, "tool", "install", "--python", sys.executable, ".", cwd=clone, **settings)
+    programs = Path(settings["UV_TOOL_BIN_DIR"])
+    assert sorted(path.name for path in programs.iterdir()) == ["skygcs", "skygcs-cli"]
+    flies(programs, tmp_path)
+    works_alone(programs, tmp_path)
+
+
+def test_uv_fetches_a_python_where_that_of_the_system_is_too_old(clone: Path, uv: Path, tmp_path: Path) -> None:
+    """As if there were none: only one of uv's own counts. It comes from GitHub, which not every network reaches."""
+    words = [uv, "tool", "install", "--managed-python", "."]
+    done = subprocess.run(
+        [*map(str, words)], cwd=clone, env=os.environ | of_uv(tmp_path), capture_output=True, text=True
+    )
+    if done.returncode != 0 and re.search("failed to (lookup|download|fetch)|dns error|connect", done.stderr, re.I):
+        pytest.skip(f"uv cannot fetch a Python here: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    version = run(tmp_path / "uv_tool_dir" / "skygcs" / "bin" / "python", "--version", cwd=tmp_path)
+    assert tuple(map(int, version.split()[1].split(".")[:2])) >= (3, 11)
+
+
+def test_an_older_python_is_refused_with_the_version_that_is_needed(packages: dict[str, Path], tmp_path: Path) -> None:
+    """As pip of a Python 3.10 does it, of which there is none here."""
+    options = ("--python-version", "3.10", "--only-binary", ":all:", "--no-deps", "--target", tmp_path / "there")
+    words = [sys.executable, "-m", "pip", "install", *options, packages["pure"]]
+    done = subprocess.run([*map(str, words)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode != 0 and "requires a different Python" in done.stderr and ">=3.11" in done.stderr
