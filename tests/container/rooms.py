@@ -65,6 +65,7 @@ class Root:
             shutil.copyfile(f"/{name}", path / name)
         if CERTIFICATES.exists():
             shutil.copyfile(CERTIFICATES, path / HOST_CERTIFICATES)
+        self._of_the_host = of_the_host(path)
 
     def carry_out(self, stage: Stage, others: dict[str, Root], context: Path) -> None:
         """All steps. ``context``: the folder that COPY copies from. Raises CalledProcessError, FileNotFoundError."""
@@ -89,7 +90,7 @@ class Root:
 
     def words(self, words: list[str]) -> list[str]:
         """The command that runs this one in the root: as its user, in its folder, with its environment and no other."""
-        env = {**of_the_host(self.path), **self.env, "HOME": "/root" if self.user == "root" else f"/home/{self.user}"}
+        env = {**self._of_the_host, **self.env, "HOME": "/root" if self.user == "root" else f"/home/{self.user}"}
         there = ["/bin/sh", "-c", f"cd {shlex.quote(self.folder)} && exec {shlex.join(words)}"]
         inside = ["chroot", f"--userspec={self.user}", str(self.path), "/usr/bin/env", "-i"]
         inside += [*(f"{key}={value}" for key, value in env.items()), *there]
