@@ -5,6 +5,7 @@ It names what is missing. MIRROR: where Debian's packages come from, by default 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
@@ -36,6 +37,18 @@ def main() -> int:
     if problems:
         print("\n".join(problems), file=sys.stderr)
         return 1
+    BUILD.mkdir(parents=True, exist_ok=True)
+    with (BUILD / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print(f"another make test-container works in {BUILD}", file=sys.stderr)
+            return 1
+        return carry_out()
+
+
+def carry_out() -> int:
+    """All stages, one after the other, and the last one's command; the exit code."""
     stages = stages_of((ROOT / "Containerfile").read_text(encoding="utf-8"))
     context = context_of(BUILD / "context")
     roots: dict[str, Root] = {}
