@@ -14,7 +14,7 @@ export PYTHONHASHSEED := $(if $(SEARCH),random,0)
 export SKYGCS_TEST_SEARCH := $(SEARCH)
 
 .PHONY: quick test-times test-deep mutants coverage
-.PHONY: demo test test-system test-lab test-package test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-formation bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-container test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-formation bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -64,6 +64,10 @@ test-clients: $(STAMP)
 # The built wheel and sdist, installed in empty folders of their own: what a user of the package index gets
 test-package: $(STAMP)
 	PYTHONPATH=tests $(BIN)/pytest tests/package -s
+
+# The Containerfile's steps in empty roots, without a container runtime: root and debootstrap; MIRROR=http://… of Debian
+test-container: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m container
 
 # The page and the documentation in a real browser: the system's Chromium. Pictures: build/web-screens
 test-web: $(STAMP)

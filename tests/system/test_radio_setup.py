@@ -65,6 +65,23 @@ def test_two_radios_are_provisioned_and_the_one_that_fails_is_told_from_the_othe
         assert bad.saved[24] == 2
 
 
+def test_antennas_are_shown_set_and_provisioned(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text("[vehicles.alpha]\nsysid = 1\n")
+    ground, air, file = tmp_path / "ttyGROUND", tmp_path / "ttyAIR", tmp_path / "air.toml"
+    with on_a_pty(ground, AtRadio()) as master, on_a_pty(air, AtRadio()) as vehicle:
+        assert "ANT_MODE           0 (both antennas, the better one)" in cli(tmp_path, "show", air)
+        words = ("--antennas", "2", "--ground-antennas", "tx1-rx2")
+        cli(tmp_path, "provision", tmp_path / "fleet.toml", ground, air, *words)
+        assert (master.saved[20], vehicle.saved[20]) == (3, 2)
+        cli(tmp_path, "backup", air, file)
+        assert "ANT_MODE" in file.read_text() and "# S20, antenna 2 only" in file.read_text()
+        cli(tmp_path, "set", air, "ANT_MODE=both")
+        assert vehicle.saved[20] == 0
+        shown = json.loads(cli(tmp_path, "show", ground, "--json"))
+        (entry,) = (r for r in shown["registers"] if r["name"] == "ANT_MODE")
+        assert (entry["value"], entry["meaning"]) == (3, "sends by 1, receives by 2")
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_came(
     tmp_path: Path, how: signal.Signals

@@ -61,6 +61,7 @@ COMMANDS = (
     ("signing", ("signing",)),
     ("gains", ("gains",)),
     ("onboard_logs", ("log",)),
+    ("docs", ("docs",)),
     ("status", ("call", "discover")),
 )
 """Modules, and commands that their ``add_to(app)`` adds, in the order of the help. A module is imported when one of its

@@ -37,7 +37,7 @@ TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
         "computers on vehicles, and other sites",
         (),
     ),
-    "files": ("recorded flights, without a daemon", ()),
+    "files": ("recorded flights and the documentation, without a daemon", ("docs",)),
     "program": ("any method of the socket", ("call", "discover")),
 }
 """Each topic: what it is about, and its commands in the core. Every command has one topic."""

@@ -15,7 +15,7 @@ import os
 import re
 from collections.abc import Sequence
 from importlib import util
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from skygcs.config.files import write_whole
@@ -32,6 +32,9 @@ MAX_INCLUDE_DEPTH = 5
 PX4_EXTRAS = "px4-extras"
 """Shipped file with the messages PX4 sends that pymavlink's XML lacks."""
 
+SHIPPED_FOLDER = "dialects"
+"""Name of the folder of shipped XML, in a checkout and in the installed package."""
+
 _INCLUDE = re.compile(rb"<include>\s*([^<]+?)\s*</include>")
 _ENCODINGS = frozenset({"UTF-8", "UTF8", "ASCII", "US-ASCII", "ISO-8859-1"})
 """In these a tag is its ASCII bytes, which the search for includes relies on."""
@@ -41,10 +44,10 @@ _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 def shipped_dialects_dir() -> Path:
     """Folder of the XML shipped with skygcs: inside the package when installed, at the project's top in a checkout."""
-    packaged = Path(__file__).parent.parent / "dialects"
+    packaged = Path(__file__).parent.parent / SHIPPED_FOLDER
     if packaged.is_dir():
         return packaged
-    return Path(__file__).parents[3] / "dialects"
+    return Path(__file__).parents[3] / SHIPPED_FOLDER
 
 
 def _pymavlink_dir() -> Path:
@@ -83,7 +86,8 @@ def load_dialect(
 ) -> Dialect:
     """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win.
 
-    A path is anything with a slash or ending in .xml, relative to ``base_dir`` (the fleet file's folder).
+    A path is anything with a slash or ending in .xml, relative to ``base_dir`` (the fleet file's folder). Where no file
+    is at ``NAME.xml`` or ``dialects/NAME.xml`` there, the shipped one of that name is meant.
     Raises DialectError naming file and line. Reads and writes the cache; one that cannot be written is no error.
     """
     wanted = [name_or_path] if isinstance(name_or_path, str) else list(name_or_path)
@@ -106,14 +110,31 @@ def offline_dialect() -> Dialect:
     return load_dialect(["all", PX4_EXTRAS])
 
 
+def located(name_or_path: str, folder: Path) -> str:
+    """A name as it is; of a path the absolute one, from ``folder``, or the shipped file that is meant instead.
+
+    A file that is nowhere keeps the path where it is missed: `load_dialect` says so.
+    """
+    if not _is_path(name_or_path):
+        return name_or_path
+    path = Path(os.path.normpath(folder / os.path.expanduser(name_or_path)))  # which leaves ~nobody: no such file
+    shipped = shipped_dialects_dir() / path.name
+    if not path.exists() and _place_of_shipped(name_or_path) and shipped.is_file():
+        return str(shipped)
+    return str(path)
+
+
+def _is_path(text: str) -> bool:
+    return "/" in text or text.endswith(".xml")
+
+
 def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
-    if "/" in name_or_path or name_or_path.endswith(".xml"):
-        path = Path(os.path.expanduser(name_or_path))  # which leaves ~nobody as it is: no such file
-        if not path.is_absolute() and base_dir is not None:
-            path = base_dir / path
-        if not path.is_file():
-            raise DialectError(str(path), None, "is a folder" if path.is_dir() else "no such dialect file")
-        return path
+    if _is_path(name_or_path):
+        path = Path(located(name_or_path, base_dir or Path()))
+        if path.is_file():
+            return path
+        text = "is a folder" if path.is_dir() else f"no such dialect file{_names_instead(path.stem)}"
+        raise DialectError(str(path), None, text)
     for folder in (shipped_dialects_dir(), packaged_dialects_dir()):
         path = folder / f"{name_or_path}.xml"
         if path.is_file():
@@ -122,6 +143,23 @@ def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
     near = near_names(name_or_path, known, n=1)
     hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
     raise DialectError(name_or_path, None, "no dialect of this name" + hint)
+
+
+def _place_of_shipped(text: str) -> bool:
+    """True for ``NAME.xml`` and ``dialects/NAME.xml``: where a checkout and an installation have the shipped ones."""
+    path = PurePosixPath(text)
+    return path.suffix == ".xml" and path.parent.as_posix() in (".", SHIPPED_FOLDER)
+
+
+def _names_instead(stem: str) -> str:
+    """How the dialect that a missing file was probably meant to be is called; "" if none is near."""
+    shipped = sorted(path.stem for path in shipped_dialects_dir().glob("*.xml"))
+    if stem in shipped:
+        return f"; the shipped one is called {stem}"
+    if (packaged_dialects_dir() / f"{stem}.xml").is_file():
+        return f"; pymavlink's is called {stem}"
+    near = near_names(stem, shipped, n=1)
+    return f"; did you mean {SHIPPED_FOLDER}/{near[0]}.xml, which is shipped?" if near else ""
 
 
 def _collect(roots: list[Path]) -> list[tuple[Path, bytes]]:

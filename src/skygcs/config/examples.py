@@ -46,13 +46,12 @@ def station_texts(scenario: str) -> dict[str, str] | None:
 
 
 def example_text(scenario: str, file_name: str) -> str:
-    """The example as it stands alone under ``file_name``: its logs beside it, dialects by name. Raises ConfigError for
-    a name that no example has."""
+    """The example as it stands alone under ``file_name``: its logs beside it. Raises ConfigError for a name that no
+    example has."""
     path = examples_dir() / f"{scenario}{SUFFIX}"
     if scenario not in scenarios():
         raise ConfigError("init", [f"there is no scenario {scenario!r}; there are: {', '.join(scenarios())}"])
     text = path.read_text(encoding="utf-8")
     text = text.replace(f"configs/{path.name}", file_name).replace("configs/", "")
     text = re.sub(r'"\.\./logs/[^"]*"', '"logs"', text)
-    text = re.sub(r'"\.\./dialects/([^"]*)\.xml"', r'"\1"', text)
     return re.sub(r'"\.\./tests/data/[^"]*"', '"flight.tlog"', text)

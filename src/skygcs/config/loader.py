@@ -21,7 +21,7 @@ from skygcs.config.checks import (
     message_problems,
     stream_problems,
 )
-from skygcs.config.dialects import load_dialect
+from skygcs.config.dialects import load_dialect, located
 from skygcs.config.extension_tables import TableOwner, find_owners, installed, places_of_control
 from skygcs.config.models import NO_TABLES, AnyLink, FleetConfig, LinkCommon, LinkConfig
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of, model_at, with_absolute_paths
@@ -369,10 +369,7 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
             problems.append(Problem(key, f"{_quoted(str(value))}: there is no user of this name, or no home of theirs"))
             return value
 
-    dialect = tuple(
-        os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
-        for name in _listed(config.dialect)
-    )
+    dialect = tuple(located(name, folder) for name in _listed(config.dialect))
     extensions = {name: with_absolute_paths(part, (name,), absolute) for name, part in config.extensions.items()}
     core = with_absolute_paths(config.model_copy(update={"extensions": {}}), (), absolute)
     return core.model_copy(update={"dialect": dialect, "extensions": extensions}), problems

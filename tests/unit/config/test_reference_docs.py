@@ -70,3 +70,32 @@ def test_toml_on_a_page_passes_the_check(page: Path, tmp_path: Path) -> None:
             load_fleet(path)
         except ConfigError as error:  # a page may show some keys of a link without its type
             assert all("has no type" in problem for problem in error.problems), error
+
+
+KINDS = {
+    "RFD900x multipoint": "serial",
+    "SiK pair": "serial",
+    "XBee": "xbee",
+    "ELRS in MAVLink mode": "serial",
+    "mLRS": "serial",
+    "LTE with WireGuard": "udp_server",
+    "Wi-Fi": "udp_server",
+}
+"""Headings of the page of links, and the kind of link that each one has an example of."""
+
+
+@each("heading, kind", KINDS.items())
+def test_each_link_that_fits_has_an_example_of_its_own(heading: str, kind: str) -> None:
+    page = (ROOT / "docs" / "howto" / "links-that-fit.md").read_text()
+    section = page.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    examples = "".join(re.findall(r"```toml\n(.*?)```", section, re.DOTALL))
+    assert f'type = "{kind}"' in examples
+    assert "Good for" in section and f"[{heading.partition(' multi')[0].partition(' pair')[0][:4]}" in page
+
+
+def test_shares_of_a_link_that_is_slower_than_its_port_leave_half_of_the_air_free() -> None:
+    """mLRS' 31 Hz mode carries 2562 B/s down and 2000 B/s up, and its port 5760 B/s."""
+    page = (ROOT / "docs" / "howto" / "links-that-fit.md").read_text()
+    section = page.partition("\n## mLRS\n")[2].partition("\n## ")[0]
+    down, up = (float(re.findall(rf"{key}_share = ([.0-9]+)", section)[0]) for key in ("downlink", "uplink"))
+    assert 0.4 < down * 5760 / 2562 < 0.5 and 0.4 < up * 5760 / 2000 < 0.5

@@ -20,7 +20,7 @@ from skygcs.errors import DaemonUnreachable
 from skygcs.ext.companions.bring_up import service_control
 from skygcs.ext.companions.bring_up.content import own_content
 from skygcs.ext.companions.bring_up.ground_view import GroundView
-from skygcs.ext.companions.bring_up.inventory import Companion, Inventory
+from skygcs.ext.companions.bring_up.inventory import Companion, Inventory, load_vehicles
 from skygcs.ext.companions.bring_up.readiness import STAGES, BringUp, Candidate, link_text
 from skygcs.ext.companions.bring_up.side_by_side import Progress, side_by_side
 from skygcs.ext.companions.bring_up.ssh_session import Session, connected
@@ -45,15 +45,18 @@ def up(
 ) -> None:
     """Bring vehicles from switched on to ready: companions, services, links, vehicles heard, preflight.
 
-    Starts the services that do not run; arms and moves nothing. Exit 0 only if all are ready.
+    Starts the services that do not run; arms and moves nothing. Exit 0 only if all are ready. Vehicles without a
+    companion need no SSH, and no extra package.
 
     Example: skygcs-cli up all --wait 60
     """
 
     def command() -> int:
-        connect = connector(ssh)
-        chosen = select(targets, candidates(connect.inventory))
-        return asyncio.run(_up([choice.candidate for choice in chosen], connect, ssh, wait_s, json_output))
+        inventory = load_vehicles(ssh.fleet)
+        chosen = [choice.candidate for choice in select(targets, candidates(inventory))]
+        on_board = any(candidate.companion is not None for candidate in chosen)
+        connect = connector(ssh, inventory) if on_board else None
+        return asyncio.run(_up(chosen, connect, ssh, wait_s, json_output))
 
     run_offline(command)
 
@@ -95,7 +98,10 @@ async def _ground() -> AsyncIterator[tuple[GroundView, str]]:
         yield view, ""
 
 
-async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s: float, json_output: bool) -> int:
+async def _up(
+    chosen: Sequence[Candidate], connect: Connector | None, ssh: Ssh, wait_s: float, json_output: bool
+) -> int:
+    """Bring them up. ``connect``: None if none of them has a companion."""
     # how progress is shown
     loop = asyncio.get_running_loop()
     began = loop.time()
@@ -110,6 +116,7 @@ async def _up(chosen: Sequence[Candidate], connect: Connector, ssh: Ssh, wait_s:
             typer.echo(f"{loop.time() - began:6.1f} s  {word} {progress.name:<{width}}  {stage:<9}  {entry['text']}")
 
     def open_session(companion: Companion) -> contextlib.AbstractAsyncContextManager[Session]:
+        assert connect is not None
         return connected(companion, connect.host_keys, connect.identity)
 
     # bring up all companions side by side

@@ -87,10 +87,11 @@ class Connector:
             yield session, await probe(session)
 
 
-def connector(ssh: Ssh) -> Connector:
-    """From the options. Raises ConfigError."""
+def connector(ssh: Ssh, inventory: Inventory | None = None) -> Connector:
+    """From the options. ``inventory``: the fleet file as it is read already. Raises ConfigError, SkygcsError."""
+    if inventory is None:
+        inventory = load_inventory(ssh.fleet)
     require_asyncssh()
-    inventory = load_inventory(ssh.fleet)
     return Connector(inventory, HostKeys(ssh.fleet.absolute().parent), ssh.identity)
 
 

@@ -28,11 +28,14 @@ from skygcs.ext.radio_tools.network import NetworkPlan, NetworkSettings, check_n
 from skygcs.ext.radio_tools.port import RadioPort, emulate_radio
 from skygcs.ext.radio_tools.reading import LIKELY_BAUD
 from skygcs.ext.radio_tools.settings import (
+    ANTENNA_MEANINGS,
+    ANTENNA_MODES,
     MAX_BYTES,
     SERIAL_BAUD,
     Difference,
     Firmware,
     RadioState,
+    Register,
     differences,
     from_toml,
     inconsistencies,
@@ -55,7 +58,13 @@ NODE_OWN = frozenset({"NODEID", "NODEDESTINATION", "NETCOUNT"})
 _UNITS = {"AIR_SPEED": "kbit/s", "TXPOWER": "dBm", "MIN_FREQ": "kHz", "MAX_FREQ": "kHz", "DUTY_CYCLE": "%"}
 _FRAMING = ("raw", "MAVLink", "low latency")
 _SWITCH = ("off", "on")
-_WORDS = {"MAVLINK": _FRAMING, "RXFRAME": _FRAMING, "RTSCTS": _SWITCH, "ECC": _SWITCH}
+_WORDS = {
+    "MAVLINK": _FRAMING,
+    "RXFRAME": _FRAMING,
+    "RTSCTS": _SWITCH,
+    "ECC": _SWITCH,
+    "ANT_MODE": ANTENNA_MEANINGS,
+}
 
 Wanted = Callable[[RadioState], Mapping[str, int]]
 """The settings to write, for the radio that was found."""
@@ -342,6 +351,15 @@ DutyCycle = Annotated[
 ToGroundOnly = Annotated[
     bool, typer.Option("--to-ground-only", help="Vehicles send to the master only, not to each other.")
 ]
+_ANTENNA_WORDS = "both, 1, 2, tx1-rx2"
+Antennas = Annotated[
+    str | None,
+    typer.Option("--antennas", metavar="MODE", help=f"Antennas of the vehicles' RFD900x (ANT_MODE): {_ANTENNA_WORDS}."),
+]
+GroundAntennas = Annotated[
+    str | None,
+    typer.Option("--ground-antennas", metavar="MODE", help=f"Antennas of the ground's RFD900x: {_ANTENNA_WORDS}."),
+]
 Extra = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A further setting of all radios.")
 ]
@@ -359,6 +377,8 @@ def provision(
     air_speed_kbps: AirSpeed = 64,
     duty_cycle: DutyCycle = 100,
     to_ground_only: ToGroundOnly = False,
+    antennas: Antennas = None,
+    ground_antennas: GroundAntennas = None,
     extra: Extra = None,
     baud: Baud = None,
     force: Force = False,
@@ -377,6 +397,8 @@ def provision(
         air_speed_kbps=air_speed_kbps,
         duty_cycle_percent=duty_cycle,
         to_ground_only=to_ground_only,
+        antennas=_antenna_mode(antennas),
+        ground_antennas=_antenna_mode(ground_antennas),
         extra=_settings(extra or []),
     )
 
@@ -503,10 +525,22 @@ def _rates(text: str | None) -> tuple[int, ...]:
 def _settings(pairs: list[str]) -> dict[str, int]:
     settings: dict[str, int] = {}
     for name, value in parse_pairs(pairs).items():
+        if name.upper() == "ANT_MODE" and isinstance(value, str):
+            value = _antenna_mode(value)
         if type(value) is not int or not 0 <= value < 2**32:
             raise typer.BadParameter(f"{name}: a radio's settings are whole numbers, not {value!r}")
         settings[name.upper()] = value
     return settings
+
+
+def _antenna_mode(word: str | None) -> int | None:
+    """ANT_MODE of a word; None of None. Raises BadParameter."""
+    if word is None:
+        return None
+    mode = ANTENNA_MODES.get(word.strip().lower())
+    if mode is None:
+        raise typer.BadParameter(f"antennas are {_ANTENNA_WORDS}, not {word!r}")
+    return mode
 
 
 # --- text and JSON ----------------------------------------------------------------------------------------------------
@@ -546,9 +580,16 @@ def _state_json(where: str, baud: int | None, state: RadioState) -> dict[str, An
         "band": state.band,
         "unique_id": state.unique_id,
         "node": state.node,
-        "registers": [{"id": r.id, "name": r.name, "value": r.value} for r in state.registers.values()],
+        "registers": [_register_json(r) for r in state.registers.values()],
         "notes": inconsistencies(state.values, state.firmware),
     }
+
+
+def _register_json(register: Register) -> dict[str, Any]:
+    """One setting; with ``meaning`` where its value is one of words."""
+    entry: dict[str, Any] = {"id": register.id, "name": register.name, "value": register.value}
+    words = _WORDS.get(register.name, ())
+    return entry | ({"meaning": words[register.value]} if 0 <= register.value < len(words) else {})
 
 
 def _print_ledger(where: str, ledger: Ledger) -> None:

@@ -31,6 +31,10 @@ class NetworkSettings:
     duty_cycle_percent: int = 100
     to_ground_only: bool = False
     """Vehicles send to the master alone: other vehicles' serial ports stay quiet."""
+    antennas: int | None = None
+    """ANT_MODE of the vehicles' radios; None: it stays as it is."""
+    ground_antennas: int | None = None
+    """ANT_MODE of the ground's radio."""
     extra: Mapping[str, int] = field(default_factory=dict)
     """Further settings, by the radios' names."""
 
@@ -68,7 +72,16 @@ class NetworkPlan:
             settings["NODECOUNT"] = self.nodes
         elif position == 0:
             settings |= {"NETCOUNT": 1, "NODECOUNT": self.nodes}
-        return settings | dict(self.common.extra)
+        return settings | self._antennas(position, firmware) | dict(self.common.extra)
+
+    def _antennas(self, position: int, firmware: Firmware) -> dict[str, int]:
+        """ANT_MODE of the member at ``position``, if one is given. Raises RefusedError for firmware without it."""
+        mode = self.common.antennas if position else self.common.ground_antennas
+        if mode is None:
+            return {}
+        if firmware is not Firmware.RFD_MULTIPOINT:
+            raise RefusedError(f"its firmware is {firmware}, which has no ANT_MODE: leave the antennas out")
+        return {"ANT_MODE": mode}
 
     def name(self, position: int) -> str:
         return self.members[position] if position < len(self.members) else "spare"
@@ -95,7 +108,10 @@ def plan_network(
         )
     if common.serial_baud not in SERIAL_BAUD.values():
         problems.append(f"a radio's serial port has no rate of {common.serial_baud} baud")
-    taken = sorted({"NODEID", "NODECOUNT", "FORMAT"} & {name.upper() for name in common.extra})
+    followed = {"NODEID", "NODECOUNT", "FORMAT"}
+    if common.antennas is not None or common.ground_antennas is not None:
+        followed.add("ANT_MODE")
+    taken = sorted(followed & {name.upper() for name in common.extra})
     if taken:
         problems.append(f"{', '.join(taken)} follows from the plan and cannot be given")
     if problems:

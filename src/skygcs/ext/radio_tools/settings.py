@@ -99,6 +99,11 @@ def parse_registers(lines: Iterable[str]) -> dict[str, Register]:
     return found
 
 
+def has_antenna_meaning(register: Register) -> bool:
+    """True for an ANT_MODE that `ANTENNA_MEANINGS` knows."""
+    return register.name == "ANT_MODE" and 0 <= register.value < len(ANTENNA_MEANINGS)
+
+
 def missing_registers(registers: Mapping[str, Register]) -> list[str]:
     """Gaps in the S numbers: lines that got lost. RFD900x multipoint drops some when its buffer runs over."""
     numbers = {int(r.id[1:]) for r in registers.values() if r.id.startswith("S")}
@@ -130,6 +135,12 @@ ALIASES: Mapping[str, str] = {"MAVLINK": "RXFRAME", "OPPRESEND": "OP_RESEND"}
 
 _OTHER_NAME = {**ALIASES, **{new: old for old, new in ALIASES.items()}}
 
+ANTENNA_MODES: Mapping[str, int] = {"both": 0, "1": 1, "2": 2, "tx1-rx2": 3}
+"""Words of a person -> ANT_MODE of an RFD900x."""
+
+ANTENNA_MEANINGS = ("both antennas, the better one", "antenna 1 only", "antenna 2 only", "sends by 1, receives by 2")
+"""By ANT_MODE. The radio's own words (ATI5?): Ant1&2, Ant1, Ant2, Ant1=TX;2=RX."""
+
 _FRAMING = _Limits(0, 2, "0 raw, 1 MAVLink framing, 2 MAVLink with low latency")
 _LIMITS: Mapping[str, _Limits] = {
     "AIR_SPEED": _Limits(2, 1000, "kbit/s"),
@@ -148,6 +159,7 @@ _LIMITS: Mapping[str, _Limits] = {
     "MANCHESTER": _Limits(0, 1, "Manchester coding"),
     "RTSCTS": _Limits(0, 1, "hardware flow control"),
     "MAX_WINDOW": _Limits(20, 131, "ms"),
+    "ANT_MODE": _Limits(0, 3, ", ".join(f"{mode} {text}" for mode, text in enumerate(ANTENNA_MEANINGS))),
     "SYNCANY": _Limits(0, 1, "synchronise to any node"),
     "NODECOUNT": _Limits(2, 32768, "nodes, the base as well"),
     "NETCOUNT": _Limits(1, 16, "networks of the master"),
@@ -256,7 +268,8 @@ def to_toml(state: RadioState, note: str = "") -> str:
             text.append(f"{key} = {_quoted(value)}")
     text += ["", "[registers]", "# name = value   # register of this firmware"]
     for register in state.registers.values():
-        text.append(f"{_quoted(register.name)} = {register.value}  # {register.id}")
+        meaning = f", {ANTENNA_MEANINGS[register.value]}" if has_antenna_meaning(register) else ""
+        text.append(f"{_quoted(register.name)} = {register.value}  # {register.id}{meaning}")
     return "\n".join(text) + "\n"
 
 

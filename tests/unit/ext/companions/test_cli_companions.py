@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,53 @@ def test_up_takes_vehicles_without_companion_too(field: Field) -> None:
     report = json.loads(field.run("up", "carol,pi", "--wait", "0", "--json").stdout)
     assert list(report["vehicles"]) == ["pi", "carol"]
     assert list(report["vehicles"]["carol"]["stages"]) == ["heard"]
+
+
+WITHOUT_EXTRA = ("asyncssh", "cryptography", "zeroconf")
+"""What the extra `companions` installs."""
+
+
+@pytest.fixture
+def plain(field: Field, monkeypatch: pytest.MonkeyPatch) -> Field:
+    """The same field, where the extra is not installed: its modules are neither found nor imported."""
+    for name in [name for name in sys.modules if name.partition(".")[0] in WITHOUT_EXTRA] + list(WITHOUT_EXTRA):
+        monkeypatch.setitem(sys.modules, name, None)
+    return field
+
+
+@pytest.mark.parametrize("table", ["", "[companions]\nadvertise = false\n"])
+def test_up_of_a_fleet_without_companions_needs_no_ssh(plain: Field, table: str) -> None:
+    plain.fleet.write_text(f"{table}[vehicles.alpha]\nsysid = 1\n[vehicles.bravo]\nsysid = 2\n")
+    done = plain.run("up", "--wait", "0", "--json")
+    report = json.loads(done.stdout)
+    assert done.exit_code == 3, done.stderr  # no daemon, which is all that is missing
+    assert {name: list(outcome["stages"]) for name, outcome in report["vehicles"].items()} == {
+        "alpha": ["heard"],
+        "bravo": ["heard"],
+    }
+
+
+def test_up_of_vehicles_without_a_computer_needs_no_ssh_in_a_fleet_that_has_some(plain: Field) -> None:
+    assert list(json.loads(plain.run("up", "carol", "--wait", "0", "--json").stdout)["vehicles"]) == ["carol"]
+
+
+def test_up_of_a_vehicle_with_a_computer_says_what_to_install(plain: Field) -> None:
+    done = plain.run("up", "--wait", "0")
+    assert (done.exit_code, done.stdout) == (1, "")
+    assert done.stderr == "skygcs-cli: companions need the package asyncssh: pip install 'skygcs[companions]'\n"
+
+
+@pytest.mark.parametrize("command", [("down",), ("companions", "status")])
+def test_without_companions_the_table_is_missing_and_no_package(plain: Field, command: tuple[str, ...]) -> None:
+    plain.fleet.write_text("[vehicles.alpha]\nsysid = 1\n")
+    done = plain.run(*command)
+    assert done.exit_code == 1 and "has no table [companions.NAME]" in done.stderr
+
+
+def test_up_of_a_fleet_file_without_vehicles_says_so(field: Field) -> None:
+    field.fleet.write_text("[daemon]\nsysid = 255\n")
+    done = field.run("up", "--wait", "0")
+    assert done.exit_code == 1 and "has no table [vehicles.NAME]" in done.stderr
 
 
 def test_down_stops_nothing_while_one_vehicle_is_armed(field: Field) -> None:

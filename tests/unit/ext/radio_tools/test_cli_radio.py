@@ -58,9 +58,27 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
     assert "node 1   ground         NODEID 1, NETCOUNT 1, NODECOUNT 4" in shown
 
 
+def test_antennas_are_planned_for_the_ground_and_for_the_vehicles(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    words = ("provision", tmp_path / "fleet.toml", "--antennas", "1", "--ground-antennas", "both")
+    rows = json.loads(run(*words, "--json"))["plan"]
+    assert [row["settings"]["ANT_MODE"] for row in rows] == [0, 1, 1]
+    shown = run(*words)
+    assert "ANT_MODE 0 (both antennas, the better one)" in shown and "ANT_MODE 1 (antenna 1 only)" in shown
+    unasked = json.loads(run("provision", tmp_path / "fleet.toml", "--json"))["plan"]
+    assert all("ANT_MODE" not in row["settings"] for row in unasked)
+    for word in ("tx1-rx2", "TX1-RX2"):
+        given = json.loads(run("provision", tmp_path / "fleet.toml", "--set", f"ANT_MODE={word}", "--json"))["plan"]
+        assert {row["settings"]["ANT_MODE"] for row in given} == {3}
+
+
 @pytest.mark.parametrize(
     ("args", "code", "said"),
     [
+        (("provision", "{}/fleet.toml", "--antennas", "3"), USAGE, "both, 1, 2, tx1-rx2"),
+        (("provision", "{}/fleet.toml", "--ground-antennas", ""), USAGE, "both, 1, 2, tx1-rx2"),
+        (("provision", "{}/fleet.toml", "--antennas", "1", "--set", "ANT_MODE=2"), FAILED, "follows from the plan"),
+        (("set", "{}/file", "ANT_MODE=left"), USAGE, "both, 1, 2, tx1-rx2"),
         (("show", "{}/none"), FAILED, "no such device"),
         (("show", "{}/file"), FAILED, "not a serial port"),
         (("show", "{}/file", "--baud", "fast"), USAGE, "--baud"),

@@ -54,6 +54,13 @@ def test_what_does_not_go_together_is_refused(
         plan_network([f"v{i}" for i in range(vehicles)], nodes, common)
 
 
+def test_open_sik_has_no_antennas_to_choose() -> None:
+    plan = plan_network(["alpha"], None, NetworkSettings(antennas=1))
+    assert "ANT_MODE" not in plan.settings(0, Firmware.SIK_MULTIPOINT)
+    with pytest.raises(RefusedError, match="which has no ANT_MODE"):
+        plan.settings(1, Firmware.SIK_MULTIPOINT)
+
+
 def test_radios_that_make_no_network_are_refused() -> None:
     for firmware in (Firmware.SIK, Firmware.ASYNC):
         with pytest.raises(RefusedError, match="load multipoint firmware first"):

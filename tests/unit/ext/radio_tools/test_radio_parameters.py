@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from skygcs.ext.radio_tools.settings import (
+    ANTENNA_MEANINGS,
+    ANTENNA_MODES,
     SERIAL_BAUD,
     Firmware,
     Register,
@@ -71,13 +75,27 @@ def test_a_setting_is_found_under_either_of_its_names() -> None:
         ("NODEDESTINATION", (1, 16, 255, 65535), (0, 17, 300)),
         ("FORMAT", (), (26,)),
         ("SERIAL_SPEED", tuple(SERIAL_BAUD), (57600, 58)),
-        ("ANT_MODE", (0, 99), ()),
+        ("ANT_MODE", (0, 1, 2, 3), (4, 99)),
+        ("GPO1_3STATLED", (0, 99), ()),
     ],
 )
 def test_values_that_cannot_be_right_are_known(name: str, good: tuple[int, ...], bad: tuple[int, ...]) -> None:
     assert [v for v in good if why_not(name, v, Firmware.RFD_MULTIPOINT)] == []
     for value in bad:
         assert name in (why_not(name, value, Firmware.RFD_MULTIPOINT) or "")
+
+
+OWN_WORDS = "S20:ANT_MODE(N)[0..3]=0{Ant1&2,Ant1,Ant2,Ant1=TX;2=RX,}"
+"""The oracle: the answer to ATI5? of an RFD900x's firmware, as published."""
+
+
+def test_antenna_modes_mean_what_the_radio_itself_says_of_them() -> None:
+    own = OWN_WORDS[OWN_WORDS.index("{") + 1 : -1].rstrip(",").split(",")
+    assert len(own) == len(ANTENNA_MEANINGS) == len(ANTENNA_MODES) == 4
+    for word, mode in ANTENNA_MODES.items():
+        radio, ours = own[mode], ANTENNA_MEANINGS[mode]
+        assert re.findall(r"[12]", radio) == (["1", "2"] if word == "both" else re.findall(r"[12]", word))
+        assert ("TX" in radio) == ("sends" in ours) and ("&" in radio) == ("both" in ours)
 
 
 def test_open_sik_counts_nodes_from_zero() -> None:

@@ -62,14 +62,22 @@ class Inventory:
 
 def load_inventory(path: Path) -> Inventory:
     """The companions of a fleet file. Raises ConfigError, also for a file without any."""
+    inventory = load_vehicles(path)
+    if not inventory.companions:
+        raise ConfigError(str(path), ["has no table [companions.NAME]: docs/howto/companions-bring-up.md"])
+    return inventory
+
+
+def load_vehicles(path: Path) -> Inventory:
+    """A fleet file whose vehicles may have companions or not. Raises ConfigError, also for a file without vehicles."""
     from skygcs.config.loader import load_fleet
-    from skygcs.ext.companions.companions_table import companions_table
+    from skygcs.ext.companions.companions_table import CompanionsConfig, companions_table
 
     config = load_fleet(path)
-    table = companions_table(config)
-    if table is None or not table.entries:
-        raise ConfigError(str(path), ["has no table [companions.NAME]: docs/howto/companions-bring-up.md"])
+    table = companions_table(config) or CompanionsConfig()
     vehicles = {vehicle.name: vehicle for vehicle in config.vehicle_configs()}
+    if not vehicles:
+        raise ConfigError(str(path), ["has no table [vehicles.NAME]: docs/reference/fleet-file.md"])
     made = []
     for name, entry in table.entries.items():
         vehicle = vehicles[table.vehicle_of(name)]
