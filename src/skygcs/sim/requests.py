@@ -324,6 +324,10 @@ def _corrections(v: VehicleState, fields: Fields, sender: Sender, now: float) ->
     v.rtk.on_message(fields, now)
 
 
+def _serial_control(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
+    v.on_serial_control(fields, sender)
+
+
 def _file_transfer(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     v.on_file_transfer(bytes(fields["payload"]), sender, now)
 
@@ -343,5 +347,6 @@ _HANDLERS: Mapping[str, Callable[[VehicleState, Fields, Sender, float], None]] =
     "SET_MODE": _set_mode,
     "SETUP_SIGNING": _setup_signing,
     "FILE_TRANSFER_PROTOCOL": _file_transfer,
+    "SERIAL_CONTROL": _serial_control,
     "GPS_RTCM_DATA": _corrections,
 }

@@ -268,6 +268,10 @@ class VehicleState(ABC):
         fields = {"target_system": sender[0], "target_component": sender[1]}
         self.tx.send(ftp_payload.MESSAGE, {**fields, "payload": ftp_payload.encode(reply)})
 
+    def on_serial_control(self, fields: Mapping[str, Any], sender: tuple[int, int]) -> None:
+        """SERIAL_CONTROL. A vehicle without serial ports answers nothing, as ArduPilot for a device that it does not
+        know (GCS_serial_control.cpp)."""
+
     @abstractmethod
     def begin_telemetry(self) -> Iterable[str]:
         """Boot: the names of the messages that this firmware has."""
