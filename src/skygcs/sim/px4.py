@@ -234,14 +234,10 @@ class Px4Vehicle(SimVehicle):
         self.setpoint_at = -1e9
         self.shell = Px4Shell(self.tx, self.dialect, lambda: self.armed)
 
-    def on_serial_control(self, fields: Mapping[str, Any], sender: tuple[int, int]) -> None:
-        self.shell.hear(fields, sender)
-
     def on_ready(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Ready for takeoff!")
 
     def on_tick(self, now: float) -> None:
-        self.shell.step(now)
         if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
             self.mode = Px4Mode.LOITER
             self.intend(self.mode)

@@ -66,6 +66,8 @@ def step(v: VehicleState, now: float) -> None:
     """Advance what goes on over many ticks: a parameter list, a calibration, a mission transfer."""
     v.lists.step(v, now)
     v.logs.step(armed=v.armed)
+    if v.shell is not None:
+        v.shell.step(now)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
         _send_param(v, v.param_queue.pop(0))
     calibration.step(v, now)
@@ -325,7 +327,8 @@ def _corrections(v: VehicleState, fields: Fields, sender: Sender, now: float) ->
 
 
 def _serial_control(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
-    v.on_serial_control(fields, sender)
+    if v.shell is not None:  # an ArduPilot answers nothing for a device that it does not have (GCS_serial_control.cpp)
+        v.shell.hear(fields, sender)
 
 
 def _file_transfer(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
