@@ -96,12 +96,12 @@ class Px4Shell:
         if not self.running:
             return
         for _ in range(READ_PER_TICK):
-            if not self._pipe or now < self._busy_until:
+            if self._busy_until >= 0 and now >= self._busy_until:
+                self._busy_until = -1.0
+                self._out += PROMPT
+            if not self._pipe or self._busy_until >= 0:
                 break
             self._read(self._pipe.pop(0), now)
-        if self._busy_until >= 0 and now >= self._busy_until:
-            self._busy_until = -1.0
-            self._out += PROMPT
         if self._out:
             self._send(bytes(self._out[:DATA_BYTES]))
             del self._out[:DATA_BYTES]

@@ -15,6 +15,7 @@ from skygcs.core.vehicle.vehicle_model import VehicleModel, model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.shell.methods import METHODS
+from skygcs.ext.shell.shell_input import QUIET_S
 from skygcs.ext.shell.shell_session import ShellSession
 from skygcs.extension import Clock, Extension
 
@@ -106,7 +107,8 @@ class Shell(Extension[ShellConfig]):
             raise RefusedError(f"{actor.name}: no link leads to it")
         if actor.vehicle.key in self._left and self._send(session, b"", flags=0):
             self._left.discard(actor.vehicle.key)
-        session.input.put("\n")
+        if not self._send(session, b"", flags=OPEN_FLAGS):  # starts it: nsh greets
+            raise RefusedError(f"{actor.name}: no link takes the message now")
         self._sessions[session.key] = session
         session.take_back = context.at_end(lambda: self._end(session, "its client is gone"))
         others = ", ".join(model.name for model in self._others(actor, now))
@@ -183,6 +185,10 @@ class Shell(Extension[ShellConfig]):
             if self.core.fleet.vehicles.get(session.actor.vehicle.key) is not session.actor:
                 self._end(session, "the vehicle is gone, or has another system id")
                 continue
+            if not session.woken and now - session.opened_at >= QUIET_S:
+                session.woken = True
+                if not session.output.received_bytes and not session.input.waiting_bytes:
+                    session.input.put("\n")  # pxh does not greet, nor a shell that another program has left
             piece = session.input.next_piece(now)
             if not piece or self._still_waits(session):
                 continue

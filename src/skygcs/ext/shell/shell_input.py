@@ -6,7 +6,8 @@ vehicle hears nothing on this link, no disarming either. So no byte is sent unle
 
     the shell types its prompt                   it has read everything
     it echoes characters of a line               it has read as many
-    a line was sent, and no prompt has come      its bytes may lie in the pipe. The next line waits; after QUIET_S
+    it was started, or a line was sent, and no
+    prompt has come                              bytes may lie in the pipe. The next line waits; after QUIET_S
                                                  without any output, as a prompt may be lost, it goes if it fits in
     an unfinished line, and no echo for QUIET_S  the shell has read it: nothing else keeps it busy
     a Ctrl-C                                     goes before everything, if it fits in, and drops what waits
@@ -33,7 +34,7 @@ QUIET_S = 2.0
 INTERRUPT = "\x03"
 """Ctrl-C, which ends commands of PX4 that read the keyboard, such as top."""
 
-PROMPT = re.compile(rb"(?:^|[\r\n])(?:nsh|pxh)> (?:\x1b\[K)?$")
+PROMPT = re.compile(rb"(?:nsh|pxh)> (?:\x1b\[K)?$")
 """The end of an output after which the shell reads: of nsh (CONFIG_NSH_PROMPT) and of SITL's pxh."""
 
 TAIL_BYTES = 16
@@ -64,8 +65,8 @@ class ShellInput:
         """The rest of such a line was dropped: the shell would put the next line behind what it has."""
         self._unread = 0
         """Bytes that the pipe may hold, at most."""
-        self._executing = False
-        """A line's end was sent, and no prompt has come since."""
+        self._executing = True
+        """A line's end was sent, or the shell is being started, and no prompt has come since."""
         self._tail = b""
         self._changed_at = now
         """When something was sent or came."""

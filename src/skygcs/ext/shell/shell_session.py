@@ -21,6 +21,8 @@ class ShellSession:
         self.opened_at = now
         self.input = ShellInput(now)
         self.output = ShellOutput()
+        self.woken = False
+        """It has been time for an Enter, if the shell shows no prompt by itself."""
         self.refused = ""
         """Why text that waited was not sent; told with the next read."""
         self.end: str | None = None

@@ -50,6 +50,12 @@ class Shell:
         return out
 
 
+def at_prompt() -> ShellInput:
+    typed = ShellInput(-1.0)
+    typed.on_output(b"\nNuttShell (NSH)\nnsh> \x1b[K", 0.0)
+    return typed
+
+
 LINES = st.lists(st.text(st.characters(codec="ascii", min_codepoint=32, max_codepoint=126), max_size=MAX_LINE_CHARS))
 
 
@@ -63,7 +69,7 @@ def test_every_line_comes_whole_and_in_order_and_the_pipe_never_overflows(
     lines: list[str], cuts: list[int], busy: list[int], lost: list[bool]
 ) -> None:
     text = "".join(f"{line}\n" for line in lines)
-    typed, shell, now, n = ShellInput(0.0), Shell(), 0.0, 0
+    typed, shell, now, n = at_prompt(), Shell(), 0.0, 0
     put = 0
     for step in range(100 * (len(lines) + 1) + 200):
         part = text[put : put + 1 + cuts[step % len(cuts)]]
@@ -111,7 +117,7 @@ def test_whatever_is_put_and_comes_back_little_waits_and_no_piece_is_too_long(
 
 
 def test_a_line_waits_for_the_prompt_after_the_one_before() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     assert typed.put("ver all\ntop\n") is None
     assert typed.next_piece(0.0) == b"ver all\n"
     typed.sent(b"ver all\n", 0.0)
@@ -126,7 +132,7 @@ def test_a_line_waits_for_the_prompt_after_the_one_before() -> None:
 
 
 def test_a_prompt_that_is_lost_holds_the_next_line_for_a_while_and_a_second_one_until_enter() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     typed.put("a" * 60 + "\n")
     typed.sent(typed.next_piece(0.0), 0.0)
     typed.put("ver all\n")
@@ -144,7 +150,7 @@ def test_a_prompt_that_is_lost_holds_the_next_line_for_a_while_and_a_second_one_
 
 
 def test_a_long_line_goes_on_when_its_echo_comes() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     assert typed.put("b" * 100) is None
     assert typed.next_piece(0.0) == b"b" * 69
     typed.sent(b"b" * 69, 0.0)
@@ -155,7 +161,7 @@ def test_a_long_line_goes_on_when_its_echo_comes() -> None:
 
 
 def test_ctrl_c_overtakes_and_drops_what_waits() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     typed.put("sleep 100\nver all\n")
     typed.sent(typed.next_piece(0.0), 0.0)
     assert typed.put(INTERRUPT) is None
@@ -165,7 +171,7 @@ def test_ctrl_c_overtakes_and_drops_what_waits() -> None:
 
 
 def test_a_line_that_is_dropped_when_a_part_of_it_was_sent_is_not_forgotten() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     typed.put("param set A 1 " + "c" * 100 + "\n")
     typed.drop()
     assert not typed.cut
@@ -177,7 +183,7 @@ def test_a_line_that_is_dropped_when_a_part_of_it_was_sent_is_not_forgotten() ->
 
 
 def test_text_that_the_shell_cannot_read_is_refused_as_a_whole() -> None:
-    typed = ShellInput(0.0)
+    typed = at_prompt()
     for bad, why in (
         ("rm /fs/microsd/ä\n", "printable ASCII"),
         ("\x1b[A", "printable ASCII"),
@@ -197,3 +203,10 @@ def test_text_that_the_shell_cannot_read_is_refused_as_a_whole() -> None:
         typed.put("y" * 119 + "\n")
     problem = typed.put("z" * 100 + "\n")
     assert problem is not None and "2048" in problem
+
+
+def test_before_the_first_prompt_a_line_waits() -> None:
+    typed = ShellInput(0.0)
+    typed.put("ver all\n")
+    assert typed.next_piece(1.0) == b"" and not typed.ready
+    assert typed.next_piece(QUIET_S) == b"ver all\n"
