@@ -28,7 +28,7 @@ FIRST_PROMPT_S = 10.0
 """A shell that has not shown its prompt by then does not answer: PX4 without one, or a link that loses much."""
 
 MAX_LINE_CHARS = 4096
-"""Of a pipe; the daemon refuses lines that are longer than the shell's."""
+"""Most of one line of a pipe; the daemon refuses lines that are longer than the shell's."""
 
 INTERRUPT = "\x03"
 

@@ -10,7 +10,7 @@ from skygcs.config.files import write_whole
 
 MAX_LINES = 500
 MAX_FILE_BYTES = 64 * 1024
-"""As many as `MAX_LINES` of the longest that a shell takes; of a longer file the end is read."""
+"""Room for `MAX_LINES` of the longest that a shell takes; a longer file's end is read."""
 
 
 def history_file() -> Path | None:
