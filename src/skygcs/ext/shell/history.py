@@ -39,7 +39,7 @@ def read_history(path: Path) -> list[str]:
 
 def write_history(path: Path, lines: list[str]) -> None:
     """Keep the newest; a file that cannot be written is no error."""
-    kept = [line for line in lines if line.strip() and line.isprintable()][-MAX_LINES:]
+    kept = [line for line in lines if line.strip() and line.isascii() and line.isprintable()][-MAX_LINES:]
     with contextlib.suppress(OSError):
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(path, "".join(f"{line}\n" for line in kept).encode("ascii", "replace"), 0o600, durable=False)
