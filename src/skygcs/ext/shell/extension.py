@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING, Any
@@ -46,6 +47,10 @@ MIN_VERSION = (1, 16)
 """The first PX4 whose source was seen to look at the message's addressee (mavlink_receiver.cpp:
 handle_message_serial_control). An earlier one may execute what another on the same link is sent."""
 
+RESTART_S = 2.0
+"""From the end of a shell to the begin of the next one of its vehicle: it ends in a task of its own, and one that is
+begun at once shows no prompt (PX4 1.16.1 SITL, measured)."""
+
 KIND = "shell"
 
 
@@ -66,6 +71,8 @@ class Shell(Extension[ShellConfig]):
         self._own = core.config.daemon.sysid
         self._left: set[int] = set()
         """Vehicles (sysid << 8 | compid) on which a shell was left: it may hold the beginning of a line."""
+        self._closed_at: dict[int, float] = {}
+        """When a vehicle (sysid << 8 | compid) was told to end its shell."""
         self.ignored_frames = 0
         self.bad_frames = 0
 
@@ -105,9 +112,12 @@ class Shell(Extension[ShellConfig]):
         session = ShellSession(actor, force=force, now=now)
         if not self.core.hub.channels_to(actor.sysid, actor.compid):
             raise RefusedError(f"{actor.name}: no link leads to it")
-        if actor.vehicle.key in self._left and self._send(session, b"", flags=0):
-            self._left.discard(actor.vehicle.key)
-        if not self._send(session, b"", flags=OPEN_FLAGS):  # starts it: nsh greets
+        key = actor.vehicle.key
+        if key in self._left and self._send(session, b"", flags=0):
+            self._left.discard(key)
+            self._closed_at[key] = now
+        session.starts_at = self._closed_at.get(key, -math.inf) + RESTART_S
+        if session.starts_at <= now and not self._start(session, now):
             raise RefusedError(f"{actor.name}: no link takes the message now")
         self._sessions[session.key] = session
         session.take_back = context.at_end(lambda: self._end(session, "its client is gone"))
@@ -185,7 +195,13 @@ class Shell(Extension[ShellConfig]):
             if self.core.fleet.vehicles.get(session.actor.vehicle.key) is not session.actor:
                 self._end(session, "the vehicle is gone, or has another system id")
                 continue
-            if not session.woken and now - session.opened_at >= QUIET_S:
+            if session.started_at is None:
+                if (why := self._refusal(session.actor, force=session.force)) is not None:
+                    session.drop_input(why)
+                elif now >= session.starts_at:
+                    self._start(session, now)
+                continue
+            if not session.woken and now - session.started_at >= QUIET_S:
                 session.woken = True
                 if not session.output.received_bytes and not session.input.waiting_bytes:
                     session.input.put("\n")  # pxh does not greet, nor a shell that another program has left
@@ -201,6 +217,14 @@ class Shell(Extension[ShellConfig]):
                 session.input.sent(piece, now)
                 if (line := session.line_sent(piece)) is not None:
                     self._report(session, f"shell: {line}")
+
+    def _start(self, session: ShellSession, now: float) -> bool:
+        """Have the vehicle begin a shell, whose greeting may come; False if no link takes the message."""
+        if not self._send(session, b"", flags=OPEN_FLAGS):
+            return False
+        session.started_at = now
+        session.input.begin(now)
+        return True
 
     def _still_waits(self, session: ShellSession) -> bool:
         """True if a message of this session waits for its turn on the link: a radio would get a queue of them."""
@@ -287,8 +311,11 @@ class Shell(Extension[ShellConfig]):
         session.take_back()
         session.input.drop()
         told = self._refusal(session.actor, force=session.force) is None and self._send(session, b"", flags=0)
+        key = session.actor.vehicle.key
+        if told:
+            self._closed_at[key] = self.core.now()
         if not told or session.input.cut:
-            self._left.add(session.actor.vehicle.key)
+            self._left.add(key)
         session.end = why
         session.wake()
         self._report(session, f"shell ended: {why}")

@@ -71,6 +71,10 @@ class ShellInput:
         self._changed_at = now
         """When something was sent or came."""
 
+    def begin(self, now: float) -> None:
+        """The vehicle was told to begin a shell: its prompt is awaited from now on."""
+        self._changed_at = now
+
     @property
     def waiting_bytes(self) -> int:
         """Bytes that were put and not sent."""

@@ -21,6 +21,9 @@ class ShellSession:
         self.opened_at = now
         self.input = ShellInput(now)
         self.output = ShellOutput()
+        self.starts_at = now
+        """When the vehicle is told to begin a shell."""
+        self.started_at: float | None = None
         self.woken = False
         """It has been time for an Enter, if the shell shows no prompt by itself."""
         self.refused = ""
