@@ -48,8 +48,8 @@ MIN_VERSION = (1, 16)
 handle_message_serial_control). An earlier one may execute what another on the same link is sent."""
 
 RESTART_S = 2.0
-"""From the end of a shell to the begin of the next one of its vehicle: it ends in a task of its own, and one that is
-begun at once shows no prompt (PX4 1.16.1 SITL, measured)."""
+"""From the end of a shell to the begin of the next one of its vehicle. It ends in a task of its own, and SITL's has the
+output of the whole process until then (pxh.cpp: run_remote_pxh)."""
 
 KIND = "shell"
 
@@ -202,9 +202,11 @@ class Shell(Extension[ShellConfig]):
                     self._start(session, now)
                 continue
             if not session.woken and now - session.started_at >= QUIET_S:
+                # pxh does not greet, nor does a shell that another program has left; what modules print is no prompt
+                if session.input.awaits_prompt and self._send(session, b"\n", flags=OPEN_FLAGS):
+                    session.input.sent_enter(now)
                 session.woken = True
-                if not session.output.received_bytes and not session.input.waiting_bytes:
-                    session.input.put("\n")  # pxh does not greet, nor a shell that another program has left
+                continue
             piece = session.input.next_piece(now)
             if not piece or self._still_waits(session):
                 continue

@@ -81,6 +81,11 @@ class ShellInput:
         return len(self._waiting)
 
     @property
+    def awaits_prompt(self) -> bool:
+        """True if no prompt has come since the shell was begun, or a line was sent."""
+        return self._executing
+
+    @property
     def ready(self) -> bool:
         """True if the shell shows its prompt and nothing waits for it."""
         return not self._executing and not self._waiting and PROMPT.search(self._tail) is not None
@@ -135,6 +140,11 @@ class ShellInput:
         if piece.endswith(b"\n"):
             self._executing = True
             self._tail = b""
+
+    def sent_enter(self, now: float) -> None:
+        """An Enter was sent that nobody has put: for the first prompt."""
+        self._unread += 1
+        self._changed_at = now
 
     def on_output(self, data: bytes, now: float) -> None:
         """Bytes of the shell have come."""
