@@ -67,6 +67,8 @@ class Px4Shell:
         """Bytes that came while the pipe to the shell was full."""
         self.lines: list[str] = []
         """Every line that was executed."""
+        self.greeting = b"\nNuttShell (NSH) NuttX-11.0.0\n" + PROMPT
+        """Output of a new shell; pxh, SITL's, has none."""
         self.client = (0, 0)
         self.running = False
         self._forget()
@@ -82,7 +84,7 @@ class Px4Shell:
         if not self.running:
             self.running = True
             self._forget()
-            self._out += b"\nNuttShell (NSH) NuttX-11.0.0\n" + PROMPT
+            self._out += self.greeting
         if 0 < fields["count"] <= DATA_BYTES:
             self.client = sender
             data = bytes(fields["data"][: fields["count"]])
