@@ -32,7 +32,7 @@ from skygcs.sim.xbee_mesh import MeshConfig, XBeeMesh
 
 Keys = TypeVar("Keys", bound=BaseModel)
 
-SIM_DIALECT = "ardupilotmega"
+SIM_DIALECT = ("ardupilotmega", "px4-extras")
 
 LEAST_SPEEDUP, MAX_SPEEDUP = 0.01, 100.0
 

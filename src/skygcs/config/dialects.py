@@ -23,8 +23,8 @@ from skygcs.core.mavlink.dialect import ABSENT, MAX_PAYLOAD_BYTES, Dialect, Fiel
 from skygcs.errors import DialectError
 from skygcs.spelling import near_names
 
-TABLE_FORMAT = 1
-"""Raised whenever `Dialect.to_table` changes shape: old cache files are then never read."""
+TABLE_FORMAT = 2
+"""Raised whenever the same XML gives another table: old cache files are then never read."""
 
 MAX_INCLUDE_DEPTH = 5
 """mavgen's own limit (MAXIMUM_INCLUDE_FILE_NESTING)."""
@@ -84,7 +84,8 @@ def default_cache_dir() -> Path:
 def load_dialect(
     name_or_path: str | Sequence[str], *, base_dir: Path | None = None, cache_dir: Path | None = None
 ) -> Dialect:
-    """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win.
+    """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win; of two
+    definitions of a message that differ in extension fields only, the longer one.
 
     A path is anything with a slash or ending in .xml, relative to ``base_dir`` (the fleet file's folder). Where no file
     is at ``NAME.xml`` or ``dialects/NAME.xml`` there, the shipped one of that name is meant.
@@ -213,6 +214,7 @@ def _generate(label: str, sources: list[tuple[Path, bytes]]) -> Dialect:
         bitmasks = {e.name for e in xml.enum if e.bitmask}
         for message in xml.message:
             if _is_known(path, message, origin):
+                _lengthen(messages, _message_info(message, bitmasks))
                 continue
             origin[message.id] = origin[message.name] = (path, message)
             messages[message.id] = _message_info(message, bitmasks)
@@ -238,6 +240,17 @@ def _is_known(path: Path, message: Any, origin: dict[int | str, tuple[Path, Any]
             f"{path.name}:{message.linenumber}",
         )
     return False
+
+
+def _lengthen(messages: dict[int, MessageInfo], other: MessageInfo) -> None:
+    """Take the further extension fields of a second definition of the same message: they are not part of its CRC, and
+    an older XML lacks them."""
+    first = messages[other.msgid]
+    layout, longer = ([(f.name, f.type, f.array_length, f.offset) for f in info.fields] for info in (first, other))
+    if len(longer) > len(layout) and all(field in longer for field in layout):
+        known = {field.name: field for field in first.fields}
+        other.fields = tuple(known.get(field.name, field) for field in other.fields)
+        messages[other.msgid] = other
 
 
 def _message_info(message: Any, bitmasks: set[str]) -> MessageInfo:

@@ -32,7 +32,7 @@ from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
 
-SIM_DIALECT = "ardupilotmega"
+SIM_DIALECT = ("ardupilotmega", "px4-extras")
 """The vehicles' dialect, whatever the daemon's is: it also has all the PX4 telemetry that is sent here."""
 
 CATCH_UP_S = 0.5

@@ -96,6 +96,10 @@ class Context(Protocol):
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
     def relay_operator(self) -> None: ...
+    def at_end(self, action: Callable[[], None]) -> Callable[[], None]:
+        """Call ``action`` when this client is gone; returns how to take that back. The caller bounds their number."""
+        ...
+
     def notify(self, method: str, params: JsonObject) -> None: ...
 
 
@@ -122,6 +126,9 @@ class ReportingContext:
 
     def relay_operator(self) -> None:
         self._session.relay_operator()
+
+    def at_end(self, action: Callable[[], None]) -> Callable[[], None]:
+        return self._session.at_end(action)
 
     def notify(self, method: str, params: JsonObject) -> None:
         self._session.notify(method, params)

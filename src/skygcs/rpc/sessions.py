@@ -146,6 +146,7 @@ class Session(asyncio.Protocol):
         self._relays_operator = False
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
+        self._at_end: dict[object, Callable[[], None]] = {}
         self._deadline: asyncio.TimerHandle | None = None
         self._eof = False
 
@@ -226,6 +227,18 @@ class Session(asyncio.Protocol):
     def relay_operator(self) -> None:
         """Its requests come from a program on behalf of a person who may have left: they do not count as input."""
         self._relays_operator = True
+
+    def at_end(self, action: Callable[[], None]) -> Callable[[], None]:
+        key = object()
+        if self._transport is None:  # it left while its request was being answered
+            self._hub.loop.call_soon(action)
+        else:
+            self._at_end[key] = action
+
+        def take_back() -> None:
+            self._at_end.pop(key, None)
+
+        return take_back
 
     def notify(self, method: str, params: JsonObject) -> None:
         """Send a notification that may be lost: nothing to a client that does not read."""
@@ -525,6 +538,12 @@ class Session(asyncio.Protocol):
         subscriptions, self._subscriptions = self._subscriptions, {}
         for subscription in subscriptions.values():
             self._hub.feeds.remove(subscription)
+        actions, self._at_end = self._at_end, {}
+        for action in actions.values():
+            try:
+                action()
+            except Exception as error:
+                _log.error("an action at a client's end failed", exc_info=error)
         for task in self.tasks:
             task.cancel()
         self._buffer.clear()

@@ -28,6 +28,7 @@ from skygcs.sim.position_targets import is_altitude, is_position, px4_target
 from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
 from skygcs.sim.px4_position_control import Px4PositionControl
+from skygcs.sim.px4_shell import Px4Shell
 from skygcs.sim.requests import common_command
 from skygcs.sim.vehicle import SimVehicle
 
@@ -231,6 +232,7 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = False
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
+        self.shell = Px4Shell(self.tx, self.dialect, lambda: self.armed)
 
     def on_ready(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Ready for takeoff!")

@@ -66,6 +66,8 @@ def step(v: VehicleState, now: float) -> None:
     """Advance what goes on over many ticks: a parameter list, a calibration, a mission transfer."""
     v.lists.step(v, now)
     v.logs.step(armed=v.armed)
+    if v.shell is not None:
+        v.shell.step(now)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
         _send_param(v, v.param_queue.pop(0))
     calibration.step(v, now)
@@ -324,6 +326,11 @@ def _corrections(v: VehicleState, fields: Fields, sender: Sender, now: float) ->
     v.rtk.on_message(fields, now)
 
 
+def _serial_control(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
+    if v.shell is not None:  # an ArduPilot answers nothing for a device that it does not have (GCS_serial_control.cpp)
+        v.shell.hear(fields, sender)
+
+
 def _file_transfer(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     v.on_file_transfer(bytes(fields["payload"]), sender, now)
 
@@ -343,5 +350,6 @@ _HANDLERS: Mapping[str, Callable[[VehicleState, Fields, Sender, float], None]] =
     "SET_MODE": _set_mode,
     "SETUP_SIGNING": _setup_signing,
     "FILE_TRANSFER_PROTOCOL": _file_transfer,
+    "SERIAL_CONTROL": _serial_control,
     "GPS_RTCM_DATA": _corrections,
 }

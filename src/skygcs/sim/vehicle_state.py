@@ -31,6 +31,7 @@ from skygcs.sim.onboard_logs import OnboardLogs
 from skygcs.sim.onboard_signing import BoardSigning
 from skygcs.sim.param_table import Param, Params
 from skygcs.sim.position_control import ControlGains, PositionControl
+from skygcs.sim.px4_shell import Px4Shell
 from skygcs.sim.rng import Rng
 from skygcs.sim.rtk import RtkReceiver
 from skygcs.sim.sensors import Sensors
@@ -75,6 +76,8 @@ class VehicleState(ABC):
     """A failsafe has chosen the mode."""
     setpoint_at: float
     """When the last setpoint came."""
+    shell: Px4Shell | None = None
+    """Its console over MAVLink; None: it has none."""
 
     def __init__(
         self,

@@ -41,6 +41,7 @@ READ = frozenset(
         "ros.status",
         "router.stats",
         "rpc.discover",
+        "shell.status",
         "signing.status",
         "trajectory.paths",
         "trajectory.status",
@@ -155,11 +156,12 @@ NOT_PASSED_ON = frozenset(
         *("auth", "corrections.send", "operator.active", "operator.relay", "subscribe", "unsubscribe"),
         *("companion.contact", "companion.order", "companion.setpoint"),
         *("authority.grant", "authority.revoke", "ros.report"),
+        *("shell.close", "shell.open", "shell.read", "shell.write"),
     }
 )
 """The web process subscribes once for all pages; corrections are a stream of bytes that no page has; a
 companion is called by its ground, which keeps the numbers; authority is granted by the holder of a lease;
-the process of ROS reports about itself."""
+the process of ROS reports about itself; a shell is its client's, and all pages are one client."""
 
 
 def access(method: str) -> Access:

@@ -63,6 +63,26 @@ def test_a_list_of_dialects_is_merged(cache: Path) -> None:
     assert offline_dialect().find("MEMINFO").msgid == 152
 
 
+def test_extension_fields_that_only_a_later_definition_has_are_taken_over(tmp_path: Path, cache: Path) -> None:
+    base = '<field type="uint8_t" name="a">x</field>'
+    write(tmp_path, "short.xml", message(base))
+    write(tmp_path, "long.xml", message(base + '<extensions/><field type="uint8_t" name="target_system">x</field>'))
+    write(tmp_path, "other.xml", message(base + '<extensions/><field type="uint8_t" name="b">x</field>'))
+    names = [str(tmp_path / f"{name}.xml") for name in ("short", "long", "other")]
+    for first, second in ((0, 1), (1, 0)):
+        lab = load_dialect([names[first], names[second]]).find("LAB")
+        assert (lab.length, lab.min_length, lab.target_system_offset) == (2, 1, 1)
+    # neither of two that differ is the longer one: the first stays
+    assert [f.name for f in load_dialect([names[1], names[2]]).find("LAB").fields] == ["a", "target_system"]
+
+
+def test_a_line_for_a_shell_names_its_vehicle(cache: Path) -> None:
+    info = load_dialect(["ardupilotmega", "px4-extras"]).find("SERIAL_CONTROL")
+    assert (info.crc_extra, info.min_length, info.length) == (220, 79, 81)  # PX4's common.xml
+    assert (info.target_system_offset, info.target_component_offset) == (79, 80)
+    assert next(field for field in info.fields if field.name == "flags").bitmask
+
+
 def test_an_unknown_name_says_what_there_is(cache: Path) -> None:
     with pytest.raises(DialectError, match=r"comon: no dialect of this name; did you mean common\?"):
         load_dialect("comon")

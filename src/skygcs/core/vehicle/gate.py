@@ -127,7 +127,7 @@ MESSAGE_ORDERS: Mapping[str, str] = {
     "PARAM_SET": "param set",
     "GPS_RTCM_DATA": "corrections",
     **dict.fromkeys(("LOG_REQUEST_DATA", "LOG_ERASE"), "logs"),
-    "SERIAL_CONTROL": "the orders (it is the autopilot's shell)",
+    "SERIAL_CONTROL": "shell",
     "HEARTBEAT": "the daemon's own heartbeat",
 }
 """The checked order beside a raw message, for the refusal."""
