@@ -266,8 +266,8 @@ class Shell(Extension[ShellConfig]):
 
     def _refusal(self, actor: VehicleActor, *, force: bool) -> str | None:
         """Why nothing may be typed for this vehicle now; None: it may."""
-        now, gate = self.core.now(), self.core.hub.authority
-        if gate is not None and (why := gate.refusal(actor.sysid, self.core.hub.authority_clock())) is not None:
+        now, gates = self.core.now(), self.core.hub.send_gates
+        if gates is not None and (why := gates.refusal(actor.sysid, self.core.hub.boot_clock())) is not None:
             return why
         if force:
             return None
