@@ -17,6 +17,9 @@ from skygcs.core.ros.memory import Sample, VehicleMemory
 
 Quality = Literal["sensor", "default", "latched", "px4"]
 
+DEPTHS: dict[Quality, int] = {"sensor": 5, "default": 10, "latched": 10, "px4": 1}
+"""How many samples are kept."""
+
 
 class Topic(NamedTuple):
     """A topic's interface and quality of service."""

@@ -13,7 +13,7 @@ import asyncio
 import os
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.core import DDSException, InstanceState, Policy, Qos, SampleState, ViewState
@@ -25,12 +25,12 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces, dds_type_name
-from skygcs.core.ros.topics import Quality
+from skygcs.core.ros.topics import DEPTHS, Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.dds_reception import Reception
 from skygcs.ext.ros.graph import Handler
 
-DEPTHS: dict[str, int] = {"sensor": 5, "default": 10, "latched": 10, "service": 10, "px4": 1}
+SERVICE_DEPTH = 10
 
 TAKE = 16
 """Samples of one reader in one turn of the loop; the others get their turn, then it goes on."""
@@ -73,7 +73,9 @@ def network_config(network: Network) -> str:
 class Publication:
     """A topic that is published."""
 
-    def __init__(self, node: DdsNode, name: str, type_: str, quality: Quality | str, user_data: bytes) -> None:
+    def __init__(
+        self, node: DdsNode, name: str, type_: str, quality: Quality | Literal["service"], user_data: bytes
+    ) -> None:
         self.name = name.removeprefix("rt")
         self.type = type_
         self.latched = quality == "latched"
@@ -114,7 +116,7 @@ class Subscriber:
         node: DdsNode,
         name: str,
         type_: str,
-        quality: Quality | str,
+        quality: Quality | Literal["service"],
         on_bytes: Callable[[bytes], None],
         user_data: bytes,
     ) -> None:
@@ -267,8 +269,8 @@ def opened(network: Network, interfaces: Interfaces, loop: asyncio.AbstractEvent
         raise SkygcsError(f"no DDS on {where} (domain {network.domain}): {error.msg}") from None
 
 
-def _qos(quality: Quality | str, user_data: bytes) -> Qos:
-    depth = DEPTHS[quality]
+def _qos(quality: Quality | Literal["service"], user_data: bytes) -> Qos:
+    depth = SERVICE_DEPTH if quality == "service" else DEPTHS[quality]
     parts: list[Any] = [Policy.History.KeepLast(depth), Policy.Userdata(user_data)]
     if quality in ("sensor", "px4"):
         parts.append(Policy.Reliability.BestEffort)
