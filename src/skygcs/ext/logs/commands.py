@@ -65,6 +65,22 @@ DialectName = Annotated[
     typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.", show_default=False),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+BagOrigin = Annotated[
+    str | None,
+    typer.Option(
+        "--origin",
+        metavar="LAT,LON,AMSL",
+        help="(0, 0, 0) of the poses; of a bag's frame map. [default: that of --fleet, else the first position]",
+    ),
+]
+Px4Msgs = Annotated[
+    str | None,
+    typer.Option(
+        "--px4-msgs",
+        metavar="RELEASE",
+        help="With --rosbag2: PX4's own topics of this release, as 1.16. [default: as the fleet file says]",
+    ),
+]
 LogPaths = Annotated[list[Path], typer.Argument(metavar="FILE …", help="Tlogs.", show_default=False)]
 Without = Annotated[
     str | None, typer.Option("--without", metavar="LIST", help="Messages to leave out.", show_default=False)
@@ -215,25 +231,11 @@ def _export(
         Path | None,
         typer.Option("--output", "-o", metavar="OUT", help="Default: FILE with .mcap, or FILE-rosbag2."),
     ] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option(
-            "--origin",
-            metavar="LAT,LON,AMSL",
-            help="(0, 0, 0) of the poses; of a bag's frame map. [default: that of --fleet, else the first position]",
-        ),
-    ] = None,
+    origin: BagOrigin = None,
     frames: Annotated[
         bool, typer.Option("--frames", help="With --rosbag2: also every frame, as mavros_msgs/Mavlink.")
     ] = False,
-    px4_msgs: Annotated[
-        str | None,
-        typer.Option(
-            "--px4-msgs",
-            metavar="RELEASE",
-            help="With --rosbag2: PX4's own topics of this release, as 1.16. [default: as the fleet file says]",
-        ),
-    ] = None,
+    px4_msgs: Px4Msgs = None,
     begin: Begin = None,
     end: End = None,
     vehicles: Vehicles = None,

@@ -36,7 +36,7 @@ RADIO = "RADIO_STATUS"
 ORIGIN = "GPS_GLOBAL_ORIGIN"
 
 MOST_VEHICLES = 250
-"""As many as the live node has."""
+"""The live node has as many."""
 
 DIAGNOSE_S = 1.0
 
