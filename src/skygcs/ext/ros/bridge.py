@@ -218,7 +218,7 @@ class Bridge:
         ]
         return {
             "domain": self.config.domain or 0,
-            "network": self.config.network,
+            "network": self.config.network if self.config.version == 2 else f"ROS 1, {self.config.network}",
             "commands": self.config.commands,
             "vehicles": [
                 {"name": v.name, "root": v.root, "setpoints": self._setpoints_of(v.name)}

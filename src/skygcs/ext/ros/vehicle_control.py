@@ -47,7 +47,8 @@ class VehicleControl:
         self._services: VehicleServices | None = None
         self._px4_commands: Px4Commands | None = None
         if config.commands == "all":
-            self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
+            ros1 = config.version == 1
+            self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns, ros1)
 
     def add_px4(self, known: Interfaces, px4: Px4Topics) -> None:
         """Take setpoints, and commands if services are allowed, from PX4's own topics as well."""
