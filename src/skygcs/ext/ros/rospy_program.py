@@ -25,7 +25,7 @@ import sys
 import threading
 import time
 from importlib import import_module
-from typing import Any, BinaryIO, Dict, Optional, Tuple
+from typing import Any, BinaryIO
 
 HEAD = struct.Struct("<II")
 
@@ -49,13 +49,13 @@ NO_ROSPY, NO_MASTER = 4, 5
 """Exit codes."""
 
 
-def packed(head: Dict[str, Any], body: bytes = b"") -> bytes:
+def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
     """A frame."""
     text = json.dumps(head, separators=(",", ":")).encode()
     return HEAD.pack(len(text), len(body)) + text + body
 
 
-def read_frame(file: BinaryIO) -> Optional[Tuple[Dict[str, Any], bytes]]:
+def read_frame(file: BinaryIO) -> tuple[dict[str, Any], bytes] | None:
     """The next frame; None at the end."""
     head = file.read(HEAD.size)
     if len(head) < HEAD.size:
@@ -72,19 +72,19 @@ class Program:
         self._rospy = rospy
         self._out = out
         self._lock = threading.Lock()
-        self._publishers: Dict[int, Tuple[Any, Any]] = {}
-        self._counts: Dict[int, int] = {}
+        self._publishers: dict[int, tuple[Any, Any]] = {}
+        self._counts: dict[int, int] = {}
         self._kept: list[Any] = []
-        self._calls: Dict[int, "Call"] = {}
+        self._calls: dict[int, Call] = {}
         self._last_call = 0
 
-    def say(self, head: Dict[str, Any], body: bytes = b"") -> None:
+    def say(self, head: dict[str, Any], body: bytes = b"") -> None:
         """Write a frame, from any thread; it waits while the other process does not read."""
         with self._lock:
             self._out.write(packed(head, body))
             self._out.flush()
 
-    def on_frame(self, head: Dict[str, Any], body: bytes) -> None:
+    def on_frame(self, head: dict[str, Any], body: bytes) -> None:
         """Do what a frame says."""
         what = head["do"]
         if what == "send":
@@ -124,7 +124,7 @@ class Program:
         if len(message._buff) <= MOST_BYTES:
             self.say({"is": "message", "id": number}, message._buff)
 
-    def _serve(self, head: Dict[str, Any]) -> None:
+    def _serve(self, head: dict[str, Any]) -> None:
         request = self._message_class(head["type"] + "Request", *head["request"])
         response = self._message_class(head["type"] + "Response", *head["response"])
         members = {
@@ -163,14 +163,14 @@ class Call:
 
     def __init__(self) -> None:
         self._ended = threading.Event()
-        self._response: Optional[bytes] = None
+        self._response: bytes | None = None
 
     def end(self, response: bytes) -> None:
         """The answer has come."""
         self._response = response
         self._ended.set()
 
-    def wait(self) -> Optional[bytes]:
+    def wait(self) -> bytes | None:
         """The answer; None: it has not come."""
         self._ended.wait(ANSWER_S)
         return self._response
