@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import threading
 import time
 
 import genmsg
@@ -64,7 +65,7 @@ def service_class(name: str) -> type:
     rest = f"{'=' * 80}\n{more}" if more else ""
     request, response = (
         genpy.dynamic.generate_dynamic(f"{name}{part}", definition + rest)[f"{name}{part}"]
-        for part, definition in zip(("Request", "Response"), text.split("---\n"))
+        for part, definition in zip(("Request", "Response"), text.split("---\n"), strict=True)
     )
     members = {"_type": name, "_md5sum": gentools.compute_md5(context, spec)}
     return type(name, (), {**members, "_request_class": request, "_response_class": response})
@@ -142,16 +143,20 @@ class Flight:
         rospy.wait_for_service(f"{self.space}/{name}", timeout=30)
         return rospy.ServiceProxy(f"{self.space}/{name}", service_class(type_))
 
-    def stream(self, until: object, timeout_s: float, what: str) -> None:
-        """20 setpoints a second until it is so."""
-        end = time.monotonic() + timeout_s
-        while not until():
-            assert time.monotonic() < end, f"not in time: {what}; {self.state} {self.pose and self.pose.pose.position}"
+    def stream(self) -> None:
+        """20 setpoints a second, in a thread of its own: a service takes as long as the vehicle."""
+        while True:
             setpoint = PoseStamped()
             setpoint.header.stamp = rospy.Time.from_sec(time.time())
             setpoint.pose.position.x, setpoint.pose.position.y, setpoint.pose.position.z = self.aim
             setpoint.pose.orientation.w = 1.0
             self.publisher.publish(setpoint)
+            time.sleep(0.05)
+
+    def wait(self, until: object, timeout_s: float, what: str) -> None:
+        end = time.monotonic() + timeout_s
+        while not until():
+            assert time.monotonic() < end, f"not in time: {what}; {self.state} {self.pose and self.pose.pose.position}"
             time.sleep(0.05)
 
     def is_near(self) -> bool:
@@ -161,22 +166,20 @@ class Flight:
         return math.dist((place.x, place.y, place.z), self.aim) < 0.6
 
     def fly(self, land: str) -> None:
-        began = time.monotonic()
-        self.stream(lambda: self.pose is not None and time.monotonic() - began > 2, 60, "a pose")
+        self.wait(lambda: self.pose is not None and self.state is not None, 60, "a pose")
         x, y = self.pose.pose.position.x, self.pose.pose.position.y
         self.aim = (x, y, 4.0)
+        threading.Thread(target=self.stream, daemon=True).start()
+        time.sleep(2)
         assert self.set_mode(0, "OFFBOARD").mode_sent
-        self.stream(lambda: self.state.mode == "OFFBOARD", 20, "OFFBOARD")
+        self.wait(lambda: self.state.mode == "OFFBOARD", 20, "OFFBOARD")
         assert self.arming(True).success
         for corner in ((0, 0), (4, 0), (4, 4), (0, 0)):
             self.aim = (x + corner[0], y + corner[1], 4.0)
-            self.stream(self.is_near, 120, f"corner {corner}")
+            self.wait(self.is_near, 120, f"corner {corner}")
             print(f"corner {corner} mode {self.state.mode}", flush=True)
         assert self.set_mode(custom_mode=land).mode_sent
-        end = time.monotonic() + 120
-        while self.state.armed:
-            assert time.monotonic() < end, "it is still armed"
-            time.sleep(0.2)
+        self.wait(lambda: not self.state.armed, 120, "it is disarmed")
         print("landed")
 
 
