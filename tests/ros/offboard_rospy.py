@@ -22,6 +22,7 @@ import rospy
 from genmsg import MsgContext, gentools, msg_loader
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -133,9 +134,11 @@ class Flight:
         self.space = namespace
         self.state = self.pose = None
         self.aim = (0.0, 0.0, 4.0)
+        self.ask_at = 0.0
         self.publisher = rospy.Publisher(f"{namespace}/setpoint_position/local", PoseStamped, queue_size=1)
         state_of(namespace, lambda message: setattr(self, "state", message))
         rospy.Subscriber(f"{namespace}/local_position/pose", PoseStamped, lambda m: setattr(self, "pose", m))
+        rospy.Subscriber("/rosout", Log, lambda m: print(f"{time.time():.2f} {m.name}: {m.msg}", flush=True))
         self.arming = self.service("cmd/arming", "mavros_msgs/CommandBool")
         self.set_mode = self.service("set_mode", "mavros_msgs/SetMode")
 
@@ -145,7 +148,11 @@ class Flight:
 
     def stream(self) -> None:
         """20 setpoints a second, in a thread of its own: a service takes as long as the vehicle."""
+        last = time.monotonic()
         while True:
+            if time.monotonic() - last > 0.3:
+                print(f"{time.time():.2f} a gap of {time.monotonic() - last:.2f} s", flush=True)
+            last = time.monotonic()
             setpoint = PoseStamped()
             setpoint.header.stamp = rospy.Time.from_sec(time.time())
             setpoint.pose.position.x, setpoint.pose.position.y, setpoint.pose.position.z = self.aim
@@ -159,6 +166,16 @@ class Flight:
             assert time.monotonic() < end, f"not in time: {what}; {self.state} {self.pose and self.pose.pose.position}"
             time.sleep(0.05)
 
+    def is_flying(self) -> bool:
+        """As the example does: what is not so yet is asked for again, every other second."""
+        if time.monotonic() >= self.ask_at:
+            if self.state.mode != "OFFBOARD":
+                print("set_mode", self.set_mode(0, "OFFBOARD").mode_sent)
+            elif not self.state.armed:
+                print("arming", self.arming(True).success)
+            self.ask_at = time.monotonic() + 2
+        return self.state.mode == "OFFBOARD" and self.state.armed and self.is_near()
+
     def is_near(self) -> bool:
         if self.pose is None:
             return False
@@ -171,10 +188,8 @@ class Flight:
         self.aim = (x, y, 4.0)
         threading.Thread(target=self.stream, daemon=True).start()
         time.sleep(2)
-        assert self.set_mode(0, "OFFBOARD").mode_sent
-        self.wait(lambda: self.state.mode == "OFFBOARD", 20, "OFFBOARD")
-        assert self.arming(True).success
-        for corner in ((0, 0), (4, 0), (4, 4), (0, 0)):
+        self.wait(self.is_flying, 180, "it takes off")
+        for corner in ((0, 0), (0, 4), (1, 4), (1, 0), (0, 0)):  # the other vehicles are to the east and the west
             self.aim = (x + corner[0], y + corner[1], 4.0)
             self.wait(self.is_near, 120, f"corner {corner}")
             print(f"corner {corner} mode {self.state.mode}", flush=True)

@@ -156,7 +156,7 @@ def test_an_offboard_node_flies_a_square_and_lands(master: Master, fleet: Ros1Fl
     """A PX4 and an ArduCopter, by the node that MAVROS' documentation has: stream, OFFBOARD, arm, fly, land."""
     done = master.node("fly", f"/{name}/mavros", land)
     assert done.returncode == 0, done.stdout + done.stderr + fleet.stderr[-3000:]
-    assert done.stdout.count("mode OFFBOARD") == 4 and done.stdout.endswith("landed\n")
+    assert done.stdout.count("mode OFFBOARD") == 5 and done.stdout.endswith("landed\n")
 
 
 def test_a_flood_of_bad_setpoints_leaves_the_daemon_and_the_process_well(master: Master, fleet: Ros1Fleet) -> None:
