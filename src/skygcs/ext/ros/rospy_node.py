@@ -247,6 +247,7 @@ class RospyNode:
         try:
             with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
                 await self._read(process.stdout)
+                process.kill()  # it does not keep to its frames
             return await process.wait()
         finally:
             self._input, self.up = None, False
