@@ -8,10 +8,19 @@ from pathlib import Path
 
 import pytest
 
+SYSTEM_PACKAGES = "/usr/lib/python3/dist-packages"
+ROSPY = ("rospy", "geometry_msgs", "sensor_msgs", "nav_msgs", "std_srvs", "tf2_msgs")
+"""Packages of the system's Python."""
+
+ROS1 = ("python3-rosmaster", "python3-rostopic", *(f"python3-{name.replace('_', '-')}" for name in ROSPY))
+
 PROGRAMS = {
     "g++": "g++",
     "fastddsgen": "fastddsgen",
     "/usr/include/fastdds/dds/domain/DomainParticipant.hpp": "libfastrtps-dev",
+    "rosmaster": "python3-rosmaster",
+    "rostopic": "python3-rostopic",
+    **{f"{SYSTEM_PACKAGES}/{name}": f"python3-{name.replace('_', '-')}" for name in ROSPY},
 }
 """Program or file -> package."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -66,3 +67,11 @@ class VehicleMemory:
         if self.geoid_m is not None:
             return self.geoid_m
         return 0.0 if self.receiver_geoid_m is None else self.receiver_geoid_m
+
+
+def number(value: Any) -> Any:
+    """NaN for None, which is NaN in JSON, also in arrays: covariances begin with NaN when they are unknown, and an
+    ArduPilot's home has no orientation."""
+    if isinstance(value, (list, tuple)):
+        return [math.nan if one is None else one for one in value]
+    return math.nan if value is None else value

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from skygcs.core.ros.interfaces import Interfaces
-from skygcs.core.ros.memory import Sample
+from skygcs.core.ros.memory import Sample, number
 from skygcs.core.ros.rotations import Quaternion, quaternion_from_rpy, yaw_of
 from skygcs.core.ros.stamps import EPOCH_US, VehicleClock
 
@@ -441,17 +441,10 @@ def px4_samples(name: str, fields: Fields, arrival_ns: int, memory: Px4Memory) -
     source = PX4_SOURCES.get(name)
     if source is None:
         return []
-    known = {k: _number(v) for k, v in fields.items()}
+    known = {k: number(v) for k, v in fields.items()}
     made = list(source.convert(known, arrival_ns, memory))
     memory.messages[name] = (arrival_ns, known)
     return made
-
-
-def _number(value: Any) -> Any:
-    """NaN for None, also in arrays: covariances begin with NaN when they are unknown."""
-    if isinstance(value, (list, tuple)):
-        return [math.nan if one is None else one for one in value]
-    return math.nan if value is None else value
 
 
 def versioned(known: Interfaces, topic: str, type_: str) -> str:

@@ -10,14 +10,19 @@ px4         best effort, the last one, which a later reader gets: what PX4's uxr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.ros import condition, inertial, position
-from skygcs.core.ros.memory import Sample, VehicleMemory
+from skygcs.core.ros.memory import Sample, VehicleMemory, number
 
 Quality = Literal["sensor", "default", "latched", "newest", "events", "px4"]
+
+DEPTHS: dict[Quality, int] = {"sensor": 5, "default": 10, "latched": 10, "newest": 1, "events": 100, "px4": 1}
+"""How many samples are kept."""
+
+LATCHED: frozenset[Quality] = frozenset({"latched", "newest", "events"})
+"""Qualities whose samples a reader gets that comes later."""
 
 
 class Topic(NamedTuple):
@@ -134,4 +139,4 @@ def samples(name: str, fields: Mapping[str, Any], arrival_ns: int, memory: Vehic
     source = SOURCES.get(name)
     if source is None:
         return []
-    return list(source.convert({k: math.nan if v is None else v for k, v in fields.items()}, arrival_ns, memory))
+    return list(source.convert({k: number(v) for k, v in fields.items()}, arrival_ns, memory))

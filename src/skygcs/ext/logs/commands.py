@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,6 +65,22 @@ DialectName = Annotated[
     typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.", show_default=False),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+BagOrigin = Annotated[
+    str | None,
+    typer.Option(
+        "--origin",
+        metavar="LAT,LON,AMSL",
+        help="(0, 0, 0) of the poses; of a bag's frame map. [default: that of --fleet, else the first position]",
+    ),
+]
+Px4Msgs = Annotated[
+    str | None,
+    typer.Option(
+        "--px4-msgs",
+        metavar="RELEASE",
+        help="With --rosbag2: PX4's own topics of this release, as 1.16. [default: as the fleet file says]",
+    ),
+]
 LogPaths = Annotated[list[Path], typer.Argument(metavar="FILE …", help="Tlogs.", show_default=False)]
 Without = Annotated[
     str | None, typer.Option("--without", metavar="LIST", help="Messages to leave out.", show_default=False)
@@ -214,10 +231,11 @@ def _export(
         Path | None,
         typer.Option("--output", "-o", metavar="OUT", help="Default: FILE with .mcap, or FILE-rosbag2."),
     ] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option("--origin", metavar="LAT,LON,AMSL", help="(0, 0, 0) of the poses. [default: the first position]"),
-    ] = None,
+    origin: BagOrigin = None,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="With --rosbag2: also every frame, as mavros_msgs/Mavlink.")
+    ] = False,
+    px4_msgs: Px4Msgs = None,
     begin: Begin = None,
     end: End = None,
     vehicles: Vehicles = None,
@@ -227,9 +245,10 @@ def _export(
     dialect: DialectName = None,
     force: Force = False,
 ) -> None:
-    """Write a log for other programs: poses, paths, map positions, batteries, texts, and every message.
+    """Write a log for other programs: poses, map positions, batteries, texts; as MCAP also paths and every message.
 
-    Poses are metres east, north and up of the origin, attitudes of a body with x forward, y left, z up.
+    A bag has the topics of the live node of ROS 2. Poses are metres east, north and up, attitudes of a body with x
+    forward, y left, z up.
 
     Example: skygcs-cli tlog export flight.tlog --mcap
     """
@@ -238,6 +257,8 @@ def _export(
         raise typer.BadParameter("give one of --mcap and --rosbag2")
     if rosbag2 and force:
         raise typer.BadParameter("--force: a rosbag2 is a folder, which is not overwritten; remove it")
+    if mcap and (frames or px4_msgs is not None):
+        raise typer.BadParameter("--frames and --px4-msgs are for --rosbag2")
     where = None if origin is None else origin_of(origin)
 
     def command() -> None:
@@ -252,10 +273,8 @@ def _export(
             out = output or file.with_suffix(".mcap")
             _print_lines(write_mcap(file, out, chosen, names, where, table, force))
         else:
-            from skygcs.ext.logs.rosbag_file import write_rosbag
-
             out = output or file.with_name(f"{file.stem}-rosbag2")
-            _print_lines(write_rosbag(file, out, chosen, names, where, table))
+            _print_lines(_bag(file, out, chosen, fleet, where, px4_msgs, frames, table))
 
     run_offline(command)
 
@@ -345,6 +364,39 @@ def _place(text: str) -> tuple[float, float]:
     if not (abs(lat) <= 90 and abs(lon) <= 180):
         raise typer.BadParameter(f"--origin: {text!r} is not a position on earth")
     return lat, lon
+
+
+def _bag(
+    file: Path,
+    out: Path,
+    chosen: Selection,
+    fleet: Path | None,
+    origin: Origin | None,
+    px4_msgs: str | None,
+    frames: bool,
+    dialect: Dialect,
+) -> list[str]:
+    """Write a bag by [ros], [origin] and the names of the fleet file. Raises BadParameter, SkygcsError."""
+    if find_spec("rosbags") is None:
+        raise SkygcsError("rosbag2 needs the library rosbags: pip install 'skygcs[foxglove]'")
+    from skygcs.config.loader import load_fleet
+    from skygcs.core.ros.interfaces import PX4_RELEASES
+    from skygcs.ext.logs.recorded_node import Naming, Wanted
+    from skygcs.ext.logs.rosbag_file import write_rosbag
+
+    naming, names = Naming(), {}
+    if fleet is not None:
+        config = load_fleet(fleet)
+        names = {vehicle.sysid: vehicle.name for vehicle in config.vehicle_configs()}
+        if origin is None and config.origin is not None:
+            origin = Origin(**config.origin.model_dump())
+        if (ros := config.extensions.get("ros")) is not None:
+            naming = Naming(**{key: getattr(ros, key) for key in Naming._fields})
+    if px4_msgs is not None:
+        if px4_msgs not in ("none", *PX4_RELEASES):
+            raise typer.BadParameter(f"--px4-msgs: {px4_msgs!r} is none of {', '.join(PX4_RELEASES)}, none")
+        naming = naming._replace(px4_msgs=px4_msgs)
+    return write_rosbag(file, out, Wanted(chosen, names, naming, origin, frames), dialect)
 
 
 def origin_of(text: str) -> Origin:

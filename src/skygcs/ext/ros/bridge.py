@@ -12,22 +12,21 @@ Tasks of one connection:
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import structlog
 
-from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic
+from skygcs.core.geo import Origin
 from skygcs.core.ros.interfaces import InterfaceError, Interfaces, ros2_interfaces
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES
 from skygcs.core.ros.ros_names import vehicle_root
-from skygcs.core.ros.stamps import header
+from skygcs.core.ros.shared_topics import OK, WARN, connection_status, diagnostic, map_transform
 from skygcs.core.ros.topics import SOURCES
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.fleet_topics import FleetTopics
-from skygcs.ext.ros.graph import Node, SharedTopics, diagnostic
+from skygcs.ext.ros.graph import Node, SharedTopics
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
 from skygcs.ext.ros.vehicle_control import VehicleControl
@@ -157,17 +156,8 @@ class Bridge:
             vehicle.on_lost(self._unix_ns())
         place = state.get("ekf_origin")
         if self._origin is not None and place is not None and self.config.frame_prefix:
-            offset = enu_from_geodetic(place["lat_deg"], place["lon_deg"], place["alt_amsl_m"], self._origin)
-            self.shared.fix_transform(
-                {
-                    "header": header(self._unix_ns(), "map"),
-                    "child_frame_id": vehicle.memory.frames.map,
-                    "transform": {
-                        "translation": dict(zip("xyz", offset, strict=True)),
-                        "rotation": _turn(self._origin),
-                    },
-                }
-            )
+            frame = vehicle.memory.frames.map
+            self.shared.fix_transform(map_transform(place, self._origin, frame, self._unix_ns()))
 
     def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
         name = state["name"]
@@ -256,7 +246,7 @@ class Bridge:
         ]
         return {
             "domain": self.config.domain or 0,
-            "network": self.config.network,
+            "network": self.config.network if self.config.version == 2 else f"ROS 1, {self.config.network}",
             "commands": self.config.commands,
             "vehicles": [
                 {"name": v.name, "root": v.root, "setpoints": self._setpoints_of(v.name)}
@@ -274,35 +264,21 @@ class Bridge:
     def diagnostics(self) -> list[dict[str, Any]]:
         """The state of each vehicle, for /diagnostics."""
         connections = [
-            diagnostic(
-                0 if vehicle.connected else 2,
-                f"{vehicle.mavros}: connection",
-                "connected" if vehicle.connected else "not heard",
-                {"mode": vehicle.state.get("mode"), "armed": vehicle.state.get("armed")},
-            )
+            connection_status(vehicle.mavros, vehicle.connected, vehicle.state.get("mode"), vehicle.state.get("armed"))
             for vehicle in self.vehicles.values()
         ]
         actions = [
-            diagnostic(0, f"{self.vehicles[name].root}/skygcs: actions", made.status() or "no goal", made.counters())
+            diagnostic(OK, f"{self.vehicles[name].root}/skygcs: actions", made.status() or "no goal", made.counters())
             for name, control in self.controls.items()
             if (made := control.actions) is not None
         ]
-        return (
-            connections
-            + actions
-            + [
-                diagnostic(
-                    0 if control.stream.refusal is None else 1,
-                    f"{self.vehicles[name].mavros}: setpoints",
-                    control.stream.status(),
-                    {"sent": control.stream.sent, "refused": control.stream.refused},
-                )
-                for name, control in self.controls.items()
-            ]
-        )
-
-
-def _turn(origin: Origin) -> dict[str, float]:
-    """The orientation of true east, north, up in the fleet's frame, as geometry_msgs' Quaternion."""
-    half = math.radians(origin.x_heading_deg - EAST_DEG) / 2
-    return {"w": math.cos(half), "x": 0.0, "y": 0.0, "z": math.sin(half)}
+        setpoints = [
+            diagnostic(
+                OK if control.stream.refusal is None else WARN,
+                f"{self.vehicles[name].mavros}: setpoints",
+                control.stream.status(),
+                {"sent": control.stream.sent, "refused": control.stream.refused},
+            )
+            for name, control in self.controls.items()
+        ]
+        return connections + actions + setpoints

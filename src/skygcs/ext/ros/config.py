@@ -22,6 +22,10 @@ class RosConfig(Model):
 
     root: Annotated[str, Field(min_length=2, max_length=80)] = "/{name}"
     """Before the names of a vehicle: /alpha/mavros/state. With {name} or {sysid}."""
+    version: Literal[1, 2] = 2
+    """ROS 2, or ROS 1 by rospy of the system's Python."""
+    master: Annotated[str, Field(min_length=1, max_length=253, pattern=r"^https?://[^\s]+$")] | None = None
+    """Address of ROS 1's master; None: ROS_MASTER_URI of the environment, else http://localhost:11311."""
     domain: Annotated[int, Field(ge=0, le=232)] | None = None
     """None: ROS_DOMAIN_ID of the environment, else 0."""
     network: Literal["localhost", "lan"] = "localhost"
@@ -54,6 +58,10 @@ class RosConfig(Model):
             frame = " "
         if re.fullmatch(r"[A-Za-z0-9_/]*", frame) is None:
             raise ValueError(f"frame_prefix {self.frame_prefix!r}: letters, digits, _ and /, with {ROOT_FIELDS}")
+        if self.version == 1 and (self.px4_msgs != "none" or self.domain is not None or self.peers):
+            raise ValueError("version 1: px4_msgs, domain and peers are of ROS 2")
+        if self.version == 2 and self.master is not None:
+            raise ValueError("master: only ROS 1 has one; set version = 1")
         for name in self.rates:
             if MESSAGE_NAME.fullmatch(name) is None:
                 raise ValueError(f"rates: {name!r} is no MAVLink message; give its name, as ATTITUDE_QUATERNION")

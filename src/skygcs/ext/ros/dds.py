@@ -13,7 +13,7 @@ import asyncio
 import os
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.core import DDSException, InstanceState, Policy, Qos, SampleState, ViewState
@@ -25,18 +25,14 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces, dds_type_name
-from skygcs.core.ros.topics import Quality
+from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.dds_reception import Reception
 from skygcs.ext.ros.graph import MOST_PENDING, Handler
 
-DEPTHS: dict[str, int] = {
-    **{"sensor": 5, "default": 10, "latched": 10, "newest": 1, "events": 100, "px4": 1},
-    **{"service": 10, "waiting": 100},
-}
-"""Samples of each quality that are kept; "waiting": of a service whose answers may take long."""
-
-LATCHED = frozenset({"latched", "newest", "events"})
+ServiceQuality = Literal["service", "waiting"]
+SERVICE_DEPTHS: dict[ServiceQuality, int] = {"service": 10, "waiting": 100}
+"""Requests and replies that are kept; "waiting": of a service whose answers may take long."""
 
 TAKE = 16
 """Samples of one reader in one turn of the loop; the others get their turn, then it goes on."""
@@ -75,7 +71,9 @@ def network_config(network: Network) -> str:
 class Publication:
     """A topic that is published."""
 
-    def __init__(self, node: DdsNode, name: str, type_: str, quality: Quality | str, user_data: bytes) -> None:
+    def __init__(
+        self, node: DdsNode, name: str, type_: str, quality: Quality | ServiceQuality, user_data: bytes
+    ) -> None:
         self.name = name.removeprefix("rt")
         self.type = type_
         self.latched = quality in LATCHED
@@ -116,7 +114,7 @@ class Subscriber:
         node: DdsNode,
         name: str,
         type_: str,
-        quality: Quality | str,
+        quality: Quality | ServiceQuality,
         on_bytes: Callable[[bytes], None],
         user_data: bytes,
     ) -> None:
@@ -159,7 +157,7 @@ class Service:
         self._node = node
         self._tasks: set[asyncio.Task[None]] = set()
         data = f"serviceid={os.urandom(16).hex()};".encode() + node.type_data(type_)
-        quality = "service" if most_pending <= MOST_PENDING else "waiting"
+        quality: ServiceQuality = "service" if most_pending <= MOST_PENDING else "waiting"
         self._replies = Publication(node, f"rr{name}Reply", f"{type_}_Response", quality, data)
         self.requests = Subscriber(node, f"rq{name}Request", f"{type_}_Request", quality, self._on_request, data)
 
@@ -271,8 +269,8 @@ def opened(network: Network, interfaces: Interfaces, loop: asyncio.AbstractEvent
         raise SkygcsError(f"no DDS on {where} (domain {network.domain}): {error.msg}") from None
 
 
-def _qos(quality: Quality | str, user_data: bytes) -> Qos:
-    depth = DEPTHS[quality]
+def _qos(quality: Quality | ServiceQuality, user_data: bytes) -> Qos:
+    depth = SERVICE_DEPTHS[quality] if quality == "service" or quality == "waiting" else DEPTHS[quality]
     parts: list[Any] = [Policy.History.KeepLast(depth), Policy.Userdata(user_data)]
     if quality in ("sensor", "px4"):
         parts.append(Policy.Reliability.BestEffort)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from skygcs.rpc.context import Context, Services
     from skygcs.rpc.dispatch import Method
 
-MODULES = ("cyclonedds", "rosbags")
+MODULES = {1: ("rosbags",), 2: ("cyclonedds", "rosbags")}
+"""By the version of ROS."""
 
 
 class Ros(Extension[RosConfig]):
@@ -49,7 +50,7 @@ class Ros(Extension[RosConfig]):
 
     @classmethod
     def notes(cls, config: Any) -> list[str]:
-        missing = [name for name in MODULES if find_spec(name) is None]
+        missing = [name for name in MODULES[config.version] if find_spec(name) is None]
         return [f"{' and '.join(missing)} not installed here: pip install 'skygcs[ros]'"] if missing else []
 
     def methods(self) -> Iterable[Method[Context]]:

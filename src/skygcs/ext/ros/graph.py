@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Protocol
 
 from skygcs.core.ros.interfaces import Fields
+from skygcs.core.ros.shared_topics import SHARED
 from skygcs.core.ros.stamps import header
 from skygcs.core.ros.topics import Quality
 
@@ -80,10 +81,10 @@ class SharedTopics:
 
     def __init__(self, node: Node) -> None:
         self.node = node
-        self._tf = node.publish("/tf", "tf2_msgs/msg/TFMessage", "default")
-        self._static = node.publish("/tf_static", "tf2_msgs/msg/TFMessage", "latched")
-        self._log = node.publish("/rosout", "rcl_interfaces/msg/Log", "latched")
-        self._diagnostics = node.publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "default")
+        self._tf, self._static, self._log, self._diagnostics = (
+            node.publish(name, SHARED[name].type, SHARED[name].quality)
+            for name in ("/tf", "/tf_static", "/rosout", "/diagnostics")
+        )
         self._fixed: dict[str, dict[str, Any]] = {}
 
     @property
@@ -112,9 +113,3 @@ class SharedTopics:
         """The state of everything, at once."""
         if self._diagnostics.wanted:
             self._diagnostics.write({"header": header(now_ns), "status": status})
-
-
-def diagnostic(level: int, name: str, text: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """diagnostic_msgs' DiagnosticStatus; levels 0 to 3: OK, WARN, ERROR, STALE."""
-    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
-    return {"level": level, "name": name, "message": text, "hardware_id": "skygcs", "values": pairs}

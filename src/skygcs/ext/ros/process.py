@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import structlog
 
 from skygcs.cancellation import ended
-from skygcs.core.ros.interfaces import ros2_interfaces
+from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
-from skygcs.ext.ros.dds import Network, opened
+from skygcs.ext.ros.graph import Node
 from skygcs.rpc.client import connect
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
@@ -51,7 +51,7 @@ def options_of(arguments: list[str]) -> Options:
 
 def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosConfig:
     """The same with what ROS 2's variables say where the file says nothing. Raises SkygcsError."""
-    if config.domain is not None:
+    if config.domain is not None or config.version == 1:
         return config
     text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdigit() or int(text) > 232:
@@ -62,26 +62,44 @@ def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosCo
 async def serve_ros(options: Options) -> None:
     """Run until SIGINT or SIGTERM; supervised also until the daemon has gone. Raises SkygcsError."""
     config = with_environment(options.config, os.environ)
-    assert config.domain is not None
     loop = asyncio.get_running_loop()
     stopping = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopping.set)
     if options.supervised:
         loop.add_reader(sys.stdin, _on_input, loop, stopping)
-    px4 = "1.16" if config.px4_msgs == "none" else config.px4_msgs
-    node = opened(Network(config.domain, config.network == "localhost", config.peers), ros2_interfaces(px4), loop)
+    node, running = _node_of(config, loop)
     try:
         serving = asyncio.create_task(_serve(Bridge(node, config), options), name="ros bridge")
         stopped = asyncio.create_task(stopping.wait(), name="ros stop")
-        await asyncio.wait({serving, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        work = {serving, stopped} if running is None else {serving, stopped, running}
+        await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)
         stopped.cancel()
-        if serving.done():
-            serving.result()
+        for task in work - {stopped}:
+            if task.done():
+                task.result()
         await ended(serving)
         await asyncio.sleep(FAREWELL_S)
     finally:
         node.close()
+        if running is not None:
+            await ended(running)
+
+
+def _node_of(config: RosConfig, loop: asyncio.AbstractEventLoop) -> tuple[Node, asyncio.Task[None] | None]:
+    """The node, and the task that it runs in, if it has one. Raises SkygcsError."""
+    if config.version == 1:
+        from skygcs.ext.ros.rospy_node import DEFAULT_MASTER, RospyNode
+
+        master = config.master or os.environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
+        ros1 = RospyNode(ros1_interfaces(), master, config.network == "localhost")
+        return ros1, loop.create_task(ros1.run(), name="rospy")
+    from skygcs.ext.ros.dds import Network, opened
+
+    assert config.domain is not None
+    px4 = "1.16" if config.px4_msgs == "none" else config.px4_msgs
+    network = Network(config.domain, config.network == "localhost", config.peers)
+    return opened(network, ros2_interfaces(px4), loop), None
 
 
 async def _serve(bridge: Bridge, options: Options) -> None:

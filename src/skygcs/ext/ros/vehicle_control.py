@@ -50,8 +50,11 @@ class VehicleControl:
         self._px4_commands: Px4Commands | None = None
         self.actions: VehicleActions | None = None
         if config.commands == "all":
-            self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns)
-            self.actions = VehicleActions(node, vehicle, gcs, takeoff_height_m, self._end_offboard, clock, unix_ns)
+            ros1 = config.version == 1
+            self._services = VehicleServices(node, vehicle, self.stream.offboard, gcs, clock, unix_ns, ros1)
+            if not ros1:  # ROS 1 has actions of another kind
+                end = self._end_offboard
+                self.actions = VehicleActions(node, vehicle, gcs, takeoff_height_m, end, clock, unix_ns)
 
     def add_px4(self, known: Interfaces, px4: Px4Topics) -> None:
         """Take setpoints, and commands if services are allowed, from PX4's own topics as well."""

@@ -8,6 +8,7 @@ from typing import Any
 from skygcs.core.ros.condition import disconnected, log_entry
 from skygcs.core.ros.memory import FrameNames, Sample, VehicleMemory
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
+from skygcs.core.ros.shared_topics import pose_transform
 from skygcs.core.ros.topics import SOURCES, TELEMETRY, samples
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import SharedTopics
@@ -81,11 +82,4 @@ class VehicleTopics:
         if publication.wanted:
             publication.write(sample.fields)
         if self._sends_tf and sample.topic == "local_position/pose":
-            pose = sample.fields["pose"]
-            self._shared.transform(
-                {
-                    "header": sample.fields["header"],
-                    "child_frame_id": self.memory.frames.base_link,
-                    "transform": {"translation": pose["position"], "rotation": pose["orientation"]},
-                }
-            )
+            self._shared.transform(pose_transform(sample.fields, self.memory.frames.base_link))

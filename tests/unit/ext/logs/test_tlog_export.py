@@ -1,4 +1,4 @@
-"""MCAP and rosbag2 as independent readers see them: schemas hold, and counts are the log's."""
+"""MCAP as an independent reader sees it: schemas hold, and counts are the log's."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from skygcs.config.dialects import offline_dialect
 from skygcs.core.geo import Origin
@@ -23,14 +21,13 @@ from skygcs.ext.logs.foxglove_schemas import SCHEMAS
 from skygcs.ext.logs.mcap_file import write_mcap
 from skygcs.ext.logs.motion import orientation_of
 from skygcs.ext.logs.path import MOST_POINTS, FlownPath
-from skygcs.ext.logs.rosbag_file import MAVLINK_MSG, write_rosbag
 from skygcs.tlog.files import opened_log
 from skygcs.tlog.selection import Selection
 from support.examples import thinned
 from support.public_data import ROOT
 from support.table import each
 
-COSTS = "whole logs through MCAP and rosbag2, and read again by their own readers"
+COSTS = "whole logs through MCAP, and read again by its own reader"
 
 FLIGHT = ROOT / "tests" / "data" / "sitl-3ardupilot-2px4.tlog"
 LOGS = sorted((ROOT / "tests" / "data").glob("*.tlog"))
@@ -87,7 +84,6 @@ def test_a_record_with_a_wrong_time_ends_no_export(wrong_us: int, tmp_path: Path
     damaged.write_bytes(wrong_us.to_bytes(8, "big") + data[8:])
     whole, rest = read(exported(tmp_path, log)), read(exported(tmp_path, damaged))
     assert 0 < len(whole) - len(rest) < 10
-    write_rosbag(damaged, tmp_path / "bag", Selection(), {}, None, offline_dialect())
 
 
 @pytest.mark.parametrize("log", thinned(LOGS, 4, turn=1), ids=lambda p: p.stem)
@@ -174,42 +170,6 @@ def test_schemas_have_the_fields_of_foxglove_s_own() -> None:
     assert compared == 5
 
 
-@pytest.mark.parametrize("log", [FLIGHT, ROOT / "tests" / "data" / "copter-signed-flight.tlog"], ids=lambda p: p.stem)
-def test_rosbag2_has_the_log_s_counts_and_its_frames_byte_for_byte(log: Path, tmp_path: Path) -> None:
-    bag = tmp_path / "bag.of.mine"
-    write_rosbag(log, bag, Selection(), {1: "alpha-1"}, None, offline_dialect())
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(MAVLINK_MSG, "mavros_msgs/msg/Mavlink"))
-    with opened_log(log, offline_dialect()) as opened:
-        entries = [e for e in opened.entries() if e.frame is not None and e.frame.info is not None]
-    sent = iter(entries)
-    counts: Counter[str] = Counter()
-    with Reader(bag) as reader:
-        for connection, stamp, data in reader.messages():
-            message: Any = store.deserialize_cdr(data, connection.msgtype)
-            counts[connection.msgtype] += 1
-            if connection.msgtype != "mavros_msgs/msg/Mavlink":
-                continue
-            if log is FLIGHT:
-                continue  # a bag is read by time, and this log has times out of order
-            entry = next(sent)
-            frame = entry.frame
-            assert frame is not None and entry.unix_us is not None
-            assert stamp == 1000 * entry.unix_us
-            assert (message.sysid, message.compid, message.msgid) == (frame.sysid, frame.compid, frame.msgid)
-            payload = message.payload64.astype("<u8").tobytes()[: message.len]
-            tail = message.checksum.to_bytes(2, "little") + message.signature.tobytes()
-            assert payload == frame.payload[: message.len] and frame.raw.endswith(tail)
-        topics = {connection.topic for connection in reader.connections}
-    assert counts["mavros_msgs/msg/Mavlink"] == len(entries) == census(log)["ok"]
-    if log is FLIGHT:
-        assert {"/alpha_1/pose", "/alpha_1/path", "/v5/fix", "/v5/battery", "/tf", "/rosout"} <= topics
-        assert counts["geometry_msgs/msg/PoseStamped"] == counts["tf2_msgs/msg/TFMessage"] > 1400
-    assert not list(tmp_path.glob("*.part"))
-    with pytest.raises(SkygcsError, match="exists"):
-        write_rosbag(log, bag, Selection(), {}, None, offline_dialect())
-
-
 def test_a_selection_chooses_what_is_written_but_vehicles_are_found_before_it(tmp_path: Path) -> None:
     messages = read(exported(tmp_path, begin=30.0, end=40.0, sources=frozenset({(4, None)})))
     topics = {channel.topic for _, channel, _ in messages}
@@ -221,12 +181,8 @@ def test_a_selection_chooses_what_is_written_but_vehicles_are_found_before_it(tm
 def test_nothing_is_left_of_an_export_that_fails(tmp_path: Path) -> None:
     empty = tmp_path / "noise.tlog"
     empty.write_bytes(bytes(range(256)) * 10)
-    for export in (
-        lambda: write_mcap(empty, tmp_path / "x.mcap", Selection(), {}, None, offline_dialect(), False),
-        lambda: write_rosbag(empty, tmp_path / "x", Selection(), {}, None, offline_dialect()),
-    ):
-        with pytest.raises(SkygcsError, match=r"no MAVLink|no message"):
-            export()
+    with pytest.raises(SkygcsError, match=r"no MAVLink|no message"):
+        write_mcap(empty, tmp_path / "x.mcap", Selection(), {}, None, offline_dialect(), False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["noise.tlog"]
 
 

@@ -99,6 +99,17 @@ def test_texts_are_logged_and_bad_messages_counted() -> None:
     assert rig.node.publications["/tf"].sent == 0  # plain frames of several vehicles would be one
 
 
+def test_a_home_without_an_orientation_is_a_home() -> None:
+    """An ArduPilot's orientation there is NaN, which JSON has as null."""
+    rig = Rig()
+    rig.state("alpha", 1)
+    home = {"latitude": 473977000, "longitude": 85456000, "altitude": 488000, "q": [None] * 4}
+    places = dict.fromkeys(("x", "y", "z", "approach_x", "approach_y", "approach_z"), 0.0)
+    rig.message("alpha", "HOME_POSITION", **home, **places, time_usec=0)
+    assert rig.node.last("/alpha/mavros/home_position/home")["geo"]["latitude"] == 47.3977
+    assert rig.bridge.faults == 0
+
+
 def test_names_that_are_one_in_ros_have_the_topics_of_the_first() -> None:
     rig = Rig()
     rig.state("uav-1", 1)

@@ -1,0 +1,233 @@
+"""Program of the process that has rospy: it runs under the system's Python (3.8 or newer), and needs nothing of skygcs.
+
+Messages are bytes here, encoded by the process that started it (`rospy_node`). Each frame on standard input and output
+is the lengths of its two parts (HEAD), JSON, and bytes:
+
+    in     {"do": "publish", "id", "name", "type", "md5", "text", "latch", "queue"}
+           {"do": "subscribe", "id", "name", "type", "md5", "text", "queue"}
+           {"do": "serve", "id", "name", "type", "md5", "request", "response"}
+           {"do": "send", "id"} message            {"do": "answer", "call"} response
+    out    {"is": "up"}                            the node is registered at the master
+           {"is": "readers", "id", "count"}        each time that it changes
+           {"is": "message", "id"} message         {"is": "call", "id", "call"} request
+
+It ends when its input does. It also ends when the master has gone or was started anew, which knows no nodes then: the
+other process starts it again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import struct
+import sys
+import threading
+import time
+from importlib import import_module
+from typing import Any, BinaryIO
+
+HEAD = struct.Struct("<II")
+
+MOST_BYTES = 1 << 20
+"""A longer message from the network is dropped; the longest of MAVROS' interfaces that is read here has some 100 kB."""
+
+MOST_CALLS = 64
+"""Requests of all services that wait for their answers; further ones fail at once."""
+
+ANSWER_S = 600.0
+"""All parameters over a slow radio take minutes."""
+
+COUNT_S = 0.25
+MASTER_S = 3.0
+"""From one look at the readers, and at the master, to the next."""
+
+MOST_FAULTS = 10
+"""Printed; further ones are the same again."""
+
+NO_ROSPY, NO_MASTER = 4, 5
+"""Exit codes."""
+
+
+def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
+    """A frame."""
+    text = json.dumps(head, separators=(",", ":")).encode()
+    return HEAD.pack(len(text), len(body)) + text + body
+
+
+def read_frame(file: BinaryIO) -> tuple[dict[str, Any], bytes] | None:
+    """The next frame; None at the end."""
+    head = file.read(HEAD.size)
+    if len(head) < HEAD.size:
+        return None
+    text_size, body_size = HEAD.unpack(head)
+    text, body = file.read(text_size), file.read(body_size)
+    return None if len(body) < body_size else (json.loads(text), body)
+
+
+class Program:
+    """Publishers, subscribers and services of one node of rospy."""
+
+    def __init__(self, rospy: Any, out: BinaryIO) -> None:
+        self._rospy = rospy
+        self._out = out
+        self._lock = threading.Lock()
+        self._publishers: dict[int, tuple[Any, Any]] = {}
+        self._counts: dict[int, int] = {}
+        self._kept: list[Any] = []
+        self._calls: dict[int, Call] = {}
+        self._last_call = 0
+
+    def say(self, head: dict[str, Any], body: bytes = b"") -> None:
+        """Write a frame, from any thread; it waits while the other process does not read."""
+        with self._lock:
+            self._out.write(packed(head, body))
+            self._out.flush()
+
+    def on_frame(self, head: dict[str, Any], body: bytes) -> None:
+        """Do what a frame says."""
+        what = head["do"]
+        if what == "send":
+            publisher, cls = self._publishers[head["id"]]
+            publisher.publish(_filled(cls, body))
+        elif what == "answer":
+            call = self._calls.get(head["call"])
+            if call is not None:
+                call.end(body)
+        elif what == "publish":
+            cls = self._message_class(head["type"], head["md5"], head["text"])
+            publisher = self._rospy.Publisher(head["name"], cls, latch=head["latch"], queue_size=head["queue"])
+            self._publishers[head["id"]] = publisher, cls
+        elif what == "subscribe":
+            cls = self._message_class(head["type"], head["md5"], head["text"])
+            self._kept.append(
+                self._rospy.Subscriber(
+                    head["name"], cls, self._on_message, head["id"], queue_size=head["queue"], tcp_nodelay=True
+                )
+            )
+        elif what == "serve":
+            self._serve(head)
+
+    def count_readers(self) -> None:
+        """Tell whose number of readers has changed."""
+        for number, (publisher, _) in list(self._publishers.items()):
+            count = publisher.get_num_connections()
+            if count != self._counts.get(number, 0):
+                self._counts[number] = count
+                self.say({"is": "readers", "id": number, "count": count})
+
+    def _message_class(self, type_: str, md5: str, text: str) -> Any:
+        members = {"_type": type_, "_md5sum": md5, "_full_text": text, "__slots__": ()}
+        return type(type_.rpartition("/")[2], (self._rospy.AnyMsg,), members)
+
+    def _on_message(self, message: Any, number: int) -> None:
+        if len(message._buff) <= MOST_BYTES:
+            self.say({"is": "message", "id": number}, message._buff)
+
+    def _serve(self, head: dict[str, Any]) -> None:
+        request = self._message_class(head["type"] + "Request", *head["request"])
+        response = self._message_class(head["type"] + "Response", *head["response"])
+        members = {
+            "_type": head["type"],
+            "_md5sum": head["md5"],
+            "_request_class": request,
+            "_response_class": response,
+        }
+        service = type(head["type"].rpartition("/")[2], (), members)
+
+        def handle(asked: Any) -> Any:
+            return _filled(response, self._answer(head["id"], asked._buff))
+
+        self._kept.append(self._rospy.Service(head["name"], service, handle))
+
+    def _answer(self, service: int, request: bytes) -> bytes:
+        """Bytes of the response; in a thread of rospy. Raises ServiceException."""
+        with self._lock:
+            if len(self._calls) >= MOST_CALLS or len(request) > MOST_BYTES:
+                raise self._rospy.ServiceException("too many requests wait")
+            self._last_call += 1
+            number = self._last_call
+            call = self._calls[number] = Call()
+        try:
+            self.say({"is": "call", "id": service, "call": number}, request)
+            response = call.wait()
+        finally:
+            del self._calls[number]
+        if response is None:
+            raise self._rospy.ServiceException("no answer")
+        return response
+
+
+class Call:
+    """One request that waits for its answer."""
+
+    def __init__(self) -> None:
+        self._ended = threading.Event()
+        self._response: bytes | None = None
+
+    def end(self, response: bytes) -> None:
+        """The answer has come."""
+        self._response = response
+        self._ended.set()
+
+    def wait(self) -> bytes | None:
+        """The answer; None: it has not come."""
+        self._ended.wait(ANSWER_S)
+        return self._response
+
+
+def _filled(cls: Any, data: bytes) -> Any:
+    message = cls()
+    message._buff = data
+    return message
+
+
+def _watch(program: Program, master: Any, name: str) -> None:
+    """Count readers, and end with the master; in a thread of its own."""
+    looked_at = time.monotonic()
+    while True:
+        time.sleep(COUNT_S)
+        program.count_readers()
+        if time.monotonic() - looked_at >= MASTER_S:
+            looked_at = time.monotonic()
+            try:
+                master.lookupNode(name)
+            except Exception:  # it is not there, or does not know this node: rospy and XML-RPC raise many
+                os._exit(NO_MASTER)
+
+
+def main() -> int:
+    """Run until the input ends; the exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process ends this one
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # rospy prints
+    try:
+        rospy, rosgraph = import_module("rospy"), import_module("rosgraph")
+    except ImportError as error:
+        print(f"skygcs ros: {error}", file=sys.stderr)
+        return NO_ROSPY
+    if not rosgraph.is_master_online():
+        return NO_MASTER
+    rospy.init_node("skygcs", anonymous=True, disable_signals=True, disable_rosout=True, disable_rostime=True)
+    program = Program(rospy, out)
+    program.say({"is": "up"})
+    master = rosgraph.Master(rospy.get_name())
+    threading.Thread(target=_watch, args=(program, master, rospy.get_name()), daemon=True).start()
+    faults = 0
+    while True:
+        frame = read_frame(sys.stdin.buffer)
+        if frame is None:
+            break
+        try:
+            program.on_frame(*frame)
+        except Exception as error:  # of one topic: rospy raises its own and several of Python's
+            faults += 1
+            if faults <= MOST_FAULTS:
+                print(f"skygcs ros: {type(error).__name__}: {error}", file=sys.stderr)
+    rospy.signal_shutdown("skygcs ends")
+    out.close()
+    os._exit(0)  # threads of rospy wait for answers
+
+
+if __name__ == "__main__":
+    sys.exit(main())
