@@ -20,7 +20,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.ros.interfaces import Interfaces, ros2_interfaces
 from skygcs.core.ros.ros_names import vehicle_root
 from skygcs.core.ros.stamps import header
-from skygcs.core.ros.topics import DEPTHS, Quality, Topic
+from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality, Topic
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.recorded_node import RecordedNode, Wanted
 from skygcs.tlog.files import PART_SUFFIX, note, opened_log
@@ -145,7 +145,7 @@ class Bag:
 
 def offered(quality: Quality) -> Qos:
     """The quality of service that the live node offers, as a bag has it."""
-    best_effort, lasting = quality in ("sensor", "px4"), quality in ("latched", "px4")
+    best_effort, lasting = quality in ("sensor", "px4"), quality in LATCHED or quality == "px4"
     return Qos(
         QosHistory.KEEP_LAST,
         DEPTHS[quality],

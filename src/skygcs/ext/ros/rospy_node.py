@@ -23,7 +23,7 @@ import structlog
 
 from skygcs.core.ros import ros1
 from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces
-from skygcs.core.ros.topics import DEPTHS, Quality
+from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.graph import Handler
 from skygcs.ext.ros.rospy_program import HEAD, NO_MASTER, NO_ROSPY, packed
@@ -55,7 +55,7 @@ class RospyPublication:
     def __init__(self, node: RospyNode, number: int, name: str, type_: str, quality: Quality) -> None:
         self.name = name
         self.type = type_
-        self.latched = quality == "latched"
+        self.latched = quality in LATCHED
         self.readers = 0
         self.sent = 0
         self.dropped = 0
