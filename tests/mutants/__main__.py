@@ -49,7 +49,8 @@ def measure(modules: dict[str, tuple[str, ...]], count: int | None) -> dict[str,
     ]
     tests = dict.fromkeys(str(UNIT / test) for files in modules.values() for test in files)
     run = MutantRun(tasks)
-    plugins = ["-p", "no:cacheprovider", "-p", "no:benchmark", "--hypothesis-profile", "mutants"]
+    # no time limits of wall time: a fork has one of CPU time, and tracing on a busy machine takes long
+    plugins = ["-p", "no:cacheprovider", "-p", "no:benchmark", "--hypothesis-profile", "mutants", "-o", "timeout=0"]
     code = pytest.main(["-q", "--no-header", *plugins, *tests], plugins=[run])
     if run.errors:
         raise SystemExit("\n".join(run.errors))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from fractions import Fraction
@@ -15,7 +16,7 @@ from bench.plans import checker
 from bench.plans.random_plans import _curve
 from skygcs.core.plan import closest_approach
 from skygcs.core.plan.bernstein_arrays import gathered, halved, restricted, squared_norm
-from skygcs.core.plan.closest_approach import _Intervals, least_clearance
+from skygcs.core.plan.closest_approach import TOLERANCE_M, _Intervals, least_clearance
 from skygcs.core.trajectory import Piece, Trajectory, hover
 from support.examples import examples
 
@@ -135,15 +136,17 @@ def test_curves_that_keep_their_distance_are_never_said_to_be_farther_apart() ->
 
 
 def test_a_clearance_below_the_tolerance_is_decided_and_not_rounded() -> None:
-    """Vehicles that pass each other: the least distance is that of one moment, which ends no half, quarter, …"""
-    for off_m in (2e-5, 9e-5, -2e-5, -9e-5):
-        there = Trajectory([Piece(4.0, (-10.0, 5.0), (0.0,), (10.0,))])
-        back = Trajectory([Piece(4.0, (9.0, -4.3), (2.5 + off_m,), (10.0,))])
+    """Vehicles that pass each other on ways that are no axis: the least distance is that of one moment, which ends no
+    half, quarter, …"""
+    for off_m, back_mps in itertools.product((1e-5, 2e-5, 9e-5, -2e-5, -9e-5), (3.1, 3.7, 4.3, 4.9)):
+        aside_m = (2.5 + off_m) / math.sqrt(2)
+        there = Trajectory([Piece(4.0, (-10.0, 5.0), (-10.0, 5.0), (10.0,))])
+        back = Trajectory([Piece(4.0, (9.0 + aside_m, -back_mps), (9.0 - aside_m, -back_mps), (10.0,))])
         found = least_clearance([there, back], [1.25, 1.25], 2.0)
         assert found is not None
         assert (found.clearance_at_least_m >= 0.0) is (off_m > 0), off_m
-        assert found.clearance_m == pytest.approx(off_m, abs=1e-7)
-        assert found.t_s == pytest.approx(19 / 9.3, abs=1e-2)
+        assert found.clearance_m == pytest.approx(off_m, abs=TOLERANCE_M)
+        assert found.t_s == pytest.approx(19 / (5 + back_mps), abs=1e-2)
 
 
 def test_small_batches_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
