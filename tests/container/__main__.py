@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from container.containerfile import stages_of
@@ -97,16 +98,9 @@ def runs(root: Root) -> None:
     version = subprocess.run(root.words([*root.entrypoint, "--version"]), check=True, capture_output=True, text=True)
     with subprocess.Popen(root.words([*root.entrypoint, *root.command]), start_new_session=True) as daemon:
         try:
-            deadline = time.monotonic() + READY_S
-            while (seen := status(root)) != 3:
-                assert daemon.poll() is None and time.monotonic() < deadline, f"{seen} vehicles seen, not 3"
-                time.sleep(0.5)
-            link = subprocess.run(root.words(["skygcs", "web", "link"]), capture_output=True, text=True, check=True)
-            assert "http://" in link.stdout, link
-            docs = subprocess.run(
-                root.words(["skygcs-cli", "docs", "radio"]), capture_output=True, text=True, check=True
-            )
-            assert "RFD900x" in docs.stdout
+            answers(root, daemon, ["skygcs-cli", "status", "--json"], lambda text: len(json.loads(text)) == 3)
+            answers(root, daemon, ["skygcs", "web", "link"], lambda text: "http://" in text)
+            answers(root, daemon, ["skygcs-cli", "docs", "radio"], lambda text: "RFD900x" in text)
         finally:
             os.killpg(daemon.pid, signal.SIGTERM)
             ended = daemon.wait(30)
@@ -114,10 +108,16 @@ def runs(root: Root) -> None:
     print(f"{version.stdout.strip()}: 3 vehicles seen, a link to the page, the documentation, ended by SIGTERM with 0")
 
 
-def status(root: Root) -> int:
-    """The number of vehicles that the daemon shows; 0 if there is none yet."""
-    done = subprocess.run(root.words(["skygcs-cli", "status", "--json"]), capture_output=True, text=True)
-    return len(json.loads(done.stdout)) if done.returncode == 0 else 0
+def answers(root: Root, daemon: subprocess.Popen[bytes], words: list[str], right: Callable[[str], bool]) -> None:
+    """Run a command beside the daemon until it answers right: what is asked about may still be starting."""
+    deadline = time.monotonic() + READY_S
+    while True:
+        done = subprocess.run(root.words(words), capture_output=True, text=True)
+        if done.returncode == 0 and right(done.stdout):
+            return
+        assert daemon.poll() is None, f"{daemon.args} has ended with {daemon.returncode}"
+        assert time.monotonic() < deadline, f"{' '.join(words)}: {done.stdout[-300:]}{done.stderr[-300:]}"
+        time.sleep(0.5)
 
 
 if __name__ == "__main__":

@@ -69,9 +69,7 @@ def test_the_last_stage_has_no_compiler_and_no_lists_of_packages() -> None:
 def test_nothing_of_one_machine_is_in_it() -> None:
     """No addresses but the base's, no paths but those of the image, no secrets, no latest."""
     for line in logical_lines(TEXT):
-        assert not re.search(r"https?://|index-url|trusted-host|:latest|token|password|/home/|/work/|/root/", line), (
-            line
-        )
+        assert not re.search(r"https?://|index-url|trusted-host|:latest|token|password|/home/|/root/", line), line
     for path in re.findall(r"(?<![\w./}*])/[a-z][\w./-]*", "\n".join(logical_lines(TEXT))):
         assert re.match(r"/(src|build|opt/skygcs|wheels|fleet|usr/|bin|var/lib/apt/lists)", path), path
 
