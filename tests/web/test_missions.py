@@ -144,8 +144,8 @@ def test_the_fence_about_home_is_set_and_read_by_a_form(station, open_page, shot
     page.get_by_label("Radius", exact=True).fill("80")
     page.get_by_label("Height", exact=True).fill("40")
     page.get_by_label("Outside of it").select_option("return")
-    expect(button).to_have_attribute(
-        "aria-label", "Set the fence of v1 and v3: radius 80 m, height 40 m, then return: hold down for a second"
+    expect(button).to_have_accessible_name(
+        re.compile("Set the fence of v1 and v3: radius 80 m, height 40 m, then return: hold down for a second$")
     )
     hold(page, button)
     fences = page.get_by_role("table", name="Fences about home")

@@ -19,6 +19,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
   const open = useStore(store, (state) => state.phase.kind === "open" && state.daemon?.connected === true);
   const [fields, setFields] = useState<Fields>(() => fieldsOf(origin));
   const [nose, setNose] = useState(false);
+  const [shown, setShown] = useState(false);
   useEffect(() => setFields(fieldsOf(origin)), [origin]);
   const [lat_deg, lon_deg, alt_amsl_m, x_heading_deg] = FIELDS.map(([key]) => (fields[key].trim() === "" ? NaN : Number(fields[key])));
   const valid = FIELDS.every(([key]) => fields[key].trim() !== "" && Math.abs(Number(fields[key])) <= (LIMITS[key] ?? 0));
@@ -37,30 +38,32 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
     });
   };
   return (
-    <details class="origin">
+    <details class="origin" onToggle={(event) => setShown(event.currentTarget.open)}>
       <summary>Origin{origin === null ? ": none" : ""}</summary>
-      <div class="fields">
-        {FIELDS.map(([key, label]) => (
-          <label key={key} class="field">
-            <span>{label}</span>
-            <input type="text" inputMode="decimal" value={fields[key]} onInput={(event) => setFields({ ...fields, [key]: event.currentTarget.value })} />
-          </label>
-        ))}
-      </div>
-      <div class="row">
-        <button type="button" disabled={!open} onClick={click}>Choose in the view</button>
-        <HoldButton targets={[]} disabled={!open || !valid} what={`Set the origin to ${fields.lat}, ${fields.lon}, ${fields.alt} m: every place is counted from there`}
-          act={() => order("Set the origin", "origin.set", { lat_deg, lon_deg, alt_amsl_m, x_heading_deg })}>
-          Set the origin
-        </HoldButton>
-      </div>
-      <div class="row">
-        <HoldButton targets={one === undefined ? [] : [one]} disabled={!open || one === undefined} what={`Set the origin to where ${one ?? "the selected vehicle"} is`}
-          act={() => order(`Origin from ${one ?? ""}`, "origin.from_vehicle", { target: one, heading: nose })}>
-          {one === undefined ? "Where one vehicle is" : `Where ${one} is`}
-        </HoldButton>
-        <label class="check"><input type="checkbox" checked={nose} onChange={(event) => setNose(event.currentTarget.checked)} /> x along its nose</label>
-      </div>
+      {shown && <>
+        <div class="fields">
+          {FIELDS.map(([key, label]) => (
+            <label key={key} class="field">
+              <span>{label}</span>
+              <input type="text" inputMode="decimal" value={fields[key]} onInput={(event) => setFields({ ...fields, [key]: event.currentTarget.value })} />
+            </label>
+          ))}
+        </div>
+        <div class="row">
+          <button type="button" disabled={!open} onClick={click}>Choose in the view</button>
+          <HoldButton targets={[]} disabled={!open || !valid} what={`Set the origin to ${fields.lat}, ${fields.lon}, ${fields.alt} m: every place is counted from there`}
+            act={() => order("Set the origin", "origin.set", { lat_deg, lon_deg, alt_amsl_m, x_heading_deg })}>
+            Set the origin
+          </HoldButton>
+        </div>
+        <div class="row">
+          <HoldButton targets={one === undefined ? [] : [one]} disabled={!open || one === undefined} what={`Set the origin to where ${one ?? "the selected vehicle"} is`}
+            act={() => order(`Origin from ${one ?? ""}`, "origin.from_vehicle", { target: one, heading: nose })}>
+            {one === undefined ? "Where one vehicle is" : `Where ${one} is`}
+          </HoldButton>
+          <label class="check"><input type="checkbox" checked={nose} onChange={(event) => setNose(event.currentTarget.checked)} /> x along its nose</label>
+        </div>
+      </>}
     </details>
   );
 }
