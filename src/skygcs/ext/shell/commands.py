@@ -88,7 +88,7 @@ class Console:
     def run(self, vehicle: str, command: str | None, *, force: bool, wait_s: float) -> int:
         """Open the shell and do what was asked for; the exit code. Raises RpcError and DaemonUnreachable."""
         name = self._runner.run(self._open(vehicle, force=force))
-        typed = command is None and sys.stdin.isatty()
+        typed = command is None and self._is_typed()
         answers = self._runner.run(self._until_ready(FIRST_PROMPT_S, show=typed))
         if not answers:
             fail(f"{name}: its shell has shown no prompt within {FIRST_PROMPT_S:g} s")
@@ -115,6 +115,11 @@ class Console:
                 await self._gcs.call("shell.close", session=self._session)
         finally:
             await self._gcs.close()
+
+    @staticmethod
+    def _is_typed() -> bool:
+        """True if a person types, and no pipe or file."""
+        return sys.stdin.isatty()
 
     def _executed(self, name: str, lines: Iterable[str], wait_s: float) -> int:
         """Lines of the command line or of a pipe, one after the other."""
