@@ -103,6 +103,7 @@ MOVES = {
         *("formation.start", "formation.guide", "formation.move", "formation.turn", "formation.scale"),
         "formation.stop",
     ),
+    "tests/integration/test_shell.py": ("shell.open", "shell.write", "shell.read", "shell.close"),
     "tests/integration/test_companion_control.py": ("companion.contact", "companion.order", "companion.setpoint"),
     "tests/integration/test_authority.py": ("authority.grant", "authority.revoke"),
     "tests/unit/core/vehicle/test_gate.py": ("vehicles.command", "messages.send"),
@@ -112,7 +113,7 @@ MOVES = {
 }
 """What moves a vehicle or ends its flight, or is no part of one, with the tests that show how."""
 
-OF_CLIENTS = {"subscribe", "unsubscribe", "operator.relay", "alarms.acknowledge", "ros.report"}
+OF_CLIENTS = {"subscribe", "unsubscribe", "operator.relay", "alarms.acknowledge", "ros.report", "corrections.survey"}
 
 
 def test_each_method_is_sorted_in() -> None:

@@ -321,7 +321,7 @@ async def test_a_daemon_without_mocap_says_so(tmp_path: Path) -> None:
     reply = Dispatcher(METHODS).start(SimpleNamespace(services=daemon), request)
     assert isinstance(reply, bytes)
     error = json.loads(reply)["error"]
-    assert error["code"] == METHOD_NOT_FOUND and "table in the fleet file, [mocap]" in error["message"]
+    assert error["code"] == METHOD_NOT_FOUND and "table in the fleet file, as [mocap]" in error["message"]
 
 
 async def in_the_air(gcs: Lab, link: str = "alpha") -> SimVehicle:

@@ -315,6 +315,27 @@ async def test_frames_of_others_and_bad_ones_get_nowhere(tmp_path: Path) -> None
         assert (await lab.read(session))["text"] == "good"
 
 
+async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_path: Path) -> None:
+    """A command of the console could change what the flight was checked with: parameters, modes, the estimator."""
+    async with running(tmp_path) as lab:
+        session = await lab.open()
+        await lab.gcs.call("origin.from_vehicle", target="v1")
+        await lab.gcs.call("vehicles.takeoff", targets="v1", height_m=5.0, arm=True)
+        vehicle = lab.daemon.fleet.vehicles[1 << 8 | 1].vehicle
+        await until(lambda: (vehicle.telemetry("position") or {"alt_rel_m": 0.0})["alt_rel_m"] > 4.5)
+        outcomes = (await lab.gcs.call("control.set", targets="v1", mode="position"))["outcomes"]
+        assert outcomes["v1"]["ok"], outcomes
+        sent = len(lab.heard)
+        with pytest.raises(RpcError, match="command of the console may change"):
+            await lab.write(session, "param set MPC_XY_P 5\n")
+        await lab.gcs.call("shell.close", session=session)
+        for force in (False, True):
+            with pytest.raises(RpcError, match="command of the console may change.*`skygcs-cli hold v1` first"):
+                await lab.open(force=force)
+        await asyncio.sleep(5.0)
+        assert len(lab.heard) == sent and lab.lines() == []
+
+
 async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addressee(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         await lab.arm(2)

@@ -43,10 +43,15 @@ def public_file(relative: str) -> Path:
     return path
 
 
-def present(folder: str, names: Iterable[str]) -> list[str]:
-    """Those of the names whose files are there, for parametrize: a clone without the public ones skips nothing."""
+class Present(list[str]):
+    """Names of files that are there: none in a clone without the public ones, where the test is skipped."""
+
+
+def present(folder: str, names: Iterable[str]) -> Present:
+    """Those of the names whose files are there, for parametrize and `each`: a clone without the public ones skips what
+    it does not have."""
     made_here = {*MADE, *(p.name for p in OWN.iterdir())} if folder == "tlog" else set(made_names(folder))
-    return [name for name in names if name in made_here or (PUBLIC / folder / name).is_file()]
+    return Present(name for name in names if name in made_here or (PUBLIC / folder / name).is_file())
 
 
 def own_capture(name: str) -> bytes:

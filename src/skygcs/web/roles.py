@@ -38,6 +38,7 @@ READ = frozenset(
         "plan.status",
         "preflight.status",
         "recorder.status",
+        "ros.settings",
         "ros.status",
         "router.stats",
         "rpc.discover",

@@ -19,6 +19,7 @@ would change one of these values asks first:
     `RateChange`                    messages that no flight needs                          always
     `Forgetting`                    never                                                  always
     `SigningClockReset`             never                                                  always
+    `ConsoleInput`                  never                                                  always
 
 A refusal names the flight and the command that ends it. There is no force: whoever insists ends the flight first.
 """
@@ -175,6 +176,13 @@ class SigningClockReset:
     """The clock of a signing key is set back: a vehicle that has heard a later time hears us no more."""
 
 
+@dataclass(frozen=True, slots=True)
+class ConsoleInput:
+    """Text is typed into the console of a vehicle: it may change anything."""
+
+    key: int
+
+
 Change = (
     OriginChange
     | ParamWrite
@@ -189,6 +197,7 @@ Change = (
     | RateChange
     | Forgetting
     | SigningClockReset
+    | ConsoleInput
 )
 
 
@@ -275,6 +284,8 @@ class FlightLock:
             case RateChange(message=message):
                 needed = message is None or message in NEEDED_MESSAGES
                 return f"its control needs {message or 'the messages of that group'}" if needed else None
+            case ConsoleInput():
+                return "a command of the console may change what it was checked with"
             case Forgetting():
                 return "nobody would fly it until it is heard again"
 

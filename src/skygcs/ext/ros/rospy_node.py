@@ -25,7 +25,7 @@ from skygcs.core.ros import ros1
 from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces
 from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
 from skygcs.errors import SkygcsError
-from skygcs.ext.ros.graph import Handler
+from skygcs.ext.ros.graph import MOST_PENDING, Handler
 from skygcs.ext.ros.rospy_program import HEAD, NO_MASTER, NO_ROSPY, packed
 
 PYTHON = "/usr/bin/python3"
@@ -37,8 +37,6 @@ DEFAULT_MASTER = "http://localhost:11311"
 
 MOST_WAITING_BYTES = 1 << 20
 MOST_FRAME_BYTES = 4 << 20
-MOST_PENDING = 16
-
 TURN = 16
 """Frames that are taken before others of the loop have their turn."""
 
@@ -103,7 +101,7 @@ class RospySubscriber:
 class RospyService:
     """A service that is answered."""
 
-    def __init__(self, node: RospyNode, name: str, type_: str, handler: Handler) -> None:
+    def __init__(self, node: RospyNode, name: str, type_: str, handler: Handler, most_pending: int) -> None:
         self.name = name
         self.calls = 0
         self.overflown = 0
@@ -111,6 +109,7 @@ class RospyService:
         self._node = node
         self._request, self._response = ros1.service_parts(type_)
         self._handler = handler
+        self._most_pending = most_pending
         self._tasks: set[asyncio.Task[None]] = set()
 
     def take(self, call: int, data: bytes) -> None:
@@ -121,7 +120,7 @@ class RospyService:
             self.rejected += 1
             self._answer(call, {})
             return
-        if len(self._tasks) >= MOST_PENDING:
+        if len(self._tasks) >= self._most_pending:
             self.overflown += 1
             self._answer(call, {})
             return
@@ -176,9 +175,9 @@ class RospyNode:
         self._declare(made, {"do": "subscribe", "name": name, **self._described(type_), "queue": DEPTHS[quality]})
         return made
 
-    def serve(self, name: str, type_: str, handler: Handler) -> RospyService:
-        """Answer requests of this service by a coroutine function."""
-        made = self.services[name] = RospyService(self, name, type_, handler)
+    def serve(self, name: str, type_: str, handler: Handler, most_pending: int = MOST_PENDING) -> RospyService:
+        """Answer requests of this service by a coroutine function, ``most_pending`` at the same time."""
+        made = self.services[name] = RospyService(self, name, type_, handler, most_pending)
         parts = [self._described(part) for part in ros1.service_parts(type_)]
         request, response = ([part["md5"], part["text"]] for part in parts)
         sums = {"type": ros1.ros1_name(type_), "md5": ros1.service_md5(self.interfaces, type_)}

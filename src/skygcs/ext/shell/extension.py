@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Model, Problem
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.flight_lock import ConsoleInput
 from skygcs.core.vehicle.gate import clear_message
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -121,7 +122,7 @@ class Shell(Extension[ShellConfig]):
             raise RefusedError(f"{actor.name}: no link takes the message now")
         self._sessions[session.key] = session
         session.take_back = context.at_end(lambda: self._end(session, "its client is gone"))
-        others = ", ".join(model.name for model in self._others(actor, now))
+        others = ", ".join(vehicle.name for vehicle in self._others(actor))
         note = f"on the same link {others} hear what is typed, too" if others else ""
         self._report(session, f"shell opened{' by force' if force else ''}")
         return {"session": session.key, "vehicle": actor.name, "note": note}
@@ -269,12 +270,17 @@ class Shell(Extension[ShellConfig]):
         now, gates = self.core.now(), self.core.hub.send_gates
         if gates is not None and (why := gates.refusal(actor.sysid, self.core.hub.boot_clock())) is not None:
             return why
+        others = [] if self._addressed else self._others(actor)
+        for vehicle in [*self.core.fleet.vehicles_of(actor.sysid), *others]:
+            if (why := self.core.fleet.locks.refusal(ConsoleInput(vehicle.key))) is not None:
+                return why
         if force:
             return None
         for model in self._reached(actor):
             if model.not_disarmed is not None:
                 return f"{model.name} {model.not_disarmed}: a shell is for disarmed vehicles; {FORCE_HINT}"
-        hearing = [model for model in self._others(actor, now) if not (self._addressed and _looks(model.version))]
+        models = [model_of(vehicle, now) for vehicle in self._others(actor)]
+        hearing = [model for model in models if not (self._addressed and _looks(model.version))]
         if hearing:
             names = ", ".join(f"{model.name} (PX4 {model.version or 'of unknown version'})" for model in hearing)
             return f"on the same link {names} may execute what is typed for {actor.name}, too; {FORCE_HINT}"
@@ -284,16 +290,16 @@ class Shell(Extension[ShellConfig]):
         """All that will hear what is typed: the system itself, and other PX4s on its link."""
         now = self.core.now()
         own = [model_of(vehicle, now) for vehicle in self.core.fleet.vehicles_of(actor.sysid) if not vehicle.replayed]
-        return [*own, *self._others(actor, now)]
+        return [*own, *(model_of(vehicle, now) for vehicle in self._others(actor))]
 
-    def _others(self, actor: VehicleActor, now: float) -> list[VehicleModel]:
+    def _others(self, actor: VehicleActor) -> list[Vehicle]:
         """PX4s of other systems on the channels that lead to this one."""
         hub = self.core.hub
         on = {key for i in hub.channels_to(actor.sysid, actor.compid) for key in hub.router.autopilots_on(i)}
         actors = (self.core.fleet.vehicles.get(key) for key in sorted(on))
         vehicles: list[Vehicle] = [other.vehicle for other in actors if other is not None]
         return [
-            model_of(vehicle, now)
+            vehicle
             for vehicle in vehicles
             if vehicle.sysid != actor.sysid and vehicle.family == "px4" and not vehicle.replayed
         ]

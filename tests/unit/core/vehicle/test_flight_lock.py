@@ -11,6 +11,7 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.flight_lock import (
     Change,
+    ConsoleInput,
     FenceListWrite,
     FenceWrite,
     FlightLock,
@@ -67,6 +68,8 @@ def lock(holder: Holder = Holder.PLAN, *members: Member) -> FlightLock:
         (HomeMove(ALPHA, None), "from the present home"),
         (SensorCalibration(ALPHA), "present calibration"),
         (SensorCalibration(OTHER), None),
+        (ConsoleInput(BRAVO), "command of the console"),
+        (ConsoleInput(OTHER), None),
     ],
 )
 def test_a_change_waits_for_the_end_unless_it_touches_nothing(change: Change, why: str | None) -> None:
