@@ -1,4 +1,4 @@
-"""ros.status; ros.report, by which the process tells what it measured, and ros.settings, which it reads."""
+"""ros.status; ros.report, by which the process reports what it measured, and ros.settings, which it reads."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ class RospyNode:
         return made
 
     def count_readers(self) -> None:
-        """Nothing: the process tells each change."""
+        """Nothing: the process reports each change."""
 
     def send(self, head: Mapping[str, Any], body: bytes = b"", *, drop: bool = True) -> bool:
         """Give the process a frame; False: it is not there, or reads too slowly. ``drop``: False for what it must
@@ -254,7 +254,8 @@ class RospyNode:
                 publication.readers = 0
             process.stdin.close()
             try:
-                await asyncio.wait_for(process.wait(), END_S)
+                async with asyncio.timeout(END_S):
+                    await process.wait()
             except TimeoutError:
                 process.kill()
 

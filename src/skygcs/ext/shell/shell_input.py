@@ -125,7 +125,7 @@ class ShellInput:
         end = self._waiting.find(b"\n") + 1
         line = bytes(self._waiting[: end or None])
         room = PIPE_BYTES - KEPT_BYTES - self._unread
-        if self._executing:  # typed ahead: whole or not at all, as nothing tells when the pipe has room again
+        if self._executing:  # typed ahead: whole or not at all, as nothing shows when the pipe has room again
             enter = len(line) == 1 and self._unread < PIPE_BYTES
             return line if len(line) <= room or enter else b""
         return line[: max(0, room)]

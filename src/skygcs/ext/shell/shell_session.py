@@ -38,11 +38,11 @@ class ShellSession:
 
     @property
     def has_news(self) -> bool:
-        """True if a read has something to tell."""
+        """True if a read has something to return."""
         return bool(self.output or self.refused or self.end is not None)
 
     def wake(self) -> None:
-        """Something of what a read tells has changed."""
+        """Something of what a read returns has changed."""
         self._news.set()
 
     async def wait(self, seconds: float) -> None:
@@ -68,7 +68,7 @@ class ShellSession:
             self.wake()
 
     def line_sent(self, piece: bytes) -> str | None:
-        """A piece was sent: the line that it ends, or a Ctrl-C as ^C; None: nothing to tell."""
+        """A piece was sent: the line that it ends, or a Ctrl-C as ^C; None: nothing to report."""
         text = piece.decode("ascii")
         if text == INTERRUPT:
             return "^C"

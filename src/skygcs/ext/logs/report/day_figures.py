@@ -1,7 +1,7 @@
 """The contents of a report: plain figures, without how they were found. Pure.
 
 Times are seconds since 1970 (UTC), positions metres along x, y of the report's origin, heights metres above home. NaN
-or None is what the logs do not tell.
+or None is what the logs do not have.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class SourceFigures:
     compid: int
     frames: int
     lost: int | None
-    """None: its numbers do not tell."""
+    """None: its numbers do not show it."""
 
     @property
     def loss_ratio(self) -> float:
@@ -241,7 +241,7 @@ class VehicleDay:
 
     @property
     def used_percent(self) -> float:
-        """Sum over its flights; NaN if none tells."""
+        """Sum over its flights; NaN if none is known."""
         used = [f.used_percent for f in self.flights if not math.isnan(f.used_percent)]
         return sum(used) if used else math.nan
 
