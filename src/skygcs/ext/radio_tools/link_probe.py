@@ -208,7 +208,7 @@ class LinkProbe:
             if any(way.arrivals < FIND_ARRIVALS for way in self._ways):
                 return
             self.round_s = self._about_a_round()
-            self._lost_after_s = min(self._lost_after_s, max(1.0, 4 * self.round_s))
+            self._lost_after_s = min(self._lost_after_s, max(0.5, 4 * self.round_s))
             self._until = now
         if now < self._until or any(way.open for way in self._ways):
             return

@@ -25,6 +25,7 @@ from skygcs.cli.serial_ports import explain, port_rate
 from skygcs.errors import LinkError, RefusedError
 from skygcs.ext.radio_tools.change import Visit
 from skygcs.ext.radio_tools.dialogue import Dialogue, Procedure
+from skygcs.ext.radio_tools.link_probe import LinkProbe
 from skygcs.sim.at_modem import AtRadio, Kind
 
 T = TypeVar("T")
@@ -91,6 +92,14 @@ class RadioPort:
                 self._say_farewell(visit)
                 procedure.close()
 
+    def set_flow_control(self, on: bool) -> None:
+        """RTS/CTS as the radio has it. Raises LinkError."""
+        try:
+            self._port.rtscts = on
+            _read_means_data(self._port.fileno())
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(f"{self.device}: {explain(error)}") from None
+
     def _read(self) -> bytes:
         try:
             data = os.read(self._port.fileno(), READ_BYTES)
@@ -106,6 +115,40 @@ class RadioPort:
             self._port.flush()
         except (OSError, termios.error):  # the port failed, which is reported already
             return
+
+
+async def carry(ports: tuple[RadioPort, RadioPort], probe: LinkProbe) -> None:
+    """Carry a probe's frames between both ports in real time until it is over. Raises LinkError if a port fails."""
+    loop = asyncio.get_running_loop()
+    readable = asyncio.Event()
+    terminated = _cancelled_by_sigterm(loop)
+    for port in ports:
+        loop.add_reader(port._port.fileno(), readable.set)
+    port = ports[0]
+    try:
+        while (deadline := probe.next_deadline()) is not None:
+            for end, port in enumerate(ports):
+                if frames := probe.take_output(end):
+                    port._port.write(b"".join(frames))
+            await _wait(readable, deadline - loop.time())
+            if readable.is_set():
+                readable.clear()
+                for end, port in enumerate(ports):
+                    with contextlib.suppress(BlockingIOError):
+                        probe.feed(end, port._read(), loop.time())
+            probe.advance(loop.time())
+    except serial.SerialTimeoutException:
+        raise LinkError(f"{port.device}: the radio takes no data: are RTS and CTS wired (RTSCTS is on)?") from None
+    except (OSError, termios.error, ValueError) as error:
+        raise LinkError(f"{port.device}: {explain(error)}") from None
+    except asyncio.CancelledError:
+        if terminated.is_set():
+            raise KeyboardInterrupt from None  # as for Ctrl-C: the exit code says that it was interrupted
+        raise
+    finally:
+        loop.remove_signal_handler(signal.SIGTERM)
+        for port in ports:
+            loop.remove_reader(port._port.fileno())
 
 
 def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:

@@ -256,9 +256,9 @@ def _slot_bytes(rows: Sequence[SizeFigures], period: float, ends: Ends) -> tuple
     most = []
     for way in WAYS:
         sent = [
-            row.throughput_bytes_per_s / (1 - row.stream_loss)
+            row.throughput_bytes_per_s / (1 - min(row.stream_loss, row.loss.high))  # what buffers lose is not sent
             for row in rows
-            if row.way == way and row.throughput_bytes_per_s is not None and row.stream_loss < 1
+            if row.way == way and row.throughput_bytes_per_s is not None and row.loss.high < 1
             if row.frame_bytes >= LEAST_FRAME_BYTES or row.frame_bytes == max(r.frame_bytes for r in rows)
         ]
         most.append(max(sent, default=0.0))
