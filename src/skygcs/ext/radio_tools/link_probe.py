@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import pairwise
 from statistics import median
 
 from skygcs.core.mavlink.dialect import Dialect
@@ -228,7 +229,7 @@ class LinkProbe:
         gaps = []
         for way in self._ways:
             times = [sent.arrived_at for sent in way.frames if sent.arrived_at is not None]
-            gaps += [later - earlier for earlier, later in zip(times, times[1:], strict=False)]
+            gaps += [later - earlier for earlier, later in pairwise(times)]
         return median(gaps)
 
     def _write(self, number: int, now: float) -> None:

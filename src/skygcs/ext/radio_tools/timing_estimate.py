@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import cos, inf, pi, sqrt
 from statistics import fmean, median
 
@@ -149,7 +150,7 @@ def _on_air(frames: Sequence[Sent], size: int, baud: int) -> list[float]:
 
 
 def _gaps(times: Sequence[float]) -> list[float]:
-    return [later - earlier for earlier, later in zip(times, times[1:], strict=False)]
+    return [later - earlier for earlier, later in pairwise(times)]
 
 
 def _period(arrivals: Sequence[Sequence[float]]) -> float:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from skygcs.config.dialects import load_dialect
+from skygcs.errors import RefusedError
 from skygcs.ext.radio_tools.link_probe import FRAME_SIZES, LinkProbe, Phase, Sent
 from skygcs.ext.radio_tools.timing_estimate import Ends, Timing, estimate, wilson
-from skygcs.errors import RefusedError
 from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import TdmConfig, TdmNetwork
 
@@ -124,7 +124,9 @@ def test_altered_timing_is_recovered_within_5_percent(air: Air, seed: int) -> No
             assert near(row.throughput_bytes_per_s, 2 * whole / round_s), row
         line_s = row.frame_bytes * 10 / air.baud
         assert near(row.delay_mean_s, 2 * line_s + round_s / 2 + LATENCY_S + packet_s), row
-        assert row.loss.low - 0.02 <= air.loss <= row.loss.high + 0.02, row
+    lost = sum(row.loss.value * row.singles for row in found.sizes) / sum(row.singles for row in found.sizes)
+    assert abs(lost - air.loss) <= 0.05, "chance is some 2 % of so few frames"
+    assert sum(row.loss.low <= air.loss <= row.loss.high for row in found.sizes) >= 6, "of 8, 95 % each"
     best = 2 * max(held(air, size) for size in (128, 252))
     assert near(found.slot_bytes, best), found
     assert found.round_s.low <= found.round_s.value <= found.round_s.high
@@ -179,6 +181,8 @@ def test_garbage_between_the_frames_changes_nothing_and_is_counted() -> None:
 
 def test_frames_of_another_run_and_repeated_ones_do_not_count() -> None:
     mine, other = (LinkProbe(DIALECT, seconds=9, session=n, lost_after_s=3, now=0.0) for n in (1, 2))
+    mine.advance(0.0)
+    other.advance(0.0)
     (theirs,), (own,) = other.take_output(0), mine.take_output(0)
     mine.feed(1, theirs, 0.1)
     mine.feed(0, own, 0.1)  # an echo, at the end where it was written
