@@ -186,8 +186,8 @@ def timings_of(document: dict[str, Any], source: str) -> dict[float, AirTiming]:
         problems += [f"measurement[{index}].{text}" for text in texts]
         if not texts:
             origin = f"measured on {row['date'][:10]} with {row['banner'][:60]}"
-            sizes = (float(row[key]) for key in ("slot_s", "sync_s", "slot_bytes"))
-            if timings.setdefault(float(row["air_speed_kbps"]), timing := AirTiming(*sizes, origin)) is not timing:
+            timing = AirTiming(float(row["slot_s"]), float(row["sync_s"]), float(row["slot_bytes"]), origin)
+            if timings.setdefault(float(row["air_speed_kbps"]), timing) is not timing:
                 problems.append(f"measurement[{index}].air_speed_kbps: {row['air_speed_kbps']:g} is there twice")
     if problems:
         raise ConfigError(source, [*problems, "measure again: skygcs-cli radio measure"])

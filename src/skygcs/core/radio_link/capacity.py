@@ -2,7 +2,7 @@
 
 Downlink: every vehicle sends its profile, all of it comes out of the ground radio's serial port. Uplink: everything for
 all vehicles goes through the ground radio's one slot a round. The timeslot model is that of open SiK multipoint (one
-slot of two full packets per node and a sync slot). Its figures are measured ones where there are any (`AirTiming`), else
+slot of two full packets per node and a sync slot). Its figures are measured where there are such (`AirTiming`), else
 those of open SiK: RFD900x firmware is closed and may schedule otherwise, so these are an order of magnitude. What
 vehicles stream by their own settings is not in it.
 """

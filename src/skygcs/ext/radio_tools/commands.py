@@ -19,14 +19,14 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, run_offline, waiting
 from skygcs.cli.options import Json
-from skygcs.cli.parsing import parse_pairs, parse_rates
+from skygcs.cli.parsing import finite, parse_pairs, parse_rates, within
 from skygcs.cli.render import print_json, print_lines
 from skygcs.cli.serial_ports import lent
 from skygcs.errors import ConfigError, LinkError, RefusedError, SkygcsError
 from skygcs.ext.radio_tools.change import Ledger, Visit, change, look
 from skygcs.ext.radio_tools.measure_commands import measure
 from skygcs.ext.radio_tools.network import NetworkPlan, NetworkSettings, check_network, plan_network
-from skygcs.ext.radio_tools.port import RadioPort, emulate_radio
+from skygcs.ext.radio_tools.port import RadioPort, emulate_pair, emulate_radio
 from skygcs.ext.radio_tools.reading import LIKELY_BAUD
 from skygcs.ext.radio_tools.settings import (
     MAX_BYTES,
@@ -479,13 +479,26 @@ def emulate(
     remotes: Annotated[
         str, typer.Option("--remotes", metavar="NODES", help="Node ids in its range, with commas.")
     ] = "",
+    second: Annotated[
+        Path | None, typer.Option("--pair", metavar="PATH_B", help="A second radio, to rehearse `radio measure`.")
+    ] = None,
+    air_kbps: Annotated[
+        float, typer.Option("--air-speed", metavar="KBPS", parser=finite, help="With --pair: between both.")
+    ] = 64.0,
+    loss: Annotated[
+        float, typer.Option("--loss", metavar="SHARE", parser=finite, help="With --pair: of the packets.")
+    ] = 0.0,
 ) -> None:
-    """Emulate a radio on a pty until Ctrl-C, to rehearse. It answers AT commands; it carries no data.
+    """Emulate a radio on a pty until Ctrl-C, to rehearse. It answers AT commands; only a pair carries data.
 
     Example: skygcs-cli radio emulate /tmp/radio --node 1 --remotes 2,3
     """
 
     def command() -> int:
+        if second is not None:
+            within("--air-speed", air_kbps, 2, 750)
+            within("--loss", loss, 0, 0.9)
+            return emulate_pair((link, second), air_kbps, loss)
         return emulate_radio(link, kind, node, remotes)
 
     run_offline(command)
