@@ -275,7 +275,8 @@ def wilson(count: int, of: int) -> Figure:
     share, z2 = count / of, Z95**2
     middle = (share + z2 / (2 * of)) / (1 + z2 / of)
     half = Z95 / (1 + z2 / of) * sqrt(share * (1 - share) / of + z2 / (4 * of * of))
-    return Figure(share, max(0.0, middle - half), min(1.0, middle + half))
+    low, high = middle - half, middle + half
+    return Figure(share, max(0.0, low) if count else 0.0, min(1.0, high) if count < of else 1.0)
 
 
 def _quantile(ordered: Sequence[float], share: float) -> float:
