@@ -27,8 +27,11 @@ true period agree as well, noise apart."""
 FAR_RESIDUAL = 4.0
 """Arrivals further from the grid than so many usual residuals are left out of the fit."""
 
-LEAST_ARRIVALS = 12
-"""Fewer arrivals of a size are no grid."""
+LEAST_ARRIVALS = 6
+"""Fewer arrivals of a size and way are no grid."""
+
+LEAST_GAPS = 24
+"""Fewer times between arrivals, of all sizes and ways, show no period."""
 
 LEAST_FRAME_BYTES = 100
 """Frames that count for the slot's size are at least so long: many short ones cost the radio's own time."""
@@ -45,8 +48,8 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """What is known of both ends beforehand. ``nodes`` of the network and the ends' places in it (0 is the first);
-    None: not known, or a pair of radios."""
+    """Facts about both ends that are known beforehand: ``nodes`` of the network and the ends' places in it (0 is the
+    first). None: not known, or a pair of radios."""
 
     bauds: tuple[int, int]
     nodes: int | None = None
@@ -156,9 +159,9 @@ def _gaps(times: Sequence[float]) -> list[float]:
 def _period(arrivals: Sequence[Sequence[float]]) -> float:
     """The longest period that agrees with the times between arrivals, about."""
     gaps = sorted(gap for times in arrivals for gap in _gaps(times) if gap > 0)
-    if len(gaps) < LEAST_ARRIVALS:
+    if len(gaps) < LEAST_GAPS:
         return inf
-    gaps = gaps[: max(LEAST_ARRIVALS, len(gaps) * 9 // 10)]  # the longest ones are losses in a row
+    gaps = gaps[: len(gaps) * 9 // 10]  # the longest ones are losses in a row
     usual = median(gaps)
     steps = [usual * 2.2 * 0.995**n for n in range(500)]  # down to 0.18 of it
     scores = [fmean(cos(2 * pi * gap / step) for gap in gaps) for step in steps]
