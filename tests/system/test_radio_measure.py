@@ -61,7 +61,7 @@ def test_altered_timing_is_written_and_a_second_air_speed_is_added(tmp_path: Pat
         'kind = "radio timing"\nversion = 1\n[[measurement]]\nair_speed_kbps = 125\nslot_s = 0.04\nsync_s = 0.01\n'
         'slot_bytes = 500\nmultipoint = true\ndate = "2026-01-01"\nbanner = "x"\n'
     )
-    said = cli(tmp_path, a, b, "--seconds", "20", "-o", str(file), "--nodes", "2")
+    said = cli(tmp_path, a, b, "--seconds", "40", "-o", str(file), "--nodes", "2")
     assert f"AIR_SPEED 64 -> {file}" in said
     found = read_timings(file)
     assert list(found) == [64, 125] and found[125].slot_s == 0.04

@@ -246,7 +246,7 @@ def _throughput(stream: Sequence[Sent], period: float) -> float | None:
     last_written = max((s.sent_at for s in stream), default=0.0)
     if not arrived:
         return None
-    begin = arrived[0][0] + period - period / 100  # the first round may hold less; arrivals are not exact
+    begin = arrived[0][0] + 0.9 * period  # the first round may hold less; and in the pause between two, not at a border
     rounds = int((last_written - begin) / period)
     if rounds < 1:
         return None
