@@ -35,6 +35,12 @@ WINDOW_BYTES = 1500
 FIND_ARRIVALS = 8
 """Arrivals of each way that end the first phase."""
 
+LEAST_LOST_AFTER_S, LOST_AFTER_ROUNDS = 0.5, 4
+"""A single frame that has not arrived after so many rounds does not."""
+
+STREAM_QUEUE = 4
+"""And one of a stream after so many times that: the window may be six packets, and a round carry one of them."""
+
 SILENT_AFTER = 4
 """So many losses in a row at the start, and none has arrived: there is no way."""
 
@@ -153,7 +159,7 @@ class LinkProbe:
         """Let time pass: losses are noticed, and frames that are due are written."""
         self._now = now
         for way in self._ways:
-            while way.open and now - way.frames[way.open[0]].sent_at >= self._lost_after_s:
+            while way.open and now >= self._lost_at(way):
                 self._lost(way)
         if not self.done and not self.silent:
             self._next_phase(now)
@@ -174,7 +180,7 @@ class LinkProbe:
         times = [self._until]
         for way in self._ways:
             if way.open:
-                times.append(way.frames[way.open[0]].sent_at + self._lost_after_s)
+                times.append(self._lost_at(way))
             elif self._now < self._until:
                 times.append(way.next_at)
         return min(times)
@@ -195,8 +201,13 @@ class LinkProbe:
             if self._phases[0][0] is Phase.SINGLE and self.round_s is not None:
                 way.next_at += (len(way.frames) * GOLDEN % 1.0) * self.round_s
 
+    def _lost_at(self, way: _Way) -> float:
+        """When the oldest frame on its way is taken for lost. In a stream it waits for those before it as well."""
+        sent = way.frames[way.open[0]]
+        return sent.sent_at + self._lost_after_s * (STREAM_QUEUE if sent.phase is Phase.STREAM else 1)
+
     def _lost(self, way: _Way) -> None:
-        way.next_at = way.frames[way.open[0]].sent_at + self._lost_after_s
+        way.next_at = self._lost_at(way)
         self._close(way)
         way.lost_in_row += 1
 
@@ -209,7 +220,7 @@ class LinkProbe:
             if any(way.arrivals < FIND_ARRIVALS for way in self._ways):
                 return
             self.round_s = self._about_a_round()
-            self._lost_after_s = min(self._lost_after_s, max(0.5, 4 * self.round_s))
+            self._lost_after_s = max(LEAST_LOST_AFTER_S, LOST_AFTER_ROUNDS * self.round_s)
             self._until = now
         if now < self._until or any(way.open for way in self._ways):
             return

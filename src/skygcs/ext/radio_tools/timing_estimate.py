@@ -33,6 +33,9 @@ LEAST_ARRIVALS = 6
 LEAST_GAPS = 24
 """Fewer times between arrivals, of all sizes and ways, show no period."""
 
+OVERFLOW_LOSS = 0.1
+"""Part of a stream that is lost beyond what chance and the air explain: a buffer ran over."""
+
 LEAST_FRAME_BYTES = 100
 """Frames that count for the slot's size are at least so long: many short ones cost the radio's own time."""
 
@@ -135,7 +138,7 @@ def estimate(frames: tuple[Sequence[Sent], Sequence[Sent]], ends: Ends) -> Timin
             "the serial ports limit the throughput: a slot holds the bytes given or more; "
             "for its true size raise SERIAL_SPEED of both radios"
         )
-    if any(row.stream_loss > row.loss.high + 0.05 for row in rows):
+    if any(_runs_over(row, _single_loss(rows, row.way)) for row in rows):
         remarks.append("streams lose more than single frames: a buffer of a radio runs over (RTSCTS = 1 and its wires)")
     if jitter > 0.1 * period:
         remarks.append("frames do not arrive on a grid of rounds: this firmware may have no fixed timeslots")
@@ -254,15 +257,27 @@ def _throughput(stream: Sequence[Sent], period: float) -> float | None:
     return sum(size for at, size in arrived if begin <= at < end) / (rounds * period)
 
 
+def _single_loss(rows: Sequence[SizeFigures], way: int) -> Figure:
+    """Loss of single frames of all sizes: that of the air, since no buffer holds more than one."""
+    own = [row for row in rows if row.way == way]
+    return wilson(round(sum(row.loss.value * row.singles for row in own)), sum(row.singles for row in own))
+
+
+def _runs_over(row: SizeFigures, air: Figure) -> bool:
+    """True if a stream lost more than the air: the rest was lost in a buffer and not sent."""
+    return row.stream_loss > air.high + OVERFLOW_LOSS
+
+
 def _slot_bytes(rows: Sequence[SizeFigures], period: float, ends: Ends) -> tuple[float, bool]:
     """Bytes that a node sends in its slot, those that get lost included, of the way that carries less; and whether the
     serial ports limit it."""
     most = []
     for way in WAYS:
+        air = _single_loss(rows, way)
         sent = [
-            row.throughput_bytes_per_s / (1 - min(row.stream_loss, row.loss.high))  # what buffers lose is not sent
+            row.throughput_bytes_per_s / (1 - (air.value if _runs_over(row, air) else row.stream_loss))
             for row in rows
-            if row.way == way and row.throughput_bytes_per_s is not None and row.loss.high < 1
+            if row.way == way and row.throughput_bytes_per_s is not None
             if row.frame_bytes >= LEAST_FRAME_BYTES or row.frame_bytes == max(r.frame_bytes for r in rows)
         ]
         most.append(max(sent, default=0.0))

@@ -101,6 +101,7 @@ AIRS = {
     "larger_packets": Air(0.12, 0.02, packet_bytes=300),
     "smaller_packets": Air(0.07, 0.025, packet_bytes=210),
     "silent_nodes": Air(0.0455, 0.011, nodes=5, other=3, seconds=120),
+    "sixteen_nodes": Air(0.0812, 0.0186, nodes=16, other=15, seconds=300),
     "nodes_not_known": Air(0.0812, 0.0186, nodes=4, other=1, seconds=120, known_nodes=False),
     "loss_10": Air(0.09, 0.015, loss=0.1, seconds=120),
     "loss_25": Air(0.06, 0.02, loss=0.25, seconds=300),
@@ -164,6 +165,14 @@ def test_a_serial_port_that_is_slower_than_the_air_is_named() -> None:
     found = timing(air, 1)
     assert found.serial_limited and any("SERIAL_SPEED" in text for text in found.remarks)
     assert near(found.round_s.value, 0.065) and near(found.slot_s, 0.03)
+
+
+def test_a_buffer_that_runs_over_is_named_and_makes_no_slot_larger(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Radios with a transmit buffer of 600 bytes and no flow control: what it loses never was on air."""
+    monkeypatch.setattr("skygcs.sim.tdm.TX_BUFFER_BYTES", 600)
+    found = timing(Air(0.0812, 0.0186, seconds=60), 1)
+    assert any("a buffer of a radio runs over" in text for text in found.remarks), found
+    assert 0.7 * 504 < found.slot_bytes <= 1.05 * 504
 
 
 def test_other_nodes_than_there_are_do_not_go_with_round_and_slot() -> None:
