@@ -256,3 +256,20 @@ async def test_who_is_to_be_asked_for_nothing_is_left_as_it_is(tmp_path: Path) -
         await asyncio.sleep(40)
         assert [air.rates(n) for n in (1, 2)] == before and "VFR_HUD" in before[0]
         assert air.channel.air is not None, "paced it is all the same"
+
+
+async def test_measured_timeslots_are_what_is_planned_with(tmp_path: Path) -> None:
+    """Three slots of 0.1 s and a sync slot of 30 ms are 0.33 s, in which a node sends 480 bytes; half of it is planned,
+    and 90 % of the ground's slot go up."""
+    (tmp_path / "timing.toml").write_text(
+        'kind = "radio timing"\nversion = 1\n[[measurement]]\ndate = "2026-11-28"\nbanner = "RFD SiK 3.00MP"\n'
+        "multipoint = true\nair_speed_kbps = 64\nslot_s = 0.1\nsync_s = 0.03\nslot_bytes = 480\n"
+    )
+    link = {"stream_profile": "nav", "air_speed_kbps": 64, "timing_file": str(tmp_path / "timing.toml")}
+    async with on_air(tmp_path, px4=1, ardupilot=1, radio={"air_kbps": 64}, link=link) as air:
+        await air.settled(2)
+        told = air.air()
+        assert told["up"]["timing"] == "measured on 2026-11-28 with RFD SiK 3.00MP"
+        assert told["up"]["round_s"] == 0.33
+        assert told["up"]["base_bytes_per_s"] == pytest.approx(0.9 * 480 / 0.33, rel=1e-3)
+        assert told["down"]["per_vehicle_bytes_per_s"] == pytest.approx(0.5 * 480 / 0.33, rel=1e-3)

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from skygcs.ext.radio_tools.port import EmulatedPort
+from skygcs.ext.radio_tools.port import EmulatedPair, EmulatedPort
 from skygcs.sim.at_modem import AtRadio
+from skygcs.sim.radio_pair import RadioPair
 
 
 @contextmanager
@@ -22,3 +23,16 @@ def on_a_pty(path: Path, radio: AtRadio) -> Iterator[AtRadio]:
         port.stop()
         server.join(timeout=60)
         port.close()
+
+
+@contextmanager
+def a_pair_on_ptys(paths: tuple[Path, Path], pair: RadioPair) -> Iterator[RadioPair]:
+    ports = EmulatedPair(paths, pair)
+    server = threading.Thread(target=ports.serve, name="emulated radios", daemon=True)
+    server.start()
+    try:
+        yield pair
+    finally:
+        ports.stop()
+        server.join(timeout=60)
+        ports.close()

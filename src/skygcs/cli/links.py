@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
@@ -27,6 +28,7 @@ from skygcs.cli.render import (
     table,
 )
 from skygcs.core.radio_link.capacity import FLOWN_HZ, FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
+from skygcs.errors import ConfigError
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
@@ -265,7 +267,8 @@ def drawn(radios: list[dict[str, Any]]) -> RenderableType:
 def head_lines(radio: dict[str, Any]) -> list[str]:
     """Rates of one radio in both directions, and what it reports about itself."""
     up, down = radio["up"], radio["down"]
-    round_ = "" if up["round_s"] is None else f", a round takes {up['round_s']:.2f} s"
+    timing = f" ({up['timing']})" if up.get("timing") else ""
+    round_ = "" if up["round_s"] is None else f", a round takes {up['round_s']:.2f} s{timing}"
     slower = f", cut to {down['factor']:.0%} after losses" if down["factor"] < 1 else ""
     lines = [
         f"{radio['link']} ({radio['peer']}){round_}",
@@ -416,6 +419,9 @@ def plan(
     fill: Annotated[
         float, typer.Option("--fill", metavar="SHARE", parser=finite, help="Share of each direction to plan with.")
     ] = 0.5,
+    timing_file: Annotated[
+        Path | None, typer.Option("--timing", metavar="FILE", help="Measured timeslots, of `radio measure`.")
+    ] = None,
     json_output: Json = False,
 ) -> None:
     """Compute whether vehicles fit on a radio, what each gets, and what would fit. Exit 1 if they do not fit.
@@ -439,7 +445,7 @@ def plan(
 
     # plan the link and show it
     def command() -> int:
-        answer = plan_link(demand)
+        answer = plan_link(demand if timing_file is None else _with_measured(demand, timing_file))
         if json_output:
             print_json(_plan_json(answer))
         else:
@@ -447,6 +453,15 @@ def plan(
         return Exit.DONE if answer.fits else Exit.FAILED
 
     run_offline(command)
+
+
+def _with_measured(demand: LinkDemand, file: Path) -> LinkDemand:
+    """The demand with the timeslots of a file, which must have its air speed. Raises ConfigError."""
+    from skygcs.config.radio import RadioKeys, read_timings, timing_problem
+
+    if problem := timing_problem(RadioKeys(air_speed_kbps=demand.air_kbps), file):
+        raise ConfigError("--timing", [problem.replace("air_speed_kbps", "--air-speed")])
+    return replace(demand, measured=read_timings(file))
 
 
 def _plan_lines(answer: LinkPlan) -> Iterator[str]:
@@ -458,8 +473,8 @@ def _plan_lines(answer: LinkPlan) -> Iterator[str]:
     down, up = demand.down_per_vehicle_bytes_per_s, demand.up_per_vehicle_bytes_per_s
     yield f"one vehicle: {down:,.1f} B/s down, {up:,.1f} B/s up"
     # what the radio carries
-    if answer.round_s is not None:
-        yield f"a round of {demand.nodes} nodes: {answer.round_s * 1000:,.0f} ms (timeslots of open SiK)"
+    if answer.round_s is not None and demand.timing is not None:
+        yield f"a round of {demand.nodes} nodes: {answer.round_s * 1000:,.0f} ms ({demand.timing.source})"
     yield f"\n{'':<24}{'needed':>10}{'carries':>10}{'planned':>10}{'share':>8}"
     for one in answer.directions:
         numbers = f"{one.needed:>10,.0f}{one.capacity:>10,.0f}{one.usable:>10,.0f}{one.share:>8.0%}"
@@ -494,6 +509,7 @@ def _plan_json(answer: LinkPlan) -> dict[str, object]:
         "down_per_vehicle_bytes_per_s": answer.demand.down_per_vehicle_bytes_per_s,
         "up_per_vehicle_bytes_per_s": answer.demand.up_per_vehicle_bytes_per_s,
         "round_s": answer.round_s,
+        "timing": None if answer.demand.timing is None else answer.demand.timing.source,
         "directions": [
             {**asdict(direction), "share": direction.share, "fits": direction.fits} for direction in answer.directions
         ],

@@ -133,3 +133,13 @@ def _json(text: str) -> Any:
     if not text.startswith(("[", "{", '"')):
         raise ValueError
     return parse_json(text, strict=False)
+
+
+def parse_rates(text: str | None) -> tuple[int, ...]:
+    """The rates of --baud; empty if it is not given."""
+    rates = []
+    for part in text.split(",") if text else ():
+        if not part.strip().isdecimal() or not 300 <= int(part) <= 4_000_000:
+            raise typer.BadParameter(f"--baud: {part!r} is not a rate between 300 and 4000000")
+        rates.append(int(part))
+    return tuple(rates)

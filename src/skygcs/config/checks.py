@@ -23,7 +23,7 @@ from skygcs.config.models import (
     VehicleSettings,
     XBeeLinkConfig,
 )
-from skygcs.config.radio import RadioKeys
+from skygcs.config.radio import RadioKeys, timing_problem
 from skygcs.config.signing import EVERY_MESSAGE
 from skygcs.config.tables import KeyPath, Problem
 from skygcs.core.mavlink.dialect import Dialect
@@ -157,6 +157,16 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
                 if message != "*" and (text := _message_problem(message, dialect)):
                     problems.append(Problem(("links", name, "signing", "accept_unsigned", index), text))
     return problems
+
+
+def timing_problems(links: Mapping[str, LinkConfig]) -> list[Problem]:
+    """Timing files that their radio links cannot use. Their paths are absolute already."""
+    return [
+        Problem(("links", name, "timing_file"), text)
+        for name, link in links.items()
+        if isinstance(link, RadioKeys) and link.enabled and link.role == "radio" and link.timing_file is not None
+        if (text := timing_problem(link, link.timing_file)) is not None
+    ]
 
 
 def dialect_problems(dialect: Dialect) -> list[Problem]:

@@ -20,6 +20,7 @@ from skygcs.config.checks import (
     dialect_problems,
     message_problems,
     stream_problems,
+    timing_problems,
 )
 from skygcs.config.dialects import load_dialect, located
 from skygcs.config.extension_tables import TableOwner, find_owners, installed, places_of_control
@@ -97,6 +98,7 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
         config, unplaced = _with_paths(config, path.parent.absolute())
         # the dialect, and rules that need it
         problems += unplaced
+        problems += timing_problems(config.links)
         try:
             dialect = load_dialect(_listed(config.dialect))
         except DialectError as error:
@@ -120,7 +122,10 @@ def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None)
     except ValidationError as error:
         found = [{**e, "loc": ("links", name, *e["loc"])} for e in error.errors(include_url=False)]
         raise ConfigError(f"link {name}", _shown(_translated(found, whole), {})) from None  # type: ignore[arg-type]
-    if dialect is not None and (problems := message_problems({name: link}, dialect)):
+    problems = timing_problems({name: link})
+    if dialect is not None:
+        problems += message_problems({name: link}, dialect)
+    if problems:
         raise ConfigError(f"link {name}", _shown(problems, {}))
     return link
 

@@ -12,7 +12,7 @@ from collections.abc import Hashable
 from skygcs.config import models
 from skygcs.config.dialects import load_dialect
 from skygcs.config.param_sets import load_param_set
-from skygcs.config.radio import EmulatedRadio, RadioKeys
+from skygcs.config.radio import EmulatedRadio, RadioKeys, measured_timing
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE
@@ -90,7 +90,8 @@ def rates_of(link: models.SimulatedLinkConfig) -> RadioRates:
     """Return what the daemon may know of the radio at its port: what the keys of a serial link would say."""
     assert link.radio is not None
     air = link.radio.air_kbps if link.air_speed_kbps is None else link.air_speed_kbps
-    return RadioRates(link.radio.baud, air, link.nodes or link.radio.nodes, link.duty_cycle, link.uplink_share)
+    nodes, timing = link.nodes or link.radio.nodes, measured_timing(link)
+    return RadioRates(link.radio.baud, air, nodes, link.duty_cycle, link.uplink_share, timing)
 
 
 class SimulatedRadioChannel(QueuedChannel):

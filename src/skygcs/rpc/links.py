@@ -58,10 +58,10 @@ class RadioAir(Result):
     )
     up: dict[str, Any] = Field(
         description="base_bytes_per_s (from baud and air speed), bytes_per_s (now), paced_by (rates or reports), "
-        "round_s, radio (its last report), classes (waiting, sent, sent_bytes, replaced, dropped, refused, wait_p50_s, "
-        "wait_p95_s of each class), third_party (what others send: bytes_per_s they may have, param_lists with what is "
-        "running and waiting, and of each source sent, sent_bytes and counts by what became of the rest), corrections "
-        "(RTCM)"
+        "round_s, timing (assumed or measured timeslots; null: none), radio (its last report), classes (waiting, sent, "
+        "sent_bytes, replaced, dropped, refused, wait_p50_s, wait_p95_s of each class), third_party (what others send: "
+        "bytes_per_s they may have, param_lists with what is running and waiting, and of each source sent, sent_bytes "
+        "and counts by what became of the rest), corrections (RTCM)"
     )
     poor: list[str] = Field(description="What is degraded now: txbuf, signal, or a vehicle's name for its losses.")
     history: list[dict[str, Any]] = Field(description="The radio's reports of the last minute, oldest first.")

@@ -8,7 +8,7 @@ from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.radio_link.admission import Note
 from skygcs.core.radio_link.admission_frames import MAX_HZ
-from skygcs.core.radio_link.capacity import BITS_PER_BYTE, HALF_DUPLEX_SHARE, SLOT_BYTES
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE, HALF_DUPLEX_SHARE
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
 from skygcs.links.base import Channel
@@ -149,7 +149,7 @@ def _down_bytes_per_s(air: AirBudget) -> float:
     rates = air.pacer.rates
     round_s = rates.round_s(air.pacer.vehicles)
     serial = rates.baud / BITS_PER_BYTE * HALF_DUPLEX_SHARE
-    return serial if round_s is None else min(serial, SLOT_BYTES / round_s)
+    return serial if round_s is None else min(serial, rates.slot_bytes / round_s)
 
 
 def _progress(running: tuple[int, int, int]) -> str:

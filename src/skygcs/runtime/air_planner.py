@@ -13,7 +13,7 @@ from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig, XBeeLink
 from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
-from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE
 from skygcs.core.radio_link.pacing import RadioReport
 from skygcs.core.radio_link.rate_controller import RateController
 from skygcs.core.radio_link.stream_rates import (
@@ -263,7 +263,7 @@ class AirPlanner:
         share = keys.downlink_share if isinstance(keys, RadioKeys) else 0.5
         serial = pacer.rates.baud / BITS_PER_BYTE * share * radio.downlink.factor
         round_s = pacer.rates.round_s(pacer.vehicles)
-        slot = serial if round_s is None else SLOT_BYTES / round_s * share * pacer.rates.duty_cycle
+        slot = serial if round_s is None else pacer.rates.slot_bytes / round_s * share * pacer.rates.duty_cycle
         return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
 
     def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:

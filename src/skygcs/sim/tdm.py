@@ -26,7 +26,6 @@ from skygcs.core.radio_link.capacity import (
     SLOT_LATENCY_S,
     SYNC_BITS,
     SYNC_LATENCY_S,
-    slot_s,
 )
 from skygcs.sim.radio_status import HEARTBEAT_TIMEOUT_S, RADIO_COMPID, RADIO_SYSID, REPORT_EVERY_S
 from skygcs.sim.rng import Rng
@@ -69,6 +68,12 @@ class TdmConfig:
     """Configured node ids of the radios, where they are wrong: nodes of one id send in one slot, and both are lost."""
     distances_m: tuple[float, ...] = ()
     """Distances of the vehicles' nodes from the ground; 50 m where none is given."""
+    slot_bits: float = SLOT_BITS
+    slot_latency_s: float = SLOT_LATENCY_S
+    sync_bits: float = SYNC_BITS
+    sync_latency_s: float = SYNC_LATENCY_S
+    packet_bytes: int = PACKET_BYTES
+    """Timing of the firmware; open SiK's unless it is another."""
 
     def __post_init__(self) -> None:
         if self.nodes < 2:
@@ -78,16 +83,20 @@ class TdmConfig:
 
     @property
     def sync_s(self) -> float:
-        return SYNC_LATENCY_S + SYNC_BITS / (self.air_kbps * 1000)
+        return self.sync_latency_s + self.sync_bits / (self.air_kbps * 1000)
+
+    @property
+    def slot_s(self) -> float:
+        return self.slot_latency_s + self.slot_bits / (self.air_kbps * 1000)
 
     @property
     def round_s(self) -> float:
-        return self.sync_s + self.nodes * slot_s(self.air_kbps)
+        return self.sync_s + self.nodes * self.slot_s
 
     @property
     def packet_s(self) -> float:
         """On air, of a full one, its share of the slot's overhead with it."""
-        return SLOT_BITS / (self.air_kbps * 1000) / PACKETS_PER_SLOT
+        return self.slot_bits / (self.air_kbps * 1000) / PACKETS_PER_SLOT
 
 
 @dataclass(slots=True)
@@ -185,7 +194,7 @@ class TdmNetwork:
             self._take_in(self._slot_at)
             self._send_slot(self._slot, self._slot_at)
             self._slot += 1
-            self._slot_at += slot_s(self.config.air_kbps)
+            self._slot_at += self.config.slot_s
             if self._slot == self.config.nodes:
                 self._slot = 0
                 self._slot_at += self.config.sync_s
@@ -221,7 +230,7 @@ class TdmNetwork:
         senders = self._slots[slot]
         for number in senders:
             for index, packet in enumerate(self._packets(number)):
-                arrives = now + SLOT_LATENCY_S + (index + 1) * self.config.packet_s
+                arrives = now + self.config.slot_latency_s + (index + 1) * self.config.packet_s
                 collides = len(senders) > 1
                 receivers = range(1, self.config.nodes) if number == GROUND else (GROUND,)
                 for receiver in receivers:
@@ -238,7 +247,7 @@ class TdmNetwork:
         for _ in range(PACKETS_PER_SLOT):
             packet: list[bytes] = []
             size = 0
-            while node.buffer and (size + len(node.buffer[0]) <= PACKET_BYTES or not packet):
+            while node.buffer and (size + len(node.buffer[0]) <= self.config.packet_bytes or not packet):
                 raw = node.buffer.popleft()
                 packet.append(raw)
                 size += len(raw)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
@@ -73,3 +75,50 @@ def test_the_help_names_what_there_is() -> None:
     assert ", ".join(SETPOINTS) in shown
     shown = " ".join(CliRunner().invoke(app, ["param", "diff", "--help"], env={"COLUMNS": "200"}).output.split())
     assert f"{', '.join(SORTS[1:])}, or all" in shown
+
+
+TIMING = """
+kind = "radio timing"
+version = 1
+[[measurement]]
+date = "2026-11-28T10:00:00+00:00"
+banner = "RFD SiK 3.00MP"
+multipoint = true
+air_speed_kbps = 64
+slot_s = 0.2
+sync_s = 0.1
+slot_bytes = 400.0
+[[measurement]]
+date = "2026-11-29T10:00:00+00:00"
+banner = "RFD SiK 3.00MP"
+multipoint = true
+air_speed_kbps = 125
+slot_s = 0.02
+sync_s = 0.01
+slot_bytes = 400.0
+"""
+
+
+def test_measured_timeslots_take_the_place_of_assumed_ones(tmp_path: Path) -> None:
+    """Eleven slots of 0.2 s and a sync slot of 0.1 s are 2.3 s; 400 bytes a slot are 173.9 B/s."""
+    file = tmp_path / "timing.toml"
+    file.write_text(TIMING)
+    answer = json.loads(run("10", "--timing", str(file), "--json", code=FAILED))
+    assert answer["round_s"] == pytest.approx(2.3)
+    assert answer["directions"][2]["capacity"] == pytest.approx(400 / 2.3)
+    assert answer["timing"] == "measured on 2026-11-28 with RFD SiK 3.00MP"
+    # a proposal for 125 kbit/s has what was measured there, where a round is 0.23 s
+    assert any("air speed 125 kbit/s" in text for text in answer["proposals"])
+    said = run("10", "--timing", str(file), "--air-speed", "125")
+    assert "a round of 11 nodes: 230 ms (measured on 2026-11-29 with RFD SiK 3.00MP)" in said
+    assert "(assumed, as open SiK multipoint)" in run("10")
+
+
+def test_a_timing_file_that_does_not_go_with_the_options_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "timing.toml"
+    said = run("10", "--timing", str(file), code=FAILED)
+    assert "cannot be read: No such file" in " ".join(said.split())
+    file.write_text(TIMING)
+    said = " ".join(run("10", "--timing", str(file), "--air-speed", "250", code=FAILED).split())
+    assert "was measured at AIR_SPEED 64, 125, and --air-speed is 250" in said
+    assert "needs --air-speed" in run("10", "--timing", str(file), "--air-speed", "none", code=FAILED)

@@ -2,8 +2,9 @@
 
 Downlink: every vehicle sends its profile, all of it comes out of the ground radio's serial port. Uplink: everything for
 all vehicles goes through the ground radio's one slot a round. The timeslot model is that of open SiK multipoint (one
-slot of two full packets per node and a sync slot); RFD900x firmware is closed and may schedule otherwise: an order of
-magnitude. What vehicles stream by their own settings is not in it.
+slot of two full packets per node and a sync slot). Its figures are measured where there are such (`AirTiming`), else
+those of open SiK: RFD900x firmware is closed and may schedule otherwise, so these are an order of magnitude. What
+vehicles stream by their own settings is not in it.
 """
 
 from __future__ import annotations
@@ -80,23 +81,46 @@ UNSCALED = frozenset({"HEARTBEAT"})
 """Kept at its rate however little room there is: without it a vehicle counts as lost."""
 
 
+ASSUMED = "assumed, as open SiK multipoint"
+"""Origin of a timing that was not measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class AirTiming:
+    """Timeslots of a multipoint network at one air speed. ``source``: "assumed …", or "measured on …"."""
+
+    slot_s: float
+    sync_s: float
+    slot_bytes: float = SLOT_BYTES
+    source: str = ASSUMED
+
+    def round_s(self, nodes: int) -> float:
+        """Until it is a node's turn again."""
+        return nodes * self.slot_s + self.sync_s
+
+
 def slot_s(air_kbps: float) -> float:
     """How long one node's slot is."""
     return SLOT_LATENCY_S + SLOT_BITS / (air_kbps * 1000)
 
 
+def assumed_timing(air_kbps: float) -> AirTiming:
+    """The timeslots of open SiK multipoint at this air speed."""
+    return AirTiming(slot_s(air_kbps), SYNC_LATENCY_S + SYNC_BITS / (air_kbps * 1000))
+
+
 def round_s(air_kbps: float, nodes: int) -> float:
-    """Until it is a node's turn again."""
-    return nodes * slot_s(air_kbps) + SYNC_LATENCY_S + SYNC_BITS / (air_kbps * 1000)
+    """Until it is a node's turn again, as assumed."""
+    return assumed_timing(air_kbps).round_s(nodes)
 
 
-def uplink_bytes_per_s(baud: int, air_kbps: float | None, nodes: int, share: float | None = None) -> float:
+def uplink_bytes_per_s(baud: int, timing: AirTiming | None, nodes: int, share: float | None = None) -> float:
     """Return what may go up. ``share``: instead of `HALF_DUPLEX_SHARE` of the serial rate or `SLOT_SHARE` of the
     slot."""
     serial = baud / BITS_PER_BYTE
-    if air_kbps is None:
+    if timing is None:
         return serial * (share or HALF_DUPLEX_SHARE)
-    return min(serial, SLOT_BYTES / round_s(air_kbps, nodes)) * (share or SLOT_SHARE)
+    return min(serial, timing.slot_bytes / timing.round_s(nodes)) * (share or SLOT_SHARE)
 
 
 def setpoint_bytes_per_s(uplink: float, taken: float, vehicles: int, share: float = SETPOINT_SHARE) -> float:
@@ -123,6 +147,15 @@ class LinkDemand:
     setpoint: str = "none"
     setpoint_hz: float = 0.0
     fill: float = FILL
+    measured: Mapping[float, AirTiming] = field(default_factory=dict)
+    """Measured timing by air speed in kbit/s; at other air speeds it is assumed."""
+
+    @property
+    def timing(self) -> AirTiming | None:
+        """Timeslots at its air speed, measured if they were; None: there are none."""
+        if self.air_kbps is None:
+            return None
+        return self.measured.get(self.air_kbps) or assumed_timing(self.air_kbps)
 
     @property
     def nodes(self) -> int:
@@ -190,7 +223,7 @@ def plan_link(demand: LinkDemand) -> LinkPlan:
     return LinkPlan(
         demand,
         directions,
-        None if demand.air_kbps is None else round_s(demand.air_kbps, demand.nodes),
+        None if (timing := demand.timing) is None else timing.round_s(demand.nodes),
         _most_vehicles(demand),
         _most_vehicles(replace(demand, setpoint="position", setpoint_hz=FLOWN_HZ["position"], fill=SETPOINT_SHARE)),
         _scaled(demand, min(1.0, down)),
@@ -206,19 +239,19 @@ def _ways(demand: LinkDemand) -> tuple[Direction, ...]:
     heartbeat = FRAME_BYTES["HEARTBEAT"]  # one a second from the ground, for all
     all_up = up * demand.vehicles + heartbeat
 
-    def usable_up(air_kbps: float | None) -> float:
-        uplink = uplink_bytes_per_s(demand.baud, air_kbps, demand.nodes)
+    def usable_up(timing: AirTiming | None) -> float:
+        uplink = uplink_bytes_per_s(demand.baud, timing, demand.nodes)
         return heartbeat + demand.vehicles * setpoint_bytes_per_s(uplink, heartbeat, demand.vehicles, demand.fill)
 
     directions = [
         Direction("down, ground serial", down * demand.vehicles, serial, serial * demand.fill),
         Direction("up, ground serial", all_up, serial, usable_up(None)),
     ]
-    if demand.air_kbps is not None:
-        slot = SLOT_BYTES / round_s(demand.air_kbps, demand.nodes)
+    if (timing := demand.timing) is not None:
+        slot = timing.slot_bytes / timing.round_s(demand.nodes)
         directions += [
             Direction("down, a vehicle's slot", down, slot, slot * demand.fill),
-            Direction("up, the ground's slot", all_up, slot, usable_up(demand.air_kbps)),
+            Direction("up, the ground's slot", all_up, slot, usable_up(timing)),
         ]
     return tuple(directions)
 
@@ -231,9 +264,9 @@ def _tight(direction: Direction) -> str:
 
 
 def _too_slow_for_setpoints(demand: LinkDemand) -> list[str]:
-    if demand.air_kbps is None or SETPOINTS[demand.setpoint] is None:
+    if (timing := demand.timing) is None or SETPOINTS[demand.setpoint] is None:
         return []
-    duration = round_s(demand.air_kbps, demand.nodes)
+    duration = timing.round_s(demand.nodes)
     if duration > 1 / OFFBOARD_MIN_HZ:
         return [
             f"setpoints: the ground sends once a round, every {duration:.2f} s; PX4 wants {OFFBOARD_MIN_HZ:g} Hz, and "

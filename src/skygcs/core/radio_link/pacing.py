@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.radio_link.capacity import SLOT_BYTES, round_s, uplink_bytes_per_s
+from skygcs.core.radio_link.capacity import SLOT_BYTES, AirTiming, assumed_timing, uplink_bytes_per_s
 
 BUFFER_BYTES = 1850
 """Size of an SiK radio's transmit buffer (ArduPilot/SiK serial.c; 1024 on its Si1030 boards, RFD900x unknown). A
@@ -106,11 +106,23 @@ class RadioRates:
     """Part of its time in which the radio may send."""
     uplink_share: float | None = None
     """Instead of HALF_DUPLEX_SHARE of the serial rate or SLOT_SHARE of the slot."""
+    measured: AirTiming | None = None
+    """Measured timing at this air speed; None: it is assumed."""
+
+    @property
+    def timing(self) -> AirTiming | None:
+        """Timeslots of the air, measured if they were; None: nothing is known of it."""
+        return None if self.air_kbps is None else self.measured or assumed_timing(self.air_kbps)
+
+    @property
+    def slot_bytes(self) -> float:
+        """Bytes that a node sends in its slot."""
+        return SLOT_BYTES if (timing := self.timing) is None else timing.slot_bytes
 
     def base_bytes_per_s(self, vehicles: int) -> float:
         """Return what may go up with so many vehicles behind it while the radio reports nothing else."""
         nodes = self.node_count(vehicles)
-        return uplink_bytes_per_s(self.baud, self.air_kbps, nodes, self.uplink_share) * self.duty_cycle
+        return uplink_bytes_per_s(self.baud, self.timing, nodes, self.uplink_share) * self.duty_cycle
 
     def node_count(self, vehicles: int) -> int:
         """Nodes of the network, never fewer than are heard."""
@@ -118,7 +130,7 @@ class RadioRates:
 
     def round_s(self, vehicles: int) -> float | None:
         """Until the ground may send again; None without timeslots."""
-        return None if self.air_kbps is None else round_s(self.air_kbps, self.node_count(vehicles))
+        return None if (timing := self.timing) is None else timing.round_s(self.node_count(vehicles))
 
 
 class Pacer:
@@ -174,7 +186,7 @@ class Pacer:
 
     def burst_bytes(self) -> float:
         """The burst of the budget."""
-        return max(LEAST_BURST_BYTES, BURST_S * self.base, min(SLOT_BYTES, self.base))
+        return max(LEAST_BURST_BYTES, BURST_S * self.base, min(self.rates.slot_bytes, self.base))
 
     def status(self, now: float) -> dict[str, Any]:
         round_s = self.rates.round_s(self.vehicles)
@@ -183,6 +195,7 @@ class Pacer:
             "bytes_per_s": round(self.rate(now), 1),
             "paced_by": "reports" if self.fresh(now) and self._drain is not None else "rates",
             "round_s": None if round_s is None else round(round_s, 3),
+            "timing": None if (timing := self.rates.timing) is None else timing.source,
             "radio": None if self.last is None else self.last.as_dict(now),
         }
 

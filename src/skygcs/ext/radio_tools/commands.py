@@ -19,13 +19,14 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, run_offline, waiting
 from skygcs.cli.options import Json
-from skygcs.cli.parsing import parse_pairs
+from skygcs.cli.parsing import finite, parse_pairs, parse_rates, within
 from skygcs.cli.render import print_json, print_lines
 from skygcs.cli.serial_ports import lent
 from skygcs.errors import ConfigError, LinkError, RefusedError, SkygcsError
 from skygcs.ext.radio_tools.change import Ledger, Visit, change, look
+from skygcs.ext.radio_tools.measure_commands import measure
 from skygcs.ext.radio_tools.network import NetworkPlan, NetworkSettings, check_network, plan_network
-from skygcs.ext.radio_tools.port import RadioPort, emulate_radio
+from skygcs.ext.radio_tools.port import RadioPort, emulate_pair, emulate_radio
 from skygcs.ext.radio_tools.reading import LIKELY_BAUD
 from skygcs.ext.radio_tools.settings import (
     ANTENNA_MEANINGS,
@@ -106,7 +107,7 @@ def show(
 
     Example: skygcs-cli radio show /dev/ttyUSB0
     """
-    radio = RadioAtPort(port, remote, _rates(baud), force)
+    radio = RadioAtPort(port, remote, parse_rates(baud), force)
 
     def command() -> None:
         rate, state = asyncio.run(_look_lent(radio))
@@ -131,7 +132,7 @@ def backup(
 
     Example: skygcs-cli radio backup /dev/ttyUSB0 ground.toml
     """
-    radio = RadioAtPort(port, remote, _rates(baud), force)
+    radio = RadioAtPort(port, remote, parse_rates(baud), force)
 
     def command() -> None:
         if file is not None and file.exists() and not overwrite:
@@ -158,7 +159,7 @@ def diff(
 
     Example: skygcs-cli radio diff ground.toml /dev/ttyUSB1
     """
-    rates = _rates(baud)
+    rates = parse_rates(baud)
     if len(sources) < 2:
         raise typer.BadParameter("give two or more: ports, or files of `radio backup`")
     run_offline(lambda: _diff(asyncio.run(_read_all(sources, rates, force)), json_output))
@@ -252,7 +253,7 @@ def set_values(
 
     Example: skygcs-cli radio set /dev/ttyUSB0 AIR_SPEED=125 MAVLINK=1
     """
-    radio, values = RadioAtPort(port, remote, _rates(baud), force), _settings(pairs)
+    radio, values = RadioAtPort(port, remote, parse_rates(baud), force), _settings(pairs)
     run_offline(lambda: _change_one(radio, lambda _: values, json_output))
 
 
@@ -269,7 +270,7 @@ def restore(
 
     Example: skygcs-cli radio restore /dev/ttyUSB0 ground.toml
     """
-    radio = RadioAtPort(port, remote, _rates(baud), force)
+    radio = RadioAtPort(port, remote, parse_rates(baud), force)
 
     def command() -> int:
         saved = _backup_of(file)
@@ -391,7 +392,7 @@ def provision(
 
     Example: skygcs-cli radio provision fleet.toml --nodes 5 /dev/ttyUSB0
     """
-    rates = _rates(baud)
+    rates = parse_rates(baud)
     common = NetworkSettings(
         net_id=net_id,
         air_speed_kbps=air_speed_kbps,
@@ -500,26 +501,29 @@ def emulate(
     remotes: Annotated[
         str, typer.Option("--remotes", metavar="NODES", help="Node ids in its range, with commas.")
     ] = "",
+    second: Annotated[
+        Path | None, typer.Option("--pair", metavar="PATH_B", help="A second radio, to rehearse `radio measure`.")
+    ] = None,
+    air_kbps: Annotated[
+        float, typer.Option("--air-speed", metavar="KBPS", parser=finite, help="With --pair: between both.")
+    ] = 64.0,
+    loss: Annotated[
+        float, typer.Option("--loss", metavar="SHARE", parser=finite, help="With --pair: of the packets.")
+    ] = 0.0,
 ) -> None:
-    """Emulate a radio on a pty until Ctrl-C, to rehearse. It answers AT commands; it carries no data.
+    """Emulate a radio on a pty until Ctrl-C, to rehearse. It answers AT commands; only a pair carries data.
 
     Example: skygcs-cli radio emulate /tmp/radio --node 1 --remotes 2,3
     """
 
     def command() -> int:
+        if second is not None:
+            within("--air-speed", air_kbps, 2, 750)
+            within("--loss", loss, 0, 0.9)
+            return emulate_pair((link, second), air_kbps, loss)
         return emulate_radio(link, kind, node, remotes)
 
     run_offline(command)
-
-
-def _rates(text: str | None) -> tuple[int, ...]:
-    """The rates of --baud; empty if it is not given."""
-    rates = []
-    for part in text.split(",") if text else ():
-        if not part.strip().isdecimal() or not 300 <= int(part) <= 4_000_000:
-            raise typer.BadParameter(f"--baud: {part!r} is not a rate between 300 and 4000000")
-        rates.append(int(part))
-    return tuple(rates)
 
 
 def _settings(pairs: list[str]) -> dict[str, int]:
@@ -647,6 +651,9 @@ def _difference_lines(names: Sequence[str], found: Sequence[Difference]) -> Iter
     for d in found:
         cells = ("-" if value is None else str(value) for value in (d.left, d.right))
         yield f"{d.name:<18} " + " ".join(f"{cell:>{width}}" for cell in cells)
+
+
+radios.command("measure")(measure)
 
 
 def add_to(app: typer.Typer) -> None:

@@ -25,7 +25,11 @@ from skygcs.cli.serial_ports import explain, port_rate
 from skygcs.errors import LinkError, RefusedError
 from skygcs.ext.radio_tools.change import Visit
 from skygcs.ext.radio_tools.dialogue import Dialogue, Procedure
+from skygcs.ext.radio_tools.link_probe import LinkProbe
 from skygcs.sim.at_modem import AtRadio, Kind
+from skygcs.sim.radio_pair import RadioPair
+from skygcs.sim.rng import Rng
+from skygcs.sim.tdm import TdmConfig
 
 T = TypeVar("T")
 
@@ -91,6 +95,14 @@ class RadioPort:
                 self._say_farewell(visit)
                 procedure.close()
 
+    def set_flow_control(self, on: bool) -> None:
+        """RTS/CTS as the radio has it. Raises LinkError."""
+        try:
+            self._port.rtscts = on
+            _read_means_data(self._port.fileno())
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(f"{self.device}: {explain(error)}") from None
+
     def _read(self) -> bytes:
         try:
             data = os.read(self._port.fileno(), READ_BYTES)
@@ -106,6 +118,40 @@ class RadioPort:
             self._port.flush()
         except (OSError, termios.error):  # the port failed, which is reported already
             return
+
+
+async def carry(ports: tuple[RadioPort, RadioPort], probe: LinkProbe) -> None:
+    """Carry a probe's frames between both ports in real time until it is over. Raises LinkError if a port fails."""
+    loop = asyncio.get_running_loop()
+    readable = asyncio.Event()
+    terminated = _cancelled_by_sigterm(loop)
+    for port in ports:
+        loop.add_reader(port._port.fileno(), readable.set)
+    port = ports[0]
+    try:
+        while (deadline := probe.next_deadline()) is not None:
+            for end, port in enumerate(ports):
+                if frames := probe.take_output(end):
+                    port._port.write(b"".join(frames))
+            await _wait(readable, deadline - loop.time())
+            if readable.is_set():
+                readable.clear()
+                for end, port in enumerate(ports):
+                    with contextlib.suppress(BlockingIOError):
+                        probe.feed(end, port._read(), loop.time())
+            probe.advance(loop.time())
+    except serial.SerialTimeoutException:
+        raise LinkError(f"{port.device}: the radio takes no data: are RTS and CTS wired (RTSCTS is on)?") from None
+    except (OSError, termios.error, ValueError) as error:
+        raise LinkError(f"{port.device}: {explain(error)}") from None
+    except asyncio.CancelledError:
+        if terminated.is_set():
+            raise KeyboardInterrupt from None  # as for Ctrl-C: the exit code says that it was interrupted
+        raise
+    finally:
+        loop.remove_signal_handler(signal.SIGTERM)
+        for port in ports:
+            loop.remove_reader(port._port.fileno())
 
 
 def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
@@ -142,6 +188,7 @@ async def _wait(readable: asyncio.Event, timeout_s: float) -> None:
 # --- the emulated radio -----------------------------------------------------------------------------------------------
 
 TICK_S = 0.02
+PAIR_TICK_S = 0.002
 
 
 class EmulatedPort:
@@ -151,13 +198,13 @@ class EmulatedPort:
         self.path = path
         self.radio = radio
         self._stop = threading.Event()
-        self._master, slave = pty.openpty()
+        self.master, slave = pty.openpty()
         try:
             tty.setraw(slave)
-            os.set_blocking(self._master, False)
+            os.set_blocking(self.master, False)
             path.symlink_to(os.ttyname(slave))
         except OSError:
-            os.close(self._master)
+            os.close(self.master)
             os.close(slave)
             raise
         self._slave = slave
@@ -169,22 +216,77 @@ class EmulatedPort:
     def close(self) -> None:
         """Remove the port; only after `serve` has ended."""
         self.path.unlink(missing_ok=True)
-        os.close(self._master)
+        os.close(self.master)
         os.close(self._slave)
 
     def serve(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Read and answer until `stop`."""
         while not self._stop.is_set():
-            ready, _, _ = select.select([self._master], [], [], TICK_S)
-            now, baud = clock(), self._rate()
+            ready, _, _ = select.select([self.master], [], [], TICK_S)
+            now, baud = clock(), self.rate()
             if ready:
-                self.radio.hear(os.read(self._master, 4096), now, baud)
+                self.radio.hear(os.read(self.master, 4096), now, baud)
             self.radio.advance(now)
             if output := self.radio.take_output(baud):
-                os.write(self._master, output)
+                os.write(self.master, output)
 
-    def _rate(self) -> int:
-        return port_rate(self._master)
+    def rate(self) -> int:
+        """The rate that was set at it."""
+        return port_rate(self.master)
+
+
+class EmulatedPair:
+    """Two emulated radios that hear each other, each at a pty of its own. `serve` runs until `stop`."""
+
+    def __init__(self, paths: tuple[Path, Path], pair: RadioPair) -> None:
+        self._pair = pair
+        self._ports: list[EmulatedPort] = []
+        self._stop = threading.Event()
+        try:
+            for path, radio in zip(paths, pair.radios, strict=True):
+                self._ports.append(EmulatedPort(path, radio))
+        except OSError:
+            self.close()
+            raise
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def close(self) -> None:
+        """Remove the ports; only after `serve` has ended."""
+        for port in self._ports:
+            port.close()
+
+    def serve(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Carry and answer until `stop`."""
+        masters = [port.master for port in self._ports]
+        while not self._stop.is_set():
+            ready, _, _ = select.select(masters, [], [], PAIR_TICK_S)
+            now = clock()
+            for end, port in enumerate(self._ports):
+                if port.master in ready:
+                    self._pair.hear(end, os.read(port.master, READ_BYTES), now, port.rate())
+            self._pair.step(now)
+            for end, port in enumerate(self._ports):
+                if output := self._pair.take_output(end, port.rate()):
+                    with contextlib.suppress(BlockingIOError):  # nobody reads: a real radio's bytes get lost as well
+                        os.write(port.master, output)
+
+
+def emulate_pair(links: tuple[Path, Path], air_kbps: float, loss: float) -> int:
+    """Serve two radios with a way between them at ptys until Ctrl-C."""
+    from skygcs.config.dialects import load_dialect
+
+    for link in links:
+        _make_free(link)
+    config = TdmConfig(2, air_kbps, loss=loss)
+    ports = EmulatedPair(links, RadioPair(config, load_dialect("common"), Rng(1), time.monotonic()))
+    typer.echo(f"emulated radios at {links[0]} (node 1) and {links[1]} (node 2), 57600 baud; Ctrl-C ends them")
+    try:
+        ports.serve()
+    finally:
+        ports.close()
+    return Exit.DONE
 
 
 def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
@@ -193,10 +295,7 @@ def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
         radio.remotes = [_made(kind, int(text)) for text in remotes.split(",") if text.strip()]
     except ValueError:
         raise typer.BadParameter(f"--remotes: {remotes!r} are not node ids separated by commas") from None
-    if link.is_symlink() and not link.exists():  # of an earlier one that was killed
-        link.unlink()
-    elif link.exists():
-        raise RefusedError(f"{link} exists; give another name, or remove it")
+    _make_free(link)
     port = EmulatedPort(link, radio)
     typer.echo(f"an emulated {kind} radio at {link}, {radio.baud} baud; Ctrl-C ends it")
     try:
@@ -204,6 +303,13 @@ def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
     finally:
         port.close()
     return Exit.DONE
+
+
+def _make_free(link: Path) -> None:
+    if link.is_symlink() and not link.exists():  # of an earlier one that was killed
+        link.unlink()
+    elif link.exists():
+        raise RefusedError(f"{link} exists; give another name, or remove it")
 
 
 def _made(kind: str, node: int | None) -> AtRadio:

@@ -17,6 +17,7 @@ from skygcs.core.radio_link.capacity import (
     PROFILES,
     SETPOINTS,
     LinkDemand,
+    assumed_timing,
     plan_link,
     profile_bytes_per_s,
     round_s,
@@ -89,7 +90,7 @@ def test_the_vehicles_that_are_flown_by_setpoints_are_those_whose_share_carries_
     for air, most in ((64.0, 2), (125.0, 3), (250.0, 4)):
         assert plan_link(demand(4, air_kbps=air)).most_streamed == most
         for vehicles in (most, most + 1):
-            uplink = uplink_bytes_per_s(57600, air, vehicles + 1)
+            uplink = uplink_bytes_per_s(57600, assumed_timing(air), vehicles + 1)
             share = setpoint_bytes_per_s(uplink, FRAME_BYTES["HEARTBEAT"], vehicles)
             needed = FLOWN_HZ["position"] * FRAME_BYTES["SET_POSITION_TARGET_LOCAL_NED"]
             assert (share >= needed) == (vehicles == most), (air, vehicles, share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from skygcs.cli.main import app
 from skygcs.ext.radio_tools.settings import Firmware, RadioState, Register, to_toml
+from skygcs.ext.radio_tools.timing_file import joined, pair_problems, to_text
 
 DONE, FAILED, USAGE = 0, 1, 2
 FLEET = """
@@ -125,3 +127,77 @@ def test_backups_are_compared_with_the_first_and_as_one_network(tmp_path: Path) 
     answer = json.loads(run("diff", ground, before, "--json", code=FAILED))
     assert answer["problems"] == []
     assert answer["differences"][str(before)] == [{"name": "NETID", str(ground): 0, str(before): 5}]
+
+
+STATE = RadioState(
+    "RFD SiK 3.00MP on RFD900x2",
+    Firmware.RFD_MULTIPOINT,
+    {n: Register(f"S{i}", n, v) for i, (n, v) in enumerate({"NETID": 0, "AIR_SPEED": 64, "NODEID": 1}.items())},
+    unique_id="0x1",
+)
+
+
+def changed(unique_id: str = "0x2", firmware: Firmware = Firmware.RFD_MULTIPOINT, **values: int) -> RadioState:
+    held = {**STATE.values, "NODEID": 2, **values}
+    return RadioState(
+        STATE.banner,
+        firmware,
+        {n: Register(f"S{i}", n, v) for i, (n, v) in enumerate(held.items())},
+        None,
+        None,
+        unique_id,
+    )
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (changed(), None),
+        (changed("0x1"), "are one radio (id 0x1)"),
+        (
+            changed(AIR_SPEED=125),
+            "AIR_SPEED differs: a 64, b 125; make them alike: skygcs-cli radio set b AIR_SPEED=64",
+        ),
+        (changed(NETID=3), "NETID differs"),
+        (changed(NODEID=1), "both have node id 1"),
+        (changed(NODEDESTINATION=5), "b sends to node 5 only (NODEDESTINATION), and the other is node 1"),
+        (changed(NODEDESTINATION=1), None),
+        (changed(firmware=Firmware.SIK_MULTIPOINT), "firmware differs"),
+    ],
+)
+def test_radios_that_cannot_be_measured_together_are_named(other: RadioState, said: str | None) -> None:
+    problems = pair_problems(("a", "b"), (STATE, other))
+    assert (problems == []) if said is None else any(said in text for text in problems)
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        (("{}/none", "{}/other"), FAILED, "no such device"),
+        (("{}/file", "{}/none"), FAILED, "not a serial port"),
+        (("{}/file", "{}/same"), FAILED, "are one port"),
+        (("{}/none", "{}/other", "-o", "{}/file"), FAILED, "is no timing file"),
+        (("{}/none", "{}/other", "-o", "{}/binary"), FAILED, "is no timing file"),
+        (("{}/none", "{}/other", "-o", "{}"), FAILED, "is no timing file"),
+        (("{}/none", "{}/other", "-o", "{}/nowhere/t.toml"), FAILED, "cannot be written"),
+        (("{}/none", "{}/other", "--seconds", "1"), USAGE, "--seconds"),
+        (("{}/none", "{}/other", "--nodes", "1"), USAGE, "--nodes"),
+    ],
+)
+def test_a_measurement_that_cannot_begin_leaves_every_file_alone(
+    args: tuple[str, ...], code: int, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("x = 1\n")
+    (tmp_path / "same").symlink_to(tmp_path / "file")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    assert said in " ".join(run("measure", *(arg.format(tmp_path) for arg in args), code=code).split())
+    assert (tmp_path / "file").read_text() == "x = 1\n" and (tmp_path / "binary").read_bytes() == b"\xff\xfe\x00"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["binary", "file", "same"]
+
+
+def test_a_file_of_measurements_is_read_back_as_it_was_written() -> None:
+    """tomllib is the oracle. A file may have been edited by hand: what it holds beside ours stays."""
+    row = {"air_speed_kbps": 64, "remarks": ['a "b" \\ é'], "settings": {"RATE/FREQBAND": 0}, "frames": [{"loss": 0.5}]}
+    old = {"measurement": [{"air_speed_kbps": 64}, {"air_speed_kbps": 125, "note": "mine", "empty": []}]}
+    document = tomllib.loads(to_text(joined(old, row), "radio timing", 1))
+    assert document == {"kind": "radio timing", "version": 1, "measurement": [row, old["measurement"][1]]}
