@@ -24,6 +24,7 @@ p{margin:0 0 16px}
 label{display:block;margin-bottom:6px;font-weight:600}
 input{width:100%;min-height:48px;padding:0 12px;border:1px solid var(--strong);border-radius:6px;
 background:var(--ground);color:var(--text);font:inherit}
+input::placeholder{color:var(--muted);opacity:1}
 input[aria-invalid]{border-color:var(--danger)}
 button{width:100%;min-height:48px;margin:12px 0 20px;border:0;border-radius:6px;background:var(--accent);
 color:var(--on-accent);font:inherit;font-weight:600;cursor:pointer}

@@ -3,6 +3,8 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Cell } from "./cells.ts";
 import { COLUMNS, matches, rowsOf, sorted, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import type { Connection } from "./connection.ts";
+import { EmptyFleet } from "./empty_fleet.tsx";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore } from "./hooks.ts";
 import { siteRows, type SiteRow } from "./site_rows.ts";
@@ -18,7 +20,7 @@ const ROW_PX = 30;
 const TOUCH_ROW_PX = 56;
 const OVERSCAN = 6;
 
-export function FleetTable({ store }: { store: Store }) {
+export function FleetTable({ store, connection }: { store: Store; connection: Connection }) {
   const { state, nowMs } = useSlowState(store, REFRESH_MS);
   const [sorting, setSorting] = useState<Sorting>({ column: "id", down: false });
   const filter = useStore(store, (now) => now.search);
@@ -119,7 +121,8 @@ export function FleetTable({ store }: { store: Store }) {
           </tbody>
         </table>
         {state.leftOut > 0 && <p class="note">{state.leftOut} more are not listed: that would be too many. Fold a site, or filter.</p>}
-        {rows.length === 0 && <p class="note">{state.vehicles.size === 0 ? "No vehicle was heard yet." : "No vehicle matches the filter."}</p>}
+        {state.vehicles.size === 0 && <EmptyFleet store={store} connection={connection} />}
+        {rows.length === 0 && state.vehicles.size > 0 && <p class="note">No vehicle matches the filter.</p>}
       </div>
     </div>
   );
