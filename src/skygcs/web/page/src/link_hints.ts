@@ -17,7 +17,10 @@ export interface Link {
 
 export interface Channel {
   peer: string;
+  /** Of frames. */
   rx_bytes?: number;
+  /** In no frame. */
+  skipped_bytes?: number;
   good?: number;
   unknown?: number;
   sources?: Readonly<Record<string, unknown>>;
@@ -37,8 +40,8 @@ export interface Hint {
 const MAX_SOURCES = 4;
 
 export function linkHint(link: Link): Hint {
-  const sum = (key: "rx_bytes" | "good" | "unknown"): number => link.channels.reduce((total, channel) => total + (channel[key] ?? 0), 0);
-  const [bytes, frames] = [sum("rx_bytes"), sum("good")];
+  const sum = (key: "rx_bytes" | "skipped_bytes" | "good" | "unknown"): number => link.channels.reduce((total, channel) => total + (channel[key] ?? 0), 0);
+  const [bytes, frames] = [sum("rx_bytes") + sum("skipped_bytes"), sum("good")];
   return { bytes, frames, ...advice(link, bytes, frames, sum("unknown")) };
 }
 

@@ -77,10 +77,11 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
     }
   };
 
+  const empty = state.vehicles.size === 0;
   const all = names.length > 0 && names.every((name) => state.selection.has(name));
   return (
     <div class="fleettable" data-narrow={narrow}>
-      <div class="tabletools">
+      <div class="tabletools" hidden={empty}>
         <label class="check" title="Select all that are shown">
           <input type="checkbox" checked={all} aria-label="Select all that are shown"
             onChange={() => store.dispatch({ type: "select", names: all ? [] : names, how: "only" })} />
@@ -101,7 +102,7 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
         <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : bySite && names.length === 0 ? `${state.names.length} vehicles` : `${names.length} shown`}</span>
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
-        <table aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
+        <table hidden={empty} aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
           <thead>
             <tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr>
           </thead>
@@ -121,8 +122,8 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
           </tbody>
         </table>
         {state.leftOut > 0 && <p class="note">{state.leftOut} more are not listed: that would be too many. Fold a site, or filter.</p>}
-        {state.vehicles.size === 0 && <EmptyFleet store={store} connection={connection} />}
-        {rows.length === 0 && state.vehicles.size > 0 && <p class="note">No vehicle matches the filter.</p>}
+        {empty && <EmptyFleet store={store} connection={connection} />}
+        {rows.length === 0 && !empty && <p class="note">No vehicle matches the filter.</p>}
       </div>
     </div>
   );

@@ -11,10 +11,10 @@ function next(one: Link): string {
 }
 
 test("bytes without a frame are a wrong rate on a cable, and no MAVLink in a network", () => {
-  const hint = linkHint(link("serial", {}, { rx_bytes: 700, good: 0 }));
+  const hint = linkHint(link("serial", {}, { rx_bytes: 0, skipped_bytes: 700, good: 0 }));
   assert.deepEqual([hint.bytes, hint.frames, hint.bad], [700, 0, true]);
   assert.match(hint.next, /baud rate/);
-  assert.match(next(link("tcp_client", {}, { rx_bytes: 700, good: 0 })), /does not speak MAVLink/);
+  assert.match(next(link("tcp_client", {}, { rx_bytes: 0, skipped_bytes: 700, good: 0 })), /does not speak MAVLink/);
   assert.match(next(link("udp_server", { ignored_datagrams: 4 })), /does not speak MAVLink/);
 });
 
@@ -29,7 +29,7 @@ test("frames without a heartbeat name their senders, not too many of them", () =
   const hint = linkHint(link("udp_server", {}, { rx_bytes: 90, good: 5, sources }));
   assert.match(hint.next, /^Frames from 255\/190, 1\/191, 2\/191, 3\/191 and 1 more and no heartbeat/);
   assert.equal(hint.frames, 5);
-  assert.match(next(link("serial", {}, { rx_bytes: 90, good: 0, unknown: 3 })), /dialect/);
+  assert.match(next(link("serial", {}, { rx_bytes: 0, skipped_bytes: 90, good: 0, unknown: 3 })), /dialect/);
 });
 
 test("what keeps senders out is said before the silence that it causes", () => {
