@@ -20,6 +20,17 @@ COUNT_TONES = """
 ALARM = """text => skygcs.store.dispatch({type: "event", event: {
   time_unix_s: Date.now() / 1000, kind: "failsafe", vehicle: "v1", sysid: 1, text, data: {failsafe: true}}})"""
 
+GROUPS = """() => {
+  const now = Date.now() / 1000;
+  const come = (at_s, kind, vehicle, text, data) => skygcs.store.dispatch({ type: "event", event: {
+    time_unix_s: now + at_s, kind, vehicle, sysid: 1, text, data } });
+  come(0, "vehicle_lost", "u02", "no heartbeat for 3.1 s", {});
+  for (let i = 1; i < 20; i++)
+    come(i / 10, "separation", `u${i + 10}`, "ordered to hold for its distance to u02", { order: "hold", with: "u02" });
+  for (let i = 1; i < 4; i++) come(3, "mode", `v${i}`, "mode OFFBOARD, was AUTO.LOITER", { mode: "OFFBOARD" });
+}"""
+"""A loss with what follows from it, and three vehicles that take up the same mode."""
+
 
 def alarm(page: Page, text: str) -> None:
     """An event as the ground station sends it when a vehicle's failsafe acts."""
@@ -61,14 +72,19 @@ def test_an_alarm_sounds_after_a_gesture_until_it_is_acknowledged_or_muted(stati
         assert page.evaluate("tones") == 0  # browsers allow no sound before a person's gesture
         page.get_by_role("button", name="Events").click()
         page.get_by_role("button", name=re.compile("^Acknowledge all")).click()
+        alarm(page, "tones are off until a person wants them")
+        page.wait_for_timeout(500)
+        assert page.evaluate("tones") == 0
+        page.get_by_role("button", name=re.compile("^Acknowledge all")).click()
+        page.get_by_role("button", name="Tones off").click()
         alarm(page, "v1 is in failsafe")
         until(page, "tones >= 4")
-        page.get_by_role("button", name="Sound on").click()
+        page.get_by_role("button", name="Tones on").click()
         heard = page.evaluate("tones")
         alarm(page, "while it is muted")
         time.sleep(4.5)
         assert page.evaluate("tones") == heard
-        assert page.get_by_role("button", name="Sound off").is_visible()
+        assert page.get_by_role("button", name="Tones off").is_visible()
     finally:
         context.close()
 
@@ -85,6 +101,30 @@ def test_an_alarm_at_the_moment_in_which_the_list_appears_is_in_it(station, open
     page.get_by_role("navigation", name="Pages").get_by_role("button", name="Events").click()
     until(page, "globalThis.listed !== undefined")
     assert page.evaluate("listed")
+    assert not page.errors
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("width", [1600, 390])
+def test_events_of_one_cause_are_one_row(station, open_page, shot, width, theme) -> None:
+    page = open_page(station, width=width, height=844, theme=theme, touch=width < 500, path="/#events")
+    until(page, "skygcs.store.state.events.length > 0")
+    page.evaluate(GROUPS)
+    rows = page.get_by_role("list", name="Events, the newest first").locator("li")
+    lost = rows.filter(has_text="no heartbeat for 3.1 s")
+    expect(lost).to_have_attribute("data-severity", "alarm")
+    expect(rows.filter(has_text="ordered to hold")).to_have_count(0)
+    many = rows.filter(has_text="→ OFFBOARD: v1, v2 and v3")
+    expect(many.get_by_role("button", name="3 vehicles")).to_be_visible()
+    assert fits(page)
+    shot(page, f"events-groups-{width}-{theme}")
+    lost.get_by_role("button", name="19 more").click()
+    expect(rows.filter(has_text="ordered to hold")).to_have_count(19)
+    shot(page, f"events-unfolded-{width}-{theme}")
+    lost.get_by_role("button", name="Acknowledge 20").click()
+    expect(rows.and_(page.locator("[data-open=true]"))).to_have_count(0)
+    many.get_by_role("button", name="3 vehicles").click()
+    assert page.evaluate("skygcs.store.state.selection.size") == 3
     assert not page.errors
 
 

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from support.browser import until
+from support.page_steps import fits
 
 COUNT = """
 const canvas = document.querySelector('canvas'), pen = canvas.getContext('2d');
@@ -64,12 +65,12 @@ def test_start_and_goal_places_of_a_planned_path_are_drawn(station, page: Page, 
     until(page, "skygcs.view.overlays.has('planned paths')")
     page.get_by_role("button", name="Fit").click()
     # a square of 10 pixels and a circle of 12 about a dot, each of lines 2 pixels wide
-    until(page, on_canvas(f"count(...{start}, 8, 'ink-plan') > 20"))
+    until(page, on_canvas(f"count(...{start}, 8, 'vehicle-1') > 20"))
     until(page, on_canvas(f"count(...{goal}, 8, 'ink-goal') > 20"))
     until(page, on_canvas(f"count(...{goal}, 1.5, 'ink-goal') > 0"))
     shot(page, "view-start-and-goal")
     station.call("trajectory.unload", targets="v1")
-    until(page, on_canvas(f"count(...{start}, 8, 'ink-plan') === 0 && count(...{goal}, 8, 'ink-goal') === 0"))
+    until(page, on_canvas(f"count(...{start}, 8, 'vehicle-1') === 0 && count(...{goal}, 8, 'ink-goal') === 0"))
     assert page.errors == []  # type: ignore[attr-defined]
 
 
@@ -100,3 +101,39 @@ def test_vehicles_that_come_too_close_and_their_heights_are_drawn(station, page:
     until(page, "skygcs.store.state.vehicles.get('v1').separation === null")
     page.evaluate("skygcs.view.camera = {...skygcs.view.camera, x: 0, y: 20, pxPerM: 20}; skygcs.view.redraw()")
     until(page, on_canvas("count(...screen(0.75, 20), 20, 'danger') + count(...screen(0.75, 20), 20, 'warning') < 5"))
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("width", [1600, 390])
+def test_arrows_point_to_vehicles_off_the_screen(station, open_page, shot, width: int, theme: str) -> None:
+    piece = {"duration_s": 10.0, "x": [-25.0, 5.5], "y": [5.0, 4.0], "up": [60.0]}
+    for name in ("v1", "v2"):
+        shifted = {**piece, "y": [5.0 + 12.0 * (name == "v2"), 4.0]}
+        assert station.call("trajectory.load", target=name, pieces=[shifted], name="high")["outcomes"][name]["ok"]
+    page = open_page(station, width=width, height=844, theme=theme, touch=width < 500)
+    if width < 500:
+        page.get_by_role("navigation", name="Panes").get_by_role("button", name="View", exact=True).click()
+    until(page, "[...skygcs.store.state.vehicles.values()].every(v => v.position?.enu_m)")
+    until(page, "skygcs.view.overlays.has('planned paths') && skygcs.view.figures.frames > 3")
+    page.get_by_role("button", name="Fit").click()
+    until(page, "skygcs.view.sideTopM > 60")  # the strip has room for the plan, not for the vehicles alone
+    until(
+        page,
+        on_canvas("count(...screen(2.5, 25), 14, 'vehicle-1') > 4 && count(...screen(2.5, 37), 14, 'vehicle-2') > 4"),
+    )
+    assert page.evaluate("skygcs.view.arrows.length") == 0
+    shot(page, f"view-plan-{width}-{theme}")
+    page.evaluate("skygcs.view.pan(0, 0); skygcs.view.camera = {...skygcs.view.camera, x: 4000, y: 2500}")
+    until(page, "skygcs.view.arrows.length > 0")
+    arrow = "skygcs.view.arrows[0]"
+    until(page, f"{arrow}.names.length === 3")
+    until(page, on_canvas(f"count({arrow}.xPx, {arrow}.yPx, 9, 'vehicle-1') > 40"))
+    assert fits(page)
+    shot(page, f"view-arrows-{width}-{theme}")
+    box = page.locator(".viewpane canvas").first.bounding_box()
+    assert box is not None
+    x, y = page.evaluate(f"[{arrow}.xPx, {arrow}.yPx]")
+    page.mouse.click(box["x"] + x, box["y"] + y)
+    until(page, on_canvas("Math.hypot(c.x - placeOf('v1')[0], c.y - placeOf('v1')[1]) < 3"))
+    assert page.evaluate("skygcs.view.figures.faults") == 0
+    station.call("trajectory.unload", targets="v1,v2")

@@ -1,7 +1,7 @@
 """The HTTP side of `skygcs web`: sign-in, the built page, the map and the WebSocket, for known hosts and origins only.
 
     GET /?token=T     a token once: a cookie and 303 to /
-    GET /             the page; without a cookie 403 and how to get one
+    GET /             the page; without a cookie 403 and a field for an address
     GET /assets/NAME  its files
     GET /map          the image beneath the fleet view
     GET /ws           the WebSocket (`page_clients`)
@@ -31,7 +31,8 @@ from skygcs.web.map_image import MapImage
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
-from skygcs.web.sign_in import Role, SignIn
+from skygcs.web.sign_in import Role, SignIn, token_of
+from skygcs.web.sign_in_page import STYLE_SOURCE, sign_in_page
 
 MAX_SOCKETS, MAX_VIEW_SOCKETS, MAX_SOCKETS_EACH = 16, 12, 4
 """WebSockets in all, of browsers that may only look, and of one browser: onlookers keep nobody out who may order."""
@@ -61,10 +62,8 @@ TYPES = {
 
 COMPRESSED = {".css", ".html", ".js", ".json", ".svg", ".txt", ".webmanifest"}
 
-SIGN_IN = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>skygcs</title></head><body>
-<h1>skygcs</h1><p>This browser is not signed in. Open the address that <code>skygcs web</code> printed, or get
-another one on the ground station's computer with <code>skygcs web link</code>. An address works once.</p>
-<p>Opened it from another page? <a href="/">Continue</a>.</p></body></html>"""
+_IS_SIGN_IN = "skygcs.sign_in"
+"""Marks the only response with a form and with a style of its own."""
 
 _log = structlog.get_logger(__name__)
 
@@ -233,10 +232,11 @@ class HttpServer:
         scheme = "wss" if self._secure else "ws"
         websocket = f"{scheme}://{own}" if own in self._allowed.hosts else ""
         headers = response.headers
+        form, style = ("'self'", STYLE_SOURCE) if response.get(_IS_SIGN_IN) else ("'none'", "'self'")
         headers["Content-Security-Policy"] = (
-            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; font-src 'self'; "
+            f"default-src 'none'; script-src 'self'; style-src {style}; img-src 'self' blob:; font-src 'self'; "
             f"connect-src 'self' {websocket}; manifest-src 'self'; media-src 'self'; worker-src 'none'; "
-            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+            f"base-uri 'none'; form-action {form}; frame-ancestors 'none'"
         )
         headers["X-Content-Type-Options"] = "nosniff"
         headers["X-Frame-Options"] = "DENY"
@@ -264,15 +264,15 @@ class HttpServer:
         if "token" in request.query:
             return self._exchange(request)
         if self._cookie(request) is None:
-            return web.Response(status=403, text=SIGN_IN, content_type="text/html")
+            return _sign_in(refused=False)
         return self._file(request, "index.html") or _plain(503, NOT_BUILT)
 
     def _exchange(self, request: web.Request) -> web.StreamResponse:
         cookie = self._sign_in.exchange(
-            request.query["token"], self._unix_time(), lambda: is_own_user(request.transport)
+            token_of(request.query["token"]), self._unix_time(), lambda: is_own_user(request.transport)
         )
         if cookie is None:
-            return web.Response(status=403, text=SIGN_IN, content_type="text/html")
+            return _sign_in(refused=True)
         self._on_sign_in()
         response = web.Response(status=303, headers={"Location": "/"})
         response.set_cookie(
@@ -351,6 +351,12 @@ async def _sending(client: PageClient) -> None:
         _log.error("page cannot be sent to", exc_info=error)
     finally:
         client.close()
+
+
+def _sign_in(*, refused: bool) -> web.Response:
+    response = web.Response(status=403, text=sign_in_page(refused=refused), content_type="text/html")
+    response[_IS_SIGN_IN] = True
+    return response
 
 
 def _plain(status: int, text: str, **headers: str) -> web.Response:

@@ -4,6 +4,7 @@
                           that it opens in a browser: good for OPENED_LIFE_S and for the same user's programs
     exchange(token)    -> cookie of that role; a second time None
     role_of(cookie)    -> the role, until it was not used for COOKIE_LIFE_S
+    token_of(text)     the token in an address that was typed or pasted
     sign_out()         nothing that was given out is good any more: a phone was lost
 
 Only digests are kept, so that neither a lookup's time nor the saved file gives a secret away.
@@ -15,6 +16,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
+from urllib.parse import parse_qs, urlsplit
 
 Role = Literal["view", "command"]
 
@@ -117,6 +119,18 @@ class SignIn:
             match entry:
                 case ["view" | "command" as role, int() | float() as at] if isinstance(key, str) and len(key) == 64:
                     self._cookies[key] = _Granted(role, float(at))
+
+
+def token_of(text: str) -> str:
+    """The token of a whole address, as it is printed and pasted; anything else is taken for the token itself."""
+    text = text.strip()
+    if "token=" not in text:
+        return text
+    try:
+        query = urlsplit(text).query or text
+        return parse_qs(query, max_num_fields=8).get("token", [""])[0].strip()
+    except ValueError:  # brackets that are no address, too many fields
+        return ""
 
 
 def _digest(secret: str) -> str:

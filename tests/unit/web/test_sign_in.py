@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 
-from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, OPENED_LIFE_S, TOKEN_LIFE_S, SignIn
+import pytest
+
+from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, OPENED_LIFE_S, TOKEN_LIFE_S, SignIn, token_of
 
 
 def sign_in() -> SignIn:
@@ -83,3 +85,23 @@ def test_what_is_saved_holds_no_secret_and_is_taken_over() -> None:
     other.restore(saved | {"short": ["command", 1], "x" * 64: ["admin", 1], "y" * 64: 3, "z" * 64: ["view"]})
     assert other.role_of(cookie, 6.0) == "command"
     assert len(other.saved()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "token"),
+    [
+        ("http://192.168.1.7:8080/?token=abc-_1", "abc-_1"),
+        ("  https://[::1]:8080/?token=abc-_1\n", "abc-_1"),
+        ("http://gcs.local:8080/?x=1&token=abc#events", "abc"),
+        ("gcs.local:8080/?token=abc", "abc"),
+        ("?token=abc", "abc"),
+        ("token=abc", "abc"),
+        (" abc-_1 ", "abc-_1"),
+        ("", ""),
+        ("http://[bad/?token=abc", ""),
+        ("http://host/?" + "a=1&" * 100 + "token=abc", ""),
+        ("http://host/?token=", ""),
+    ],
+)
+def test_the_token_of_what_a_person_pastes(text: str, token: str) -> None:
+    assert token_of(text) == token

@@ -115,7 +115,7 @@ function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; side
   return (
     <div class="fleet" hidden={hidden} data-pane={pane === VIEW || pane === TABLE ? pane : "side"}>
       <section class="viewpane" aria-label="Fleet view"><FleetCanvas {...props} /></section>
-      <section class="tablepane" aria-label="Fleet table"><FleetTable store={store} /></section>
+      <section class="tablepane" aria-label="Fleet table"><FleetTable store={store} connection={props.connection} /></section>
       <aside class="sidepane" aria-label="Orders and panels">
         <div class="tabs" role="tablist" aria-label="Panels">
           <SideTab id={ORDERS} title="Orders" now={panel === undefined} open={openSide} />

@@ -66,7 +66,7 @@ function ViewButtons({ store, connection, view }: PanelProps) {
       <div class="group">
         <button type="button" aria-label="Zoom in" title="Zoom in (+)" onClick={() => view.zoom(1.5)}>+</button>
         <button type="button" aria-label="Zoom out" title="Zoom out (−)" onClick={() => view.zoom(1 / 1.5)}>−</button>
-        <button type="button" title="Show all vehicles (F)" onClick={() => view.fit("all")}>Fit</button>
+        <button type="button" title="Show all vehicles, targets and plans (F)" onClick={() => view.fit("all")}>Fit</button>
         <button type="button" title="Keep the selected vehicles in the middle (C)" aria-pressed={view.follow} onClick={() => view.setFollow(!view.follow)}>Follow</button>
       </div>
       <div class="group layers">

@@ -59,15 +59,15 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
   };
 }
 
-/** What is flown is a line, what is only loaded is dashed; with where each begins and ends. */
+/** What is flown is a line, what is only loaded is dashed, in the vehicle's colour; with where each begins and ends. */
 export function plannedShapes(paths: readonly PlannedPath[]): Shape[] {
-  return paths.flatMap(({ flown, points_enu_m: points }): Shape[] => {
+  return paths.flatMap(({ vehicle, flown, points_enu_m: points }): Shape[] => {
     const first = points[0];
     const last = points.at(-1);
     if (first === undefined || last === undefined) return [];
     return [
-      { kind: "path", points, ink: "plan", dashed: !flown },
-      { kind: "mark", at: first, symbol: "start", ink: "plan" },
+      { kind: "path", points, ink: "plan", dashed: !flown, vehicle },
+      { kind: "mark", at: first, symbol: "start", ink: "plan", vehicle },
       { kind: "mark", at: last, symbol: "goal", ink: "goal" },
     ];
   });

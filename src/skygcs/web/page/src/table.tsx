@@ -3,6 +3,8 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Cell } from "./cells.ts";
 import { COLUMNS, matches, rowsOf, sorted, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import type { Connection } from "./connection.ts";
+import { EmptyFleet } from "./empty_fleet.tsx";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore } from "./hooks.ts";
 import { siteRows, type SiteRow } from "./site_rows.ts";
@@ -18,7 +20,7 @@ const ROW_PX = 30;
 const TOUCH_ROW_PX = 56;
 const OVERSCAN = 6;
 
-export function FleetTable({ store }: { store: Store }) {
+export function FleetTable({ store, connection }: { store: Store; connection: Connection }) {
   const { state, nowMs } = useSlowState(store, REFRESH_MS);
   const [sorting, setSorting] = useState<Sorting>({ column: "id", down: false });
   const filter = useStore(store, (now) => now.search);
@@ -75,10 +77,11 @@ export function FleetTable({ store }: { store: Store }) {
     }
   };
 
+  const empty = state.vehicles.size === 0;
   const all = names.length > 0 && names.every((name) => state.selection.has(name));
   return (
     <div class="fleettable" data-narrow={narrow}>
-      <div class="tabletools">
+      <div class="tabletools" hidden={empty}>
         <label class="check" title="Select all that are shown">
           <input type="checkbox" checked={all} aria-label="Select all that are shown"
             onChange={() => store.dispatch({ type: "select", names: all ? [] : names, how: "only" })} />
@@ -99,7 +102,7 @@ export function FleetTable({ store }: { store: Store }) {
         <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : bySite && names.length === 0 ? `${state.names.length} vehicles` : `${names.length} shown`}</span>
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
-        <table aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
+        <table hidden={empty} aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
           <thead>
             <tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr>
           </thead>
@@ -119,7 +122,8 @@ export function FleetTable({ store }: { store: Store }) {
           </tbody>
         </table>
         {state.leftOut > 0 && <p class="note">{state.leftOut} more are not listed: that would be too many. Fold a site, or filter.</p>}
-        {rows.length === 0 && <p class="note">{state.vehicles.size === 0 ? "No vehicle was heard yet." : "No vehicle matches the filter."}</p>}
+        {empty && <EmptyFleet store={store} connection={connection} />}
+        {rows.length === 0 && !empty && <p class="note">No vehicle matches the filter.</p>}
       </div>
     </div>
   );

@@ -13,6 +13,7 @@ function failsafe(time_unix_s: number, vehicle = "alpha"): FleetEvent {
 function logged(): { log: AlarmLog; feed: (action: Action) => void; clock: { ms: number } } {
   const clock = { ms: 0 };
   const log = new AlarmLog(() => clock.ms);
+  log.muted = false;
   let state: State = EMPTY;
   const feed = (action: Action): void => {
     state = reduce(state, action);
@@ -32,6 +33,19 @@ test("an alarm sounds until it is acknowledged, and not for ever", () => {
   assert.equal(log.sounding, true);
   log.acknowledgeAll();
   assert.deepEqual([log.open, log.sounding], [0, false]);
+});
+
+test("tones and speech are off until a person wants them; then each alarm is said once", () => {
+  const fresh = new AlarmLog(() => 0);
+  assert.deepEqual([fresh.muted, fresh.speech], [true, false]);
+  const { log, feed } = logged();
+  feed({ type: "event", event: failsafe(NOW) });
+  assert.equal(log.takeSpoken(), "");
+  log.speech = true;
+  feed({ type: "event", event: failsafe(NOW, "bravo") });
+  feed({ type: "event", event: { ...failsafe(NOW), kind: "armed" } });
+  assert.equal(log.takeSpoken(), "bravo: low battery");
+  assert.equal(log.takeSpoken(), "");
 });
 
 test("muted it does not sound, and is open all the same", () => {

@@ -22,5 +22,6 @@ test("a path that is flown is a line, one that is loaded is dashed, and one with
     { vehicle: "v3", name: "c", flown: false, points_enu_m: [] },
   ]);
   assert.deepEqual(shapes.filter((shape) => shape.kind === "path").map(({ dashed }) => dashed), [false, true]);
+  assert.deepEqual(shapes.map((shape) => (shape.kind === "path" ? shape.vehicle : "")).filter(Boolean), ["v1", "v2"]);
   assert.equal(shapes.filter((shape) => shape.kind === "mark").length, 4);
 });

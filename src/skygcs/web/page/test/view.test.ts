@@ -176,9 +176,15 @@ test("a conflict is one for its two vehicles, and may have lost its numbers", ()
 
 test("the side view does not breathe with each climb", () => {
   const at = (z: number) => scene([vehicle("a", 1, { position: position(0, 0, z) })]).scene.bodies;
-  const top = topOf(at(20), 0);
-  assert.equal(topOf(at(19), top), top);
-  assert.equal(topOf(at(15), top), top);
-  assert.ok(topOf(at(40), top) > top);
-  assert.ok(topOf(at(1), 100) < 100);
+  const top = topOf(at(20), [], 0);
+  assert.equal(topOf(at(19), [], top), top);
+  assert.equal(topOf(at(15), [], top), top);
+  assert.ok(topOf(at(40), [], top) > top);
+  assert.ok(topOf(at(1), [], 100) < 100);
+});
+
+test("the side view has room for what is planned and for where vehicles are sent", () => {
+  const plan = { shapes: [{ kind: "path" as const, points: [[0, 0, 5], [0, 0, 60]] as const, ink: "plan" as const }, { kind: "mark" as const, at: [0, 0, 80] as const, symbol: "goal" as const, ink: "goal" as const }] };
+  assert.ok(topOf([], [plan], 0) > 80);
+  assert.ok(topOf([{ z: 3, goal: [0, 0, 50] }], [], 0) > 50);
 });

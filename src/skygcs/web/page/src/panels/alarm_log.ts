@@ -4,6 +4,7 @@ import type { Action, State, Store } from "../store.ts";
 import { MAX_EVENTS } from "../store.ts";
 import { recall, remember } from "../theme.ts";
 import type { FleetEvent } from "../types.ts";
+import { spokenText } from "./event_groups.ts";
 import { keyOf, severityOf, type JudgedEvent } from "./event_severity.ts";
 
 /** What happened longer before the page was opened is history: shown, and not open. */
@@ -11,12 +12,19 @@ export const FRESH_S = 300;
 /** How long an alarm sounds that nobody acknowledges. */
 export const SOUNDS_S = 60;
 export const SOUND_EVERY_MS = 4_000;
+/** Alarms that come within it are said as one. */
+const SPOKEN_AFTER_MS = 700;
 const MUTED = "skygcs.muted";
+const SPEECH = "skygcs.speech";
 
 export class AlarmLog {
   events: readonly JudgedEvent[] = [];
   acknowledged: ReadonlySet<string> = new Set();
-  muted = recallMuted();
+  /** Both are off until a person wants them: a page on a projector or in a meeting must not begin to sound. */
+  muted = recalled(MUTED) !== "no";
+  speech = recalled(SPEECH) === "yes";
+  /** Alarms that are to be said. */
+  private unsaid: JudgedEvent[] = [];
   private first = true;
   private soundsUntilMs = -Infinity;
   private readonly listeners = new Set<() => void>();
@@ -44,7 +52,10 @@ export class AlarmLog {
       if (event === undefined) return;
       const judged = { ...event, severity: severityOf(event, armedOf(state, event)) };
       this.events = [...this.events, judged].slice(-MAX_EVENTS);
-      if (judged.severity === "alarm") this.soundsUntilMs = this.nowMs() + SOUNDS_S * 1000;
+      if (judged.severity === "alarm") {
+        this.soundsUntilMs = this.nowMs() + SOUNDS_S * 1000;
+        if (this.speech) this.unsaid.push(judged);
+      }
       this.changed();
     } else if (action.type === "recentEvents") {
       this.anew(state, unix_s);
@@ -63,6 +74,19 @@ export class AlarmLog {
     this.muted = muted;
     remember(MUTED, muted ? "yes" : "no");
     this.changed();
+  }
+
+  setSpeech(speech: boolean): void {
+    this.speech = speech;
+    remember(SPEECH, speech ? "yes" : "no");
+    this.changed();
+  }
+
+  /** What is to be said now, once; "" for nothing. */
+  takeSpoken(): string {
+    const text = spokenText(this.unsaid);
+    this.unsaid = [];
+    return text;
   }
 
   /** The list after a new connection. What was judged before keeps its severity, which was that of its time. */
@@ -93,25 +117,33 @@ function armedOf(state: State, event: FleetEvent): boolean | null {
   return event.vehicle === null ? null : (state.vehicles.get(event.vehicle)?.armed ?? null);
 }
 
-function recallMuted(): boolean {
-  return typeof window !== "undefined" && recall(MUTED) === "yes";
+function recalled(key: string): string | null {
+  return typeof window === "undefined" ? null : recall(key);
 }
 
 /** One for the page. */
 export const alarmLog = new AlarmLog();
 
-/** Judges events from now on and sounds alarms; returns what ends it. */
-export function beginAlarms(store: Store, sound: () => void): () => void {
+/** Judges events from now on, sounds alarms and says them; returns what ends it. */
+export function beginAlarms(store: Store, sound: () => void, say: (text: string) => void): () => void {
+  let saying: ReturnType<typeof setTimeout> | undefined;
   const undo = store.onAction((action, state) => {
     const before = alarmLog.sounding;
     alarmLog.take(action, state, Date.now() / 1000);
     if (alarmLog.sounding && !before) sound();
+    if (action.type === "event" && alarmLog.speech && saying === undefined) {
+      saying = setTimeout(() => {
+        saying = undefined;
+        say(alarmLog.takeSpoken());
+      }, SPOKEN_AFTER_MS);
+    }
   });
   const timer = setInterval(() => {
     if (alarmLog.sounding) sound();
   }, SOUND_EVERY_MS);
   return () => {
     undo();
+    clearTimeout(saying);
     clearInterval(timer);
   };
 }

@@ -1,14 +1,16 @@
 // All events in one list: severity, filter, acknowledgement, and the sound for what needs a person.
 
+import { Fragment } from "preact";
 import { useReducer, useState } from "preact/hooks";
 import { timeText } from "../format.ts";
 import { refusalText } from "../orders.ts";
 import type { Alarm } from "../types.ts";
 import { useChanges, useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
-import { keyOf, SEVERITIES, shownEvents, type JudgedEvent, type Severity } from "./event_severity.ts";
+import { grouped, groupText, manyText, type EventGroup } from "./event_groups.ts";
+import { keyOf, SEVERITIES, shownEvents, type Severity } from "./event_severity.ts";
 import type { PanelProps } from "./registry.ts";
-import { canSound, playAlarm } from "./sound.ts";
+import { canSound, ownVoice, playAlarm, speak } from "./sound.ts";
 
 const NAMES: Readonly<Record<Severity, string>> = { alarm: "Alarms", warning: "Warnings", info: "Reports" };
 const SHOWN = 300;
@@ -20,8 +22,11 @@ export default function EventsPanel({ store, connection }: PanelProps) {
   const [words, setWords] = useState("");
   const [open, setOpen] = useState(false);
   const [selected, setSelected] = useState(false);
+  const [unfolded, setUnfolded] = useState<ReadonlySet<string>>(new Set());
   const vehicles = selected && selection.size > 0 ? selection : null;
   const rows = shownEvents(alarmLog.events, { severities, vehicles, words, open }, alarmLog.acknowledged);
+  const groups = grouped(rows);
+  const select = (names: readonly string[]): void => store.dispatch({ type: "select", names, how: "only" });
   const counts = new Map(SEVERITIES.map((one) => [one, alarmLog.events.filter((event) => event.severity === one).length]));
   return (
     <div class="panel eventspanel">
@@ -53,12 +58,19 @@ export default function EventsPanel({ store, connection }: PanelProps) {
         </button>
       </div>
       <ul class="events" aria-label="Events, the newest first">
-        {rows.slice(0, SHOWN).map((event) => (
-          <EventRow key={event.id} event={event} acknowledged={alarmLog.acknowledged.has(keyOf(event))} select={(name) => store.dispatch({ type: "select", names: [name], how: "only" })} />
-        ))}
+        {groups.slice(0, SHOWN).map((group) => {
+          const key = keyOf(group.head);
+          const open = unfolded.has(key);
+          return (
+            <Fragment key={key}>
+              <EventRow group={group} open={open} select={select} toggle={() => setUnfolded(toggled(unfolded, key))} />
+              {open && group.more.map((event) => <EventRow key={event.id} group={{ head: event, more: [], names: [] }} inner select={select} />)}
+            </Fragment>
+          );
+        })}
       </ul>
       {rows.length === 0 && <p class="note">{alarmLog.events.length === 0 ? "Nothing has happened yet." : "No event passes the filter."}</p>}
-      {rows.length > SHOWN && <p class="note">{rows.length - SHOWN} older ones; search for them.</p>}
+      {groups.length > SHOWN && <p class="note">{groups.length - SHOWN} older ones; search for them.</p>}
     </div>
   );
 }
@@ -95,25 +107,42 @@ function alarmNotes({ active, consequences, acknowledged_by }: Alarm): string {
   return notes.filter(Boolean).map((note) => `; ${note}`).join("");
 }
 
-function EventRow({ event, acknowledged, select }: { event: JudgedEvent; acknowledged: boolean; select: (name: string) => void }) {
-  const { vehicle } = event;
-  const open = event.severity === "alarm" && !acknowledged;
+interface RowProps {
+  group: EventGroup;
+  select: (names: readonly string[]) => void;
+  /** Whether the others of the group are shown. */
+  open?: boolean;
+  toggle?: () => void;
+  /** One of a group that is unfolded. */
+  inner?: boolean;
+}
+
+function EventRow({ group, select, open = false, toggle, inner = false }: RowProps) {
+  const { head, more, names } = group;
+  const unseen = [head, ...more].filter((event) => event.severity === "alarm" && !alarmLog.acknowledged.has(keyOf(event)));
+  const severity = SEVERITIES.find((one) => [head, ...more].some((event) => event.severity === one)) ?? "info";
+  const targets = names.length > 0 ? names : head.vehicle === null ? [] : [head.vehicle];
   return (
-    <li data-severity={event.severity} data-open={open}>
-      <time class="muted">{timeText(event.time_unix_s)}</time>
-      <span class="severity">{event.severity}</span>
-      {vehicle === null ? (
+    <li data-severity={severity} data-open={unseen.length > 0} data-inner={inner}>
+      <time class="muted">{timeText(head.time_unix_s)}</time>
+      <span class="severity">{severity}</span>
+      {targets.length === 0 ? (
         <span class="who muted">–</span>
       ) : (
-        <button type="button" class="link who" onClick={() => select(vehicle)}>
-          {vehicle}
+        <button type="button" class="link who" onClick={() => select(targets)}>
+          {names.length > 0 ? manyText(group) : head.vehicle}
         </button>
       )}
-      <span class="kind muted">{event.kind.replaceAll("_", " ")}</span>
-      <span class="what">{event.text}</span>
-      {open && (
-        <button type="button" onClick={() => alarmLog.acknowledge([event])}>
-          Acknowledge
+      <span class="kind muted">{head.kind.replaceAll("_", " ")}</span>
+      <span class="what">
+        {groupText(group)}
+        {more.length > 0 && toggle !== undefined && (
+          <button type="button" class="link more" aria-expanded={open} onClick={toggle}>{open ? "fold" : names.length > 0 ? "each of them" : `${more.length} more`}</button>
+        )}
+      </span>
+      {unseen.length > 0 && (
+        <button type="button" onClick={() => alarmLog.acknowledge(unseen)}>
+          {unseen.length > 1 ? `Acknowledge ${unseen.length}` : "Acknowledge"}
         </button>
       )}
     </li>
@@ -124,18 +153,19 @@ function Sound() {
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   return (
     <>
-      <button
-        type="button"
-        aria-pressed={!alarmLog.muted}
-        title={canSound() ? "Alarms sound until they are acknowledged" : "The browser allows sound after the first click or key on the page"}
-        onClick={() => alarmLog.setMuted(!alarmLog.muted)}
-      >
-        {alarmLog.muted ? "Sound off" : "Sound on"}
+      <button type="button" aria-pressed={!alarmLog.muted} onClick={() => alarmLog.setMuted(!alarmLog.muted)}
+        title={canSound() ? "Alarms sound until they are acknowledged" : "The browser allows sound after the first click or key on the page"}>
+        {alarmLog.muted ? "Tones off" : "Tones on"}
+      </button>
+      <button type="button" aria-pressed={alarmLog.speech} onClick={() => alarmLog.setSpeech(!alarmLog.speech)}
+        title={ownVoice() === null ? "This computer has no voice of its own" : "Each alarm is said once, by this computer's own voice"}>
+        {alarmLog.speech ? "Speech on" : "Speech off"}
       </button>
       <button
         type="button"
         onClick={() => {
           playAlarm();
+          if (alarmLog.speech) speak("So are alarms said");
           redraw(0);
         }}
       >
@@ -145,7 +175,7 @@ function Sound() {
   );
 }
 
-function toggled(set: ReadonlySet<Severity>, one: Severity): ReadonlySet<Severity> {
+function toggled<T>(set: ReadonlySet<T>, one: T): ReadonlySet<T> {
   const next = new Set(set);
   if (!next.delete(one)) next.add(one);
   return next;

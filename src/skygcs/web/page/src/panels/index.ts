@@ -4,7 +4,7 @@ import type { Store } from "../store.ts";
 import { alarmLog, beginAlarms } from "./alarm_log.ts";
 import { beginHistories } from "./histories.ts";
 import type { Panel } from "./registry.ts";
-import { beginSound, playAlarm } from "./sound.ts";
+import { beginSound, playAlarm, speak } from "./sound.ts";
 
 export const PANELS: readonly Panel[] = [
   { id: "replay", title: "Replay", place: "dock", when: (state) => state.hello?.replay === true, load: () => import("./replay_panel.tsx") },
@@ -19,6 +19,6 @@ export const PANELS: readonly Panel[] = [
 /** What goes on whether a panel is shown or not: histories and alarms. Returns what ends it. */
 export function beginPanels(store: Store): () => void {
   beginSound();
-  const undo = [beginHistories(store), beginAlarms(store, playAlarm)];
+  const undo = [beginHistories(store), beginAlarms(store, playAlarm, speak)];
   return () => undo.forEach((each) => each());
 }

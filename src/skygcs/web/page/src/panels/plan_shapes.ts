@@ -64,9 +64,9 @@ export function planShapes(checked: CheckedPlan, timeline: PlanTimeline | null):
   for (const at of Object.values(space?.standing ?? {})) shapes.push({ kind: "mark", at, symbol: "cross", ink: "muted" });
   if (timeline !== null) {
     const each = Math.max(2, Math.floor(MOST_POINTS / Math.max(1, timeline.paths.size)));
-    for (const path of timeline.paths.values()) {
-      shapes.push({ kind: "path", points: path.points(Math.min(each, 400)), ink: "plan" });
-      shapes.push({ kind: "mark", at: path.at(0), symbol: "start", ink: "plan" });
+    for (const [vehicle, path] of timeline.paths) {
+      shapes.push({ kind: "path", points: path.points(Math.min(each, 400)), ink: "plan", vehicle });
+      shapes.push({ kind: "mark", at: path.at(0), symbol: "start", ink: "plan", vehicle });
     }
   }
   const named = Object.keys(checked.goals).length <= NAMED;
@@ -86,7 +86,7 @@ export function planShapes(checked: CheckedPlan, timeline: PlanTimeline | null):
 /** The vehicles at one time of the plan. */
 export function ghostShapes(timeline: PlanTimeline, t_s: number): Shape[] {
   const named = timeline.paths.size <= NAMED;
-  return [...timeline.at(t_s)].map(([name, at]): Shape => ({ kind: "mark", at, symbol: "ghost", ink: "plan", ...(named ? { text: name } : {}) }));
+  return [...timeline.at(t_s)].map(([name, at]): Shape => ({ kind: "mark", at, symbol: "ghost", ink: "plan", vehicle: name, ...(named ? { text: name } : {}) }));
 }
 
 /** The terms of the margin as rows: name, of the one, of the other; the last is the sum. */

@@ -4,6 +4,7 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useReducer, useRef } from "preact/hooks";
 import { fixed, percentText } from "../format.ts";
+import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
 import { HistoryRing } from "./history_ring.ts";
 import { Failure, Scroll, usePolled } from "./parts.tsx";
@@ -44,15 +45,6 @@ interface Radio {
   };
   poor: readonly string[];
   history: readonly RadioReport[];
-}
-
-interface Link {
-  name: string;
-  type: string;
-  role: string;
-  state: string;
-  last_error: string | null;
-  channels: readonly ({ peer: string; counters?: Readonly<Record<string, number>> } & Readonly<Record<string, unknown>>)[];
 }
 
 /** Ten minutes at one report a second. */

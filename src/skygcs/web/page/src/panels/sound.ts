@@ -1,4 +1,5 @@
-// The alarm's sound: two tones by WebAudio, no file. Browsers allow it after a person's first gesture only.
+// The alarm's sounds: two tones by WebAudio, no file, and speech by the computer's own voices. Browsers allow them after a
+// person's first gesture only.
 
 let context: AudioContext | null = null;
 
@@ -50,4 +51,22 @@ function make(): AudioContext | null {
   } catch {
     return null; // a computer without sound
   }
+}
+
+/** The voice that says alarms; null: the computer has none. A browser's other voices send the text to a server, and the page
+ * works without internet. */
+export function ownVoice(): SpeechSynthesisVoice | null {
+  if (!("speechSynthesis" in window)) return null;
+  const voices = speechSynthesis.getVoices().filter((voice) => voice.localService);
+  return voices.find((voice) => voice.lang.startsWith("en")) ?? voices[0] ?? null;
+}
+
+export function speak(text: string): void {
+  const voice = ownVoice();
+  if (voice === null || text === "") return;
+  const said = new SpeechSynthesisUtterance(text);
+  said.voice = voice;
+  said.lang = voice.lang;
+  speechSynthesis.cancel(); // the newest alarm counts, not one of a minute ago
+  speechSynthesis.speak(said);
 }

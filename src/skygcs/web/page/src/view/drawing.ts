@@ -3,6 +3,7 @@
 import type { Camera } from "./camera.ts";
 import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera.ts";
 import { ringAt, spacingPx, type Ring } from "./crowding.ts";
+import { arrowText, type Arrow } from "./edge_arrows.ts";
 import type { Frame } from "./frame.ts";
 import type { Box } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
@@ -225,19 +226,26 @@ function tracePoints(camera: Camera, trail: Trail, paths: { old: Path2D; recent:
   });
 }
 
-export function drawOverlays(pen: Pen, camera: Camera, palette: Palette, overlays: Iterable<Overlay>): void {
+/** The colours of vehicles by their names. */
+export type Colours = ReadonlyMap<string, string>;
+
+export function colourOfShape(shape: Shape, palette: Palette, colours: Colours): string {
+  const own = shape.kind === "circle" || shape.vehicle === undefined ? undefined : colours.get(shape.vehicle);
+  return own ?? palette.inks[shape.ink];
+}
+
+export function drawOverlays(pen: Pen, camera: Camera, palette: Palette, overlays: Iterable<Overlay>, colours: Colours): void {
   let left = MAX_POINTS;
   for (const overlay of overlays) {
     for (const shape of overlay.shapes) {
       left -= shape.kind === "path" ? shape.points.length : 1;
       if (left < 0) return;
-      drawShape(pen, camera, palette, shape);
+      drawShape(pen, camera, palette, shape, colourOfShape(shape, palette, colours));
     }
   }
 }
 
-function drawShape(pen: Pen, camera: Camera, palette: Palette, shape: Shape): void {
-  const colour = palette.inks[shape.ink];
+function drawShape(pen: Pen, camera: Camera, palette: Palette, shape: Shape, colour: string): void {
   if (shape.kind === "mark") {
     drawMark(pen, toScreenX(camera, shape.at[0]), toScreenY(camera, shape.at[1]), colour, palette, shape);
     return;
@@ -440,6 +448,27 @@ export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meeting
     pen.textBaseline = "bottom";
     const text = `${separation.closest_m.toFixed(1)} m in ${separation.closest_in_s.toFixed(0)} s`;
     haloText(pen, text, mx, my - radius - 4, colour, palette.ground);
+  }
+}
+
+/** Where vehicles are that are off the screen. */
+export function drawArrows(pen: Pen, camera: Camera, palette: Palette, arrows: readonly Arrow[], colourOf: (name: string) => string): void {
+  pen.font = `600 11px ${palette.font}`;
+  pen.textBaseline = "middle";
+  for (const arrow of arrows) {
+    const { xPx, yPx, angleRad } = arrow;
+    const colour = colourOf(arrow.names[0] ?? "");
+    pen.beginPath();
+    dart(pen, xPx, yPx, -angleRad, GLYPH_PX);
+    pen.strokeStyle = palette.ground;
+    pen.lineWidth = 3;
+    pen.stroke();
+    pen.fillStyle = colour;
+    pen.fill();
+    // towards the middle, where there is room
+    const right = xPx > camera.widthPx / 2;
+    pen.textAlign = right ? "right" : "left";
+    haloText(pen, arrowText(arrow), xPx + (right ? -15 : 15), yPx, palette.text, palette.ground);
   }
 }
 

@@ -5,6 +5,7 @@ import type { State, Store } from "../store.ts";
 import type { MapPin } from "../types.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
 import * as draw from "./drawing.ts";
+import { arrowAt, edgeArrows, type Arrow } from "./edge_arrows.ts";
 import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePlacement } from "./frame.ts";
 import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, type Box, type LabelTone, type Placement } from "./labels.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
@@ -64,6 +65,7 @@ export class FleetView {
   /** Of the whole canvas. */
   private heightPx = 0;
   private scene: Scene = { bodies: [], moving: false };
+  private arrows: readonly Arrow[] = [];
   private requested = false;
   /** Vehicles that the view was fitted to; it is fitted anew with each further one until a person moves it. */
   private fittedTo = 0;
@@ -123,7 +125,7 @@ export class FleetView {
     this.changed();
   }
 
-  /** Everything into view: the selected vehicles, or all vehicles and overlays. */
+  /** Everything into view: the selected vehicles, or all vehicles, where they are sent, and overlays. */
   fit(what: "all" | "selected" = "all"): void {
     const bounds = this.boundsOf(what);
     const topPx = Math.max(0, ...this.buttons().map((box) => box.bottom + BELOW_BUTTONS_PX));
@@ -167,6 +169,20 @@ export class FleetView {
       if (distance < least) [nearest, least] = [body.name, distance];
     }
     return nearest;
+  }
+
+  /** Vehicles off the screen that an arrow under a point of the canvas stands for. */
+  beyondArrowAt(xPx: number, yPx: number): readonly string[] {
+    return arrowAt(this.arrows, xPx, yPx)?.names ?? [];
+  }
+
+  /** Moves the view to a vehicle, at its scale. */
+  centreOn(name: string): void {
+    const body = this.scene.bodies.find((one) => one.name === name);
+    if (body === undefined) return;
+    this.camera = { ...this.camera, x: body.x, y: body.y };
+    this.moved = true;
+    this.setFollow(false);
   }
 
   /** Vehicles within a rectangle of the canvas. */
@@ -261,7 +277,10 @@ export class FleetView {
   private boundsOf(what: "all" | "selected"): Bounds | null {
     let bounds: Bounds | null = null;
     const bodies = this.scene.bodies.filter((body) => what === "all" || body.selected);
-    for (const body of bodies) bounds = extended(bounds, body.x, body.y);
+    for (const { x, y, goal } of bodies) {
+      bounds = extended(bounds, x, y);
+      if (goal !== null && what === "all") bounds = extended(bounds, goal[0], goal[1]);
+    }
     if (what === "all") {
       for (const overlay of this.overlays.values()) {
         if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
@@ -304,6 +323,7 @@ export class FleetView {
     const { camera } = this;
     const colourOf = (body: Body): string => (body.heard || body.lostInAir ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
     const { bodies } = this.scene;
+    const colours = new Map(bodies.map(({ name, colour }) => [name, palette.vehicles[colour] ?? palette.accent]));
     const shown = this.visible(camera);
     const afar = shown.length > MANY_SHOWN;
     this.store.near = afar ? [] : shown.map(({ name }) => name);
@@ -313,7 +333,7 @@ export class FleetView {
     if (this.options.map) this.drawMap(pen, camera);
     draw.drawGrid(pen, camera, palette);
     draw.drawOrigin(pen, camera, palette);
-    draw.drawOverlays(pen, camera, palette, this.overlays.values());
+    draw.drawOverlays(pen, camera, palette, this.overlays.values(), colours);
     if (!afar) draw.drawHomes(pen, camera, palette, this.homes(state), this.sprites);
     if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
     if (this.options.trails) draw.drawTrailEnds(pen, camera, this.store.trails, shown, colourOf);
@@ -322,11 +342,22 @@ export class FleetView {
     if (afar) draw.drawDots(pen, camera, palette, shown, colourOf);
     else draw.drawBodies(pen, camera, palette, shown, colourOf, this.sprites);
     if (this.options.labels) this.drawLabels(pen, camera, palette, afar ? shown.filter(isUrgent).slice(0, MOST_URGENT) : shown, nowMs);
+    this.drawArrows(pen, camera, palette, colours);
     draw.drawScale(pen, camera, palette, this.frame);
     if (this.options.side) {
-      this.sideTopM = topOf(bodies, this.sideTopM);
-      drawSide(pen, camera, camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values());
+      this.sideTopM = topOf(bodies, this.overlays.values(), this.sideTopM);
+      drawSide(pen, camera, camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values(), colours);
     }
+  }
+
+  private drawArrows(pen: draw.Pen, camera: Camera, palette: Palette, colours: draw.Colours): void {
+    const shown = new Set(this.visible(camera));
+    const hidden = this.scene.bodies.filter((body) => !shown.has(body));
+    const places = hidden.map((body) => ({ name: body.name, x: body.x, y: body.y, urgency: (isAlarming(body) ? 2 : 0) + (body.selected ? 1 : 0) }));
+    // where the buttons are is asked of the page, which costs
+    this.arrows = hidden.length === 0 ? [] : edgeArrows(camera, places, this.buttons());
+    const alarming = new Set(hidden.filter(isAlarming).map(({ name }) => name));
+    draw.drawArrows(pen, camera, palette, this.arrows, (name) => (alarming.has(name) ? palette.danger : (colours.get(name) ?? palette.muted)));
   }
 
   /** Follows the selected vehicles; fits the fleet as its vehicles come. */

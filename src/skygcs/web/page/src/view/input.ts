@@ -143,7 +143,7 @@ class CanvasInput {
     const place = this.view.pointerAt(at.x, at.y, shift);
     this.reports.place(`x ${fixed(place.x, 1) ?? ""} m   y ${fixed(place.y, 1) ?? ""} m`);
     this.view.tool?.hover?.(place);
-    if (this.view.tool === null) this.canvas.style.cursor = this.view.vehicleAt(at.x, at.y) === null ? "grab" : "pointer";
+    if (this.view.tool === null) this.canvas.style.cursor = this.view.vehicleAt(at.x, at.y) === null && this.view.beyondArrowAt(at.x, at.y).length === 0 ? "grab" : "pointer";
   }
 
   private pinch(id: number, before: Point, at: Point): void {
@@ -161,6 +161,11 @@ class CanvasInput {
     const { view, store } = this;
     if (view.tool !== null) {
       view.tool.click?.(view.pointerAt(at.x, at.y, event.shiftKey));
+      return;
+    }
+    const [beyond] = view.beyondArrowAt(at.x, at.y);
+    if (beyond !== undefined) {
+      view.centreOn(beyond);
       return;
     }
     const name = view.vehicleAt(at.x, at.y);

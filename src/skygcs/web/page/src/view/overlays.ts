@@ -5,8 +5,9 @@ import type { Vec3 } from "../types.ts";
 /** A colour of the theme, by its role. */
 export type Ink = "plan" | "flown" | "fence" | "draft" | "goal" | "warning" | "danger" | "muted";
 
+/** `vehicle`: it is that vehicle's, and has its colour where the page knows it. */
 export type Shape =
-  | { kind: "path"; points: readonly Vec3[]; ink: Ink; dashed?: boolean; closed?: boolean; filled?: boolean; widthPx?: number }
+  | { kind: "path"; points: readonly Vec3[]; ink: Ink; dashed?: boolean; closed?: boolean; filled?: boolean; widthPx?: number; vehicle?: string }
   | { kind: "circle"; centre: Vec3; radiusM: number; ink: Ink; dashed?: boolean; filled?: boolean }
   | {
       kind: "mark";
@@ -18,6 +19,7 @@ export type Shape =
       emphasised?: boolean;
       /** For "ghost": radians from the x axis, counter-clockwise. */
       yawRad?: number;
+      vehicle?: string;
     };
 
 /** What one panel shows. Set anew as a whole; bounded by `MAX_POINTS` when it is drawn. */

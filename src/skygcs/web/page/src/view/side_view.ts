@@ -1,7 +1,7 @@
 // Heights: a strip below the fleet view with the same x axis, so that each vehicle is straight below its place above.
 
 import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
-import { haloText, type Pen } from "./drawing.ts";
+import { colourOfShape, haloText, type Colours, type Pen } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body } from "./scene.ts";
@@ -10,9 +10,27 @@ export const SIDE_PX = 120;
 const BASE_PX = 18;
 const LEAST_TOP_M = 12;
 
-/** Height of the strip's upper edge: above everything, in steps, so that it does not breathe with each climb. */
-export function topOf(bodies: readonly Body[], before: number): number {
-  const highest = bodies.reduce((most, body) => Math.max(most, body.z), 0);
+/** Of each overlay, which does not change: a plan has thousands of points. */
+const tops = new WeakMap<Overlay, number>();
+
+function topOfOverlay(overlay: Overlay): number {
+  let top = tops.get(overlay);
+  if (top === undefined) {
+    top = 0;
+    for (const shape of overlay.shapes) {
+      if (shape.kind === "path") for (const [, , z] of shape.points) top = Math.max(top, z);
+      else if (shape.kind === "mark") top = Math.max(top, shape.at[2]);
+    }
+    tops.set(overlay, top);
+  }
+  return top;
+}
+
+/** Height of the strip's upper edge: above everything, also what is planned and where vehicles are sent, in steps, so that
+ *  it does not breathe with each climb. */
+export function topOf(bodies: readonly Pick<Body, "z" | "goal">[], overlays: Iterable<Overlay>, before: number): number {
+  let highest = bodies.reduce((most, body) => Math.max(most, body.z, body.goal?.[2] ?? 0), 0);
+  for (const overlay of overlays) highest = Math.max(highest, topOfOverlay(overlay));
   const wanted = Math.max(highest * 1.2, LEAST_TOP_M);
   if (wanted <= before && wanted > before * 0.5) return before;
   return Math.ceil(wanted / 5) * 5;
@@ -27,6 +45,7 @@ export function drawSide(
   bodies: readonly Body[],
   colourOf: (body: Body) => string,
   overlays: Iterable<Overlay>,
+  colours: Colours,
 ): void {
   const pxPerM = (SIDE_PX - BASE_PX - 8) / topM;
   const groundPx = topPx + SIDE_PX - BASE_PX;
@@ -38,7 +57,7 @@ export function drawSide(
   pen.fillStyle = palette.surface;
   pen.fillRect(0, topPx, camera.widthPx, SIDE_PX);
   heightLines(pen, camera, palette, topM, pxPerM, yOf);
-  for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, yOf);
+  for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, yOf);
   drawStems(pen, camera, palette, bodies, yOf);
   const byColour = new Map<string, Path2D>();
   for (const body of bodies) {
@@ -103,10 +122,10 @@ function drawStems(pen: Pen, camera: Camera, palette: Palette, bodies: readonly 
   pen.stroke();
 }
 
-function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, yOf: (z: number) => number): void {
+function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, colours: Colours, yOf: (z: number) => number): void {
   for (const shape of overlay.shapes) {
     if (shape.kind !== "path" || shape.ink === "fence") continue;
-    pen.strokeStyle = palette.inks[shape.ink];
+    pen.strokeStyle = colourOfShape(shape, palette, colours);
     pen.lineWidth = 1.5;
     pen.setLineDash(shape.dashed === true ? [5, 4] : []);
     pen.beginPath();
