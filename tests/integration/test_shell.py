@@ -330,7 +330,7 @@ async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_
             await lab.write(session, "param set MPC_XY_P 5\n")
         await lab.gcs.call("shell.close", session=session)
         for force in (False, True):
-            with pytest.raises(RpcError, match="command of the console may change.*`skygcs-cli hold v1` first"):
+            with pytest.raises(RpcError, match=r"command of the console may change.*`skygcs-cli hold v1` first"):
                 await lab.open(force=force)
         await asyncio.sleep(5.0)
         assert len(lab.heard) == sent and lab.lines() == []

@@ -86,8 +86,8 @@ HOW = (
     "A flight lasts from arming to disarming. A vehicle is in the air while it says so (EXTENDED_SYS_STATE, or the "
     "state in ArduPilot's heartbeat); one that does not report it counts as in the air while it is armed.",
     "The distance is the length of the path in space; steps below half a metre are noise and do not count.",
-    "Losses are gaps in the sequence numbers of a source. A tlog does not record the link of a frame: what came over two "
-    "links counts as repeated, and there are no losses per link.",
+    "Losses are gaps in the sequence numbers of a source. A tlog does not record the link of a frame: what came over "
+    "two links counts as repeated, and there are no losses per link.",
     "The delay of a command is the time from its first sending to the first COMMAND_ACK, both as recorded: it has both "
     "ways of the link in it. A command that was sent again before its answer counts once.",
     "The separation weighs a distance in height less than one along the ground, as the monitor does; the margin is "
