@@ -29,8 +29,9 @@ from skygcs.core.mavlink.parser import FrameParser
 FRAME_SIZES = (24, 64, 128, 252)
 """Bytes of a frame on the wire: a heartbeat has 21, and a packet of open SiK holds 252."""
 
-WINDOW_BYTES = 1500
-"""Most bytes of a stream on their way: three slots of open SiK, and less than its transmit buffer of 1850 bytes."""
+WINDOW_BYTES = 1764
+"""Most bytes of a stream on their way: seven packets of open SiK, so that a slot is full although those of the two
+before it were lost and are not known to be; and less than its transmit buffer of 1850 bytes."""
 
 FIND_ARRIVALS = 8
 """Arrivals of each way that end the first phase."""
@@ -39,7 +40,7 @@ LEAST_LOST_AFTER_S, LOST_AFTER_ROUNDS = 0.5, 4
 """A single frame that has not arrived after so many rounds does not."""
 
 STREAM_QUEUE = 4
-"""And one of a stream after so many times that: the window may be six packets, and a round carry one of them."""
+"""And one of a stream after so many times that: the window may be seven packets, and a round carry one of them."""
 
 SILENT_AFTER = 4
 """So many losses in a row at the start, and none has arrived: there is no way."""
