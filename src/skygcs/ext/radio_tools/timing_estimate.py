@@ -27,6 +27,9 @@ true period agree as well, noise apart."""
 FAR_RESIDUAL = 4.0
 """Arrivals further from the grid than so many usual residuals are left out of the fit."""
 
+LEAST_RESIDUAL_S = 0.0005
+"""No port is read more exactly than that."""
+
 LEAST_ARRIVALS = 6
 """Fewer arrivals of a size and way are no grid."""
 
@@ -201,7 +204,8 @@ def _fit(way: int, size: int, times: Sequence[float], period: float) -> _Grid | 
         usual = median(far)
         points = [p for p, distance in zip(points, far, strict=True) if distance <= FAR_RESIDUAL * usual + 1e-9]
     nearest = round(middle_n)
-    return _Grid(way, size, period, middle_t + (nearest - middle_n) * period, weight, 1.4826 * usual)
+    at = middle_t + (nearest - middle_n) * period
+    return _Grid(way, size, period, at, weight, max(1.4826 * usual, LEAST_RESIDUAL_S))
 
 
 def _slot(grids: Sequence[_Grid], period: float, ends: Ends) -> tuple[float, int]:
@@ -226,7 +230,7 @@ def _slot(grids: Sequence[_Grid], period: float, ends: Ends) -> tuple[float, int
 
 def _figures(frames: Sequence[Sent], way: int, size: int, period: float) -> SizeFigures:
     single = [s for s in frames if s.size == size and s.phase is Phase.SINGLE]
-    delays = sorted(s.arrived_at - s.sent_at for s in single if s.arrived_at is not None)
+    delays = _weighted_delays(single, period)
     stream = [s for s in frames if s.size == size and s.phase is Phase.STREAM]
     lost = sum(s.arrived_at is None for s in stream)
     return SizeFigures(
@@ -235,11 +239,23 @@ def _figures(frames: Sequence[Sent], way: int, size: int, period: float) -> Size
         _throughput(stream, period),
         wilson(len(single) - len(delays), len(single)),
         lost / len(stream) if stream else 0.0,
-        fmean(delays) if delays else inf,
+        sum(delay * weight for delay, weight in delays) if delays else inf,
         _quantile(delays, 0.5),
         _quantile(delays, 0.95),
         len(single),
     )
+
+
+def _weighted_delays(single: Sequence[Sent], period: float) -> list[tuple[float, float]]:
+    """(delay, weight), the smallest delay first. A frame's weight is the part of the round about the moment at which it
+    was written: chance, and losses, leave parts of it with fewer frames."""
+    placed = sorted((s.sent_at % period, s.arrived_at - s.sent_at) for s in single if s.arrived_at is not None)
+    if len(placed) < 2:
+        return [(delay, 1.0) for _, delay in placed]
+    moments = [moment for moment, _ in placed]
+    before, after = [moments[-1] - period, *moments[:-1]], [*moments[1:], moments[0] + period]
+    parts = [(later - earlier) / (2 * period) for earlier, later in zip(before, after, strict=True)]
+    return sorted((delay, part) for (_, delay), part in zip(placed, parts, strict=True))
 
 
 def _throughput(stream: Sequence[Sent], period: float) -> float | None:
@@ -297,11 +313,11 @@ def wilson(count: int, of: int) -> Figure:
     return Figure(share, max(0.0, low) if count else 0.0, min(1.0, high) if count < of else 1.0)
 
 
-def _quantile(ordered: Sequence[float], share: float) -> float:
-    """Linear between the values; infinite without any."""
-    if not ordered:
-        return inf
-    place = share * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+def _quantile(delays: Sequence[tuple[float, float]], share: float) -> float:
+    """The delay below which this share of the weight lies; infinite without any."""
+    below = 0.0
+    for delay, weight in delays:
+        below += weight
+        if below >= share:
+            return delay
+    return delays[-1][0] if delays else inf
