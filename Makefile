@@ -14,7 +14,7 @@ export PYTHONHASHSEED := $(if $(SEARCH),random,0)
 export SKYGCS_TEST_SEARCH := $(SEARCH)
 
 .PHONY: quick test-times test-deep mutants coverage
-.PHONY: demo test test-system test-lab test-package test-container test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-formation bench-invariant bench-web bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
+.PHONY: demo test test-system test-lab test-package test-container test-clients test-firmware check docs bench bench-control bench-radio bench-xbee bench-plans bench-monitor bench-formation bench-invariant bench-web bench-ros bench-federation figures test-federation test-ros soak fuzz clean format web dist test-web pictures
 demo: $(DEMO)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -136,6 +136,10 @@ bench-invariant: $(STAMP)   # INVARIANT_FLIGHTS=1000 INVARIANT_FIRST=0
 bench-web: $(STAMP)
 	$(BIN)/python build_page.py
 	PYTHONPATH=tests $(BIN)/python -m bench.web
+
+# Ten vehicles at 50 Hz as topics of ROS 2, and the rates behind a radio
+bench-ros: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.ros
 
 bench-federation: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.federation

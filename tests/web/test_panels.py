@@ -157,6 +157,18 @@ def drawn_pixels(canvas: Locator) -> int:
     )
 
 
+def test_corrections_have_a_card_while_some_come(station, open_page, shot) -> None:
+    page = open_page(station, path="/#radio")
+    expect(page.locator(".radiopanel table").first).to_be_visible()
+    card = page.get_by_role("region", name="Corrections")
+    expect(card).to_have_count(0)
+    station.call("corrections.send", data="AAAA", source="a base")
+    expect(card).to_contain_text("a base, nothing came yet")
+    expect(card).to_contain_text("Vehicles: 0 fixed, 0 float, 3 neither")
+    shot(page, "corrections")
+    assert not page.errors
+
+
 @pytest.mark.parametrize("width", [1600, 390])
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_the_radio_page_shows_airtime_classes_and_reports(station, open_page, shot, width, theme) -> None:

@@ -6,6 +6,7 @@ import { useEffect, useReducer, useRef } from "preact/hooks";
 import { fixed, percentText } from "../format.ts";
 import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
+import { areThere, fixesText, sourceText, surveyText, type Corrections } from "./corrections_text.ts";
 import { HistoryRing } from "./history_ring.ts";
 import { Failure, Scroll, usePolled } from "./parts.tsx";
 import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
@@ -63,6 +64,7 @@ function keptOf(link: string): { reports: HistoryRing; classes: ClassRates } {
 export default function RadioPanel({ store, connection }: PanelProps) {
   const radios = usePolled<Radio[]>(store, connection, "link.status", {}, 1000);
   const links = usePolled<Link[]>(store, connection, "links.list", {}, 2000);
+  const corrections = usePolled<Corrections>(store, connection, "corrections.status", {}, 2000);
   return (
     <div class="panel radiopanel">
       <Failure text={radios.error} />
@@ -70,9 +72,24 @@ export default function RadioPanel({ store, connection }: PanelProps) {
       {radios.answer?.length === 0 && (
         <p class="note">No link has airtime to show: give the radio's link role = "radio" in the fleet file. Links that are not radios are below.</p>
       )}
+      {corrections.answer !== null && areThere(corrections.answer) && <CorrectionsView corrections={corrections.answer} />}
       <Links links={links.answer ?? []} />
       <Failure text={links.error} />
     </div>
+  );
+}
+
+/** RTK corrections: their source, its survey, and what the vehicles make of them. */
+function CorrectionsView({ corrections }: { corrections: Corrections }) {
+  const source = sourceText(corrections);
+  const survey = surveyText(corrections.own_source?.survey);
+  return (
+    <section class="radio" aria-label="Corrections">
+      <h2>Corrections</h2>
+      <p class={source.ok ? undefined : "failure"}>{source.text}</p>
+      {survey !== null && <p>Base: {survey}</p>}
+      <p>Vehicles: {fixesText(corrections)}</p>
+    </section>
   );
 }
 
