@@ -301,9 +301,13 @@ MAKES = {
         "links/paced.py",
     },  # texts to programs; RTCM cut anew
     "_row_clearance": {"core/vehicle/gate.py"},
-    "encode_payload": {"links/outgoing.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"},
+    "encode_payload": {
+        *("links/outgoing.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"),
+        "ext/radio_tools/link_probe.py",
+    },
 }
-"""Names that only these files may call: nothing else makes a clearance or a message of ours."""
+"""Names that only these files may call: nothing else makes a clearance or a message of ours. `link_probe` measures two
+radios at this computer, without a daemon, by ENCAPSULATED_DATA, which no autopilot acts on."""
 
 STANDING_IN = {
     *("command_client", "hub", "param_transfers", "mission_transfers", "onboard_logs", "correction_feed"),

@@ -40,6 +40,8 @@ COSTS = "whole logs through the live node's bridge and through rosbag2, read aga
 
 LOGS = [name for name in captures("tlog") if (OWN / name).is_file()]
 PUBLIC = [name for name in captures("tlog") if name not in LOGS]
+SHORT = ("px4-late-frames.tlog", "second-heartbeat-1hz.tlog")
+"""Both firmwares, and two vehicles of one id: the others go the same way, and take up to 40 s."""
 PX4 = Naming(px4_msgs="1.16")
 
 Messages = dict[str, list[tuple[int, Any]]]
@@ -139,7 +141,13 @@ def live(log: Path, **config: Any) -> KeptNode:
     return node
 
 
-@pytest.mark.parametrize("name", [*thinned(LOGS, 4, turn=1), *thinned(PUBLIC, 2)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in SHORT else pytest.param(name, marks=pytest.mark.deep)
+        for name in (*thinned(LOGS, 4, turn=1), *thinned(PUBLIC, 2))
+    ],
+)
 def test_every_topic_has_what_the_live_node_publishes(name: str, tmp_path: Path) -> None:
     log = OWN / name if name in LOGS else public_file(f"tlog/{name}")
     try:

@@ -301,6 +301,7 @@ def test_a_repeated_command_counts_once_and_from_its_first_sending() -> None:
     assert delay.median_ms == pytest.approx(1500.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", present("tlog", RADIO_LOGS))
 def test_radios_are_what_pymavlink_reads(name: str) -> None:
     content = public_file(f"tlog/{name}").read_bytes()
