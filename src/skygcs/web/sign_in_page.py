@@ -1,4 +1,4 @@
-"""What a browser that is not signed in is shown: a field for the address. Pure.
+"""The page for a browser that is not signed in: a field for the address. Pure.
 
 It stands alone: the page's own files are for browsers that are signed in. It needs no script, as the field is a form
 that asks for `/?token=…` itself; whatever is pasted there goes through `skygcs.web.sign_in.token_of`.
