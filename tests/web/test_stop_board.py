@@ -81,7 +81,7 @@ def test_the_daemons_alarms_are_listed_and_acknowledged_from_the_page(
     page.evaluate("alarms => skygcs.store.dispatch({ type: 'alarms', alarms })", [shown])
     expect(page.locator(".alarms li")).to_contain_text("12 more followed from it")
     shot(page, "alarms")
-    page.get_by_role("button", name="Seen: v2 lost").click()
+    page.get_by_role("button", name="Acknowledge: v2 lost").click()
     page.wait_for_timeout(300)
     (request,) = [text for text in sent if "alarms.acknowledge" in text]
     assert '"numbers":[7]' in request

@@ -106,7 +106,7 @@ def test_the_plan_that_is_flown_is_on_every_page(
     bar = page.get_by_role("region", name="Plan in flight")
     for tab in ("Events", "Fleet"):
         page.locator(".pages .tab", has_text=tab).click()
-        expect(bar).to_contain_text("show running, cross (step 2 of 3), 34 s more")
+        expect(bar).to_contain_text("show running, cross (step 2 of 3), 34 s left")
         expect(bar).to_contain_text("! v2 0.61 m off, 0.50 m allowed")
     assert fits(page)
     shot(page, f"plan-bar-{width}-{theme}")

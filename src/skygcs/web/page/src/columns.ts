@@ -156,7 +156,7 @@ function companionCell(v: Vehicle, now_s: number): Cell {
   if (link !== null) return cell(link, link === "up" ? "good" : link === "down" ? "danger" : "muted", title);
   const age = age_s === null ? null : ageOf(v, { age_s }, now_s);
   if (age === null) return cell("not heard", "warning", title);
-  return age > SILENT_S ? cell(`silent ${ageText(age)}`, "warning", title) : cell("heard", "", title);
+  return age > SILENT_S ? cell(`not heard ${ageText(age)}`, "warning", title) : cell("heard", "", title);
 }
 
 function attitudeText(v: Vehicle): string | null {

@@ -14,14 +14,14 @@ const DONE = new Set(["landed", "finished"]);
 /** It can be resumed. */
 export const HALTED = new Set(["paused", "stopped"]);
 
-/** "running, cross (step 2 of 3), 34 s more" */
+/** "running, cross (step 2 of 3), 34 s left" */
 export function planText(status: PlanStatus): string {
   const { state, phase, step, steps, clock } = status;
   const words = state.replaceAll("_", " ");
   if (DONE.has(state)) return words;
   const where = phase === null || phase === "" ? "" : `, ${phase}`;
   const which = step !== null && steps !== null && steps > 0 ? ` (step ${step} of ${steps})` : "";
-  const left = clock?.finishes_in_s == null ? "" : `, ${clock.finishes_in_s.toFixed(0)} s more`;
+  const left = clock?.finishes_in_s == null ? "" : `, ${clock.finishes_in_s.toFixed(0)} s left`;
   return words + where + which + left;
 }
 

@@ -15,7 +15,7 @@ const STATUS: PlanStatus = {
 };
 
 test("a plan is said in one line, and one that is over has no step left", () => {
-  assert.equal(planText(STATUS), "running, cross (step 2 of 3), 34 s more");
+  assert.equal(planText(STATUS), "running, cross (step 2 of 3), 34 s left");
   assert.equal(planText({ ...STATUS, state: "finished" }), "finished");
   assert.equal(planText({ ...STATUS, state: "taking_off", phase: "", step: null, clock: null }), "taking off");
 });

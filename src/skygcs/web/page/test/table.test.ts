@@ -103,7 +103,7 @@ test("a companion: its connection, else whether it is heard; a column only where
   assert.deepEqual(cell("companion", with_({ link: "up" })), { text: "up", tone: "good", title: "pi, 1.0" });
   assert.deepEqual(cell("companion", with_({ link: "down", error: "no route" })), { text: "down", tone: "danger", title: "pi, 1.0, no route" });
   assert.equal(cell("companion", with_({ age_s: 0.4 })).text, "heard");
-  assert.equal(cell("companion", with_({ age_s: 0.4 }), 1010).text, "silent 10 s");
+  assert.equal(cell("companion", with_({ age_s: 0.4 }), 1010).text, "not heard 10 s");
   assert.equal(cell("companion", with_({})).tone, "warning");
   assert.equal(cell("companion", heard("a", 1)).text, "–");
   const column = COLUMNS.find((one) => one.id === "companion");

@@ -13,6 +13,7 @@ import type { PanelProps } from "./registry.ts";
 import { canSound, ownVoice, playAlarm, speak } from "./sound.ts";
 
 const NAMES: Readonly<Record<Severity, string>> = { alarm: "Alarms", warning: "Warnings", info: "Reports" };
+const NAME: Readonly<Record<Severity, string>> = { alarm: "alarm", warning: "warning", info: "report" };
 const SHOWN = 300;
 
 export default function EventsPanel({ store, connection }: PanelProps) {
@@ -81,7 +82,7 @@ function AlarmList({ store, connection }: Pick<PanelProps, "store" | "connection
   const mayOrder = useStore(store, (state) => state.hello?.role === "command");
   const [problem, setProblem] = useState<string | null>(null);
   if (alarms.length === 0) return null;
-  const seen = (number: number): void => {
+  const acknowledge = (number: number): void => {
     connection.order("alarms.acknowledge", { numbers: [number], by: "web page" }).then(() => setProblem(null), (error: unknown) => setProblem(refusalText(error)));
   };
   return (
@@ -92,7 +93,7 @@ function AlarmList({ store, connection }: Pick<PanelProps, "store" | "connection
           <li key={alarm.number} data-severity={alarm.severity} data-open={alarm.acknowledged_by === null}>
             <time class="muted">{timeText(alarm.raised_unix_s)}</time> <b>{alarm.vehicle ?? "–"}</b> {alarm.kind}: {alarm.text}
             <span class="muted">{alarmNotes(alarm)}</span>
-            {alarm.acknowledged_by === null && mayOrder && <button type="button" aria-label={`Seen: ${alarm.vehicle ?? ""} ${alarm.kind}`} onClick={() => seen(alarm.number)}>Seen</button>}
+            {alarm.acknowledged_by === null && mayOrder && <button type="button" aria-label={`Acknowledge: ${alarm.vehicle ?? ""} ${alarm.kind}`} onClick={() => acknowledge(alarm.number)}>Acknowledge</button>}
           </li>
         ))}
       </ul>
@@ -100,10 +101,10 @@ function AlarmList({ store, connection }: Pick<PanelProps, "store" | "connection
   );
 }
 
-/** "; over; 12 more followed from it; seen by mia@field". */
+/** "; over; 12 more followed from it; acknowledged by mia@field". */
 function alarmNotes({ active, consequences, acknowledged_by }: Alarm): string {
   const followed = Object.values(consequences).reduce((sum, count) => sum + count, 0);
-  const notes = [active ? "" : "over", followed > 0 ? `${followed} more followed from it` : "", acknowledged_by === null ? "" : `seen by ${acknowledged_by}`];
+  const notes = [active ? "" : "over", followed > 0 ? `${followed} more followed from it` : "", acknowledged_by === null ? "" : `acknowledged by ${acknowledged_by}`];
   return notes.filter(Boolean).map((note) => `; ${note}`).join("");
 }
 
@@ -125,7 +126,7 @@ function EventRow({ group, select, open = false, toggle, inner = false }: RowPro
   return (
     <li data-severity={severity} data-open={unseen.length > 0} data-inner={inner}>
       <time class="muted">{timeText(head.time_unix_s)}</time>
-      <span class="severity">{severity}</span>
+      <span class="severity">{NAME[severity]}</span>
       {targets.length === 0 ? (
         <span class="who muted">–</span>
       ) : (

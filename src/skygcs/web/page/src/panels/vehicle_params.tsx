@@ -95,7 +95,7 @@ export function VehicleParams(props: VehicleProps) {
 
 function progressText(loading: ParamStatus["loading"], known: number): string {
   if (loading === null) return known === 0 ? "" : `${known} parameters`;
-  const rest = loading.remaining_s === null ? "" : `, ${Math.ceil(loading.remaining_s)} s more`;
+  const rest = loading.remaining_s === null ? "" : `, ${Math.ceil(loading.remaining_s)} s left`;
   return `${loading.received} of ${loading.count ?? "?"}${rest}`;
 }
 
