@@ -145,7 +145,7 @@ def test_the_fence_about_home_is_set_and_read_by_a_form(station, open_page, shot
     page.get_by_label("Height", exact=True).fill("40")
     page.get_by_label("Outside of it").select_option("return")
     expect(button).to_have_attribute(
-        "aria-label", "Set the fence of v1 and v3: radius 80 m, height 40 m, then return: hold down for a second"
+        "title", "Hold down for a second: Set the fence of v1 and v3: radius 80 m, height 40 m, then return"
     )
     hold(page, button)
     fences = page.get_by_role("table", name="Fences about home")
