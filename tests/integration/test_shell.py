@@ -334,6 +334,11 @@ async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_
                 await lab.open(force=force)
         await asyncio.sleep(5.0)
         assert len(lab.heard) == sent and lab.lines() == []
+        # nor has its neighbour, whose lines it would execute, too
+        await lab.gcs.call("shell.close", session=await lab.open("v2", force=True))
+        vehicle.firmware = "1.13.3"
+        with pytest.raises(RpcError, match="command of the console may change"):
+            await lab.open("v2", force=True)
 
 
 async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addressee(tmp_path: Path) -> None:

@@ -55,7 +55,9 @@ class Digest:
     order: tuple[str, int, int, str]
     """Vehicles are listed by it: site, system id, component, name."""
     words: str
-    """Text that a search looks into, in small letters."""
+    """Text that a search looks into, in small letters: name, id, mode, autopilot, groups."""
+    states: tuple[str, ...]
+    """Words of its state, in small letters; a search finds them by their beginnings."""
     armed: bool
     in_air: bool
     problem: bool
@@ -75,12 +77,11 @@ class Digest:
         return self.connected and self.silence_now_s(now) < VEHICLE_SILENT_S
 
     def matches(self, words: Iterable[str], now: float) -> bool:
-        """True if each word is in it. The page's own filter has the same words (columns.ts)."""
+        """True if each word is part of its words, or begins a word of its state: "armed" is no part of "disarmed". The
+        page's own filter has the same words (columns.ts)."""
         heard = self.heard(now)
-        text = f"{self.words} {'heard' if heard else 'silent'}"
-        if self.problem or not heard:
-            text += " problem"
-        return all(word in text for word in words)
+        states = (*self.states, "heard" if heard else "silent", "problem" if self.problem or not heard else "")
+        return all(word in self.words or any(state.startswith(word) for state in states) for word in words)
 
 
 def site_of(name: str) -> str:
@@ -113,9 +114,11 @@ def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
         name,
         *(str(value) for value in (state.get("sysid"), state.get("mode"), state.get("autopilot")) if value is not None),
         *(group for group in (groups if isinstance(groups, list) else ()) if isinstance(group, str)),
+    )
+    states = (
         "armed" if armed is True else "disarmed",
         "failsafe" if failsafe else "",
-        _text(landed).replace("_", " "),
+        *_text(landed).lower().split("_"),
     )
     place = position.get("enu_m")
     x, y, z = (_rounded(value) for value in (place if isinstance(place, list) and len(place) == 3 else (None,) * 3))
@@ -142,6 +145,7 @@ def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
         site=site,
         order=(site, int(sysid or 0), int(compid or 0), name),
         words=" ".join(words).lower(),
+        states=states,
         armed=armed is True,
         in_air=_text(landed) in IN_AIR,
         problem=failsafe or near or empty or uplink.get("heard") is False,

@@ -67,6 +67,12 @@ def test_a_search_finds_what_has_all_of_its_words(search: str, found: bool) -> N
     assert view.wanted([digest()], 0.0) == ({"south/alpha"} if found else set(), 0)
 
 
+def test_what_is_disarmed_is_not_found_by_armed() -> None:
+    standing = digest(armed=False, landed="on_ground")
+    assert not standing.matches(["armed"], 0.0)
+    assert standing.matches(["disarmed"], 0.0) and standing.matches(["ground", "dis"], 0.0)
+
+
 def test_silence_is_a_problem_that_comes_with_time() -> None:
     assert not digest().matches(["problem"], VEHICLE_SILENT_S - 0.3)
     assert digest().matches(["problem", "silent"], VEHICLE_SILENT_S)

@@ -143,6 +143,10 @@ class OrderProgress:
         self._begin_m = _number((state.get("position") or {}).get("alt_rel_m"))
         self._tolerance_m = ARRIVED_M
         self._rise_m = math.nan
+        self._placed = False
+        """A position has come since the acceptance."""
+        self._present_m = math.nan
+        """The height that a goto without one keeps: that of its execution, which may follow a take-off."""
         self._place_m: list[float] | None = None
         """A goto's place in the frame map; None: it is given otherwise."""
         self._measure: Callable[[Fields], float] = lambda position: max(self.height_m, 0.0)
@@ -226,9 +230,13 @@ class OrderProgress:
         position = self._state.get("position") or {}
         known = _number(position.get("age_s")) <= OLD_S
         self.height_m = self._height(position) if known else math.nan
+        if known and not self._placed:
+            self._placed, self._present_m = True, self.height_m
         self.distance_m = self._measure(position) if known else math.nan
-        if self.distance_m < self._nearest_m - NEARER_M:
-            self._nearest_m, self._nearest_at = self.distance_m, now
+        # ground may lie below home: a landing goes on there, although its distance is 0
+        left_m = self.height_m if self.order == "land" else self.distance_m
+        if left_m < self._nearest_m - NEARER_M:
+            self._nearest_m, self._nearest_at = left_m, now
 
     def _height(self, position: Fields) -> float:
         above_home_m = _number(position.get("alt_rel_m"))
@@ -301,9 +309,7 @@ class OrderProgress:
         if goal["frame"] == FRAME_MAP:
             place = self._place_m = [goal["position"][axis] for axis in "xyz"]
             return lambda position: math.dist(position["enu_m"], place) if position.get("enu_m") else math.nan
-        height_m = goal["height_m"]
-        if not goal["use_height"]:
-            height_m = self._begin_m
+        given_m = goal["height_m"] if goal["use_height"] else None
         frame = EnuFrame(Origin(goal["lat_deg"], goal["lon_deg"], 0.0))
 
         def measure(position: Fields) -> float:
@@ -311,6 +317,7 @@ class OrderProgress:
             if lat_deg is None or lon_deg is None:
                 return math.nan
             east_m, north_m, _ = frame.from_geodetic(lat_deg, lon_deg, 0.0)
+            height_m = self._present_m if given_m is None else given_m
             return math.hypot(east_m, north_m, height_m - _number(position.get("alt_rel_m")))
 
         return measure

@@ -78,8 +78,8 @@ class OwnCorrections(Extension[CorrectionsConfig]):
     def _place(self, last: str | None) -> Place | None:
         """The place for a virtual station: a vehicle's, or the fleet's origin as long as none has a fix."""
         now = self.core.now()
-        vehicles = sorted(self.core.fleet.vehicles.items())
-        fixes = ((actor.name, actor.state(now, _GPS)["gps"] or {}) for _, actor in vehicles)
+        live = [actor for _, actor in sorted(self.core.fleet.vehicles.items()) if not actor.vehicle.replayed]
+        fixes = ((actor.name, actor.state(now, _GPS)["gps"] or {}) for actor in live)
         place = chosen_place(fixes, only=self.config.gga_from, last=last)
         origin = self.core.fleet.origin
         if place is None and self.config.gga_from is None and origin is not None:

@@ -113,6 +113,8 @@ class Feeder:
             self._hold_off(str(refusal))
             return
         self._sending = True
+        if self.state == "held_off":  # its turn has come: it has to bring messages as at its begin
+            self._enter("waiting")
         for type_, count in taken["types"].items():
             if type_ in self._types or len(self._types) < MAX_TYPES:
                 self._types[type_] = self._types.get(type_, 0) + count
@@ -170,6 +172,8 @@ class Feeder:
             reason, refused = str(error), True
         except LinkError as error:
             reason = str(error)
+        except Exception as error:  # a fault of ours stays here, and without its text, which may hold what was sent
+            reason = f"unexpected {type(error).__name__}"
         up_s = self._clock() - self.since if self.state in ("streaming", "held_off") else 0.0
         pause_s = back_off.after(up_s)
         return reason, REFUSED_AGAIN_S if refused else pause_s

@@ -199,7 +199,7 @@ class LinkProbe:
             self._close(way)
         if not way.open:
             way.next_at = now
-            if self._phases[0][0] is Phase.SINGLE and self.round_s is not None:
+            if self._phases and self._phases[0][0] is Phase.SINGLE and self.round_s is not None:
                 way.next_at += (len(way.frames) * GOLDEN % 1.0) * self.round_s
 
     def _lost_at(self, way: _Way) -> float:

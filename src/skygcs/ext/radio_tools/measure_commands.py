@@ -24,7 +24,7 @@ from skygcs.ext.radio_tools.port import RadioPort, carry
 from skygcs.ext.radio_tools.reading import LIKELY_BAUD
 from skygcs.ext.radio_tools.settings import RadioState
 from skygcs.ext.radio_tools.timing_estimate import estimate
-from skygcs.ext.radio_tools.timing_file import ends_of, joined, measurement, pair_problems, summary, to_text
+from skygcs.ext.radio_tools.timing_file import ends_of, joined, measurement, pair_problems, spoils, summary, to_text
 
 FILE_MODE = 0o644
 
@@ -99,7 +99,10 @@ def _write(file: Path, row: dict[str, Any]) -> None:
     from skygcs.config.files import write_whole
     from skygcs.config.radio import TIMING_KIND, TIMING_VERSION
 
-    text = to_text(joined(_existing(file), row), TIMING_KIND, TIMING_VERSION)
+    document = _existing(file)
+    if (why := spoils(document, row)) is not None:
+        raise RefusedError(f"{file} stays as it is: {why}; give another name")
+    text = to_text(joined(document, row), TIMING_KIND, TIMING_VERSION)
     try:
         write_whole(file, text.encode(), FILE_MODE)
     except OSError as error:

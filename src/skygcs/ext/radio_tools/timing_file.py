@@ -102,6 +102,19 @@ def measurement(
     }
 
 
+def spoils(document: Mapping[str, Any] | None, new: Mapping[str, Any]) -> str | None:
+    """Why ``new`` must not be written into this file; None: it may. One measurement that no link can use has a daemon
+    refuse the whole file."""
+    rows = [] if document is None else document.get("measurement")
+    held = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    if held and any(row.get("multipoint") is not new["multipoint"] for row in held):
+        kind = "a network" if new["multipoint"] else "a pair"
+        return f"it holds measurements of another kind of radios than {kind}"
+    if held and not new["air_speed_kbps"]:
+        return "the radios do not report AIR_SPEED, by which its measurements are told apart"
+    return None
+
+
 def joined(document: Mapping[str, Any] | None, new: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """The measurements of a file, ``new`` in the place of the one with its air speed; by air speed."""
     rows = [] if document is None else document.get("measurement")

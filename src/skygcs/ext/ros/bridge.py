@@ -24,6 +24,7 @@ from skygcs.core.ros.px4_telemetry import PX4_SOURCES
 from skygcs.core.ros.ros_names import vehicle_root
 from skygcs.core.ros.shared_topics import OK, WARN, connection_status, diagnostic, map_transform
 from skygcs.core.ros.topics import SOURCES
+from skygcs.errors import RpcError
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.fleet_topics import FleetTopics
 from skygcs.ext.ros.graph import Node, SharedTopics
@@ -48,8 +49,8 @@ STATE_GROUPS = (
 MOST_VEHICLES = 250
 """Number of system ids; further names are those of vehicles that were renumbered again and again."""
 
-MOST_REPORTED = 8000
-"""Topics and services in a report; a line of the socket has 1 MiB."""
+MOST_REPORTED = 5000
+"""Topics and services in a report: some 130 bytes each, and a line of the socket has 1 MiB."""
 
 RADIO = "RADIO_STATUS"
 
@@ -82,23 +83,24 @@ class Bridge:
 
     async def serve(self, gcs: Client) -> None:
         """Until the connection ends. Raises DaemonUnreachable, RpcError."""
-        self._gcs = gcs
-        known = {message["name"] for message in await gcs.call("messages.list")}
-        for state in await gcs.vehicles():
-            self.on_state(state)
-        requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
-        work = (
-            self._messages(gcs, [name for name in self._sources if name in known]),
-            self._states(gcs),
-            self._reports(gcs, requests),
-            self._count_readers(),
-            self.fleet.follow_events(gcs),
-            self.fleet.follow_plan(gcs),
-            self.fleet.publish_states(gcs),
-            *([self._outcomes(gcs)] if self.config.commands == "all" else []),
-        )
-        tasks = [asyncio.ensure_future(one) for one in work]
-        try:
+        self._gcs, self._settings = gcs, {}
+        tasks: list[asyncio.Future[None]] = []
+        try:  # from here on orders are given over this connection
+            known = {message["name"] for message in await gcs.call("messages.list")}
+            for state in await gcs.vehicles():
+                self.on_state(state)
+            requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
+            work = (
+                self._messages(gcs, [name for name in self._sources if name in known]),
+                self._states(gcs),
+                self._reports(gcs, requests),
+                self._count_readers(),
+                self.fleet.follow_events(gcs),
+                self.fleet.follow_plan(gcs),
+                self.fleet.publish_states(gcs),
+                *([self._outcomes(gcs)] if self.config.commands == "all" else []),
+            )
+            tasks = [asyncio.ensure_future(one) for one in work]
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
@@ -219,7 +221,12 @@ class Bridge:
                 self._settings = {**self._settings, **(await gcs.call("ros.settings"))["vehicles"]}
             self.fleet.has_origin = origin is not None
             self.fleet.fences = {name: settings["fence"] for name, settings in self._settings.items()}
-            await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
+            try:
+                await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
+            except RpcError as error:  # a status must not end what nodes fly by
+                self.faults += 1
+                if self.faults == 1:
+                    _log.warning("the daemon did not take the report of ROS", error=str(error))
             began = loop.time()
             self.shared.diagnose(self._unix_ns(), self.diagnostics())
             wanted = {v.name: v.wanted_messages() for v in self.vehicles.values() if v.connected}
@@ -238,7 +245,7 @@ class Bridge:
             {
                 "name": name,
                 "readers": readers,
-                "rate_hz": (count - before.get(name, count)) / period_s,
+                "rate_hz": round((count - before.get(name, count)) / period_s, 2),
                 "count": count,
                 "refused": refused,
             }

@@ -130,7 +130,10 @@ class RospyService:
         task.add_done_callback(self._tasks.discard)
 
     async def _carry_out(self, call: int, request: dict[str, Any]) -> None:
-        self._answer(call, await self._handler(request))
+        run = self._node.run_number
+        response = await self._handler(request)
+        if self._node.run_number == run:  # calls of another process have the same numbers
+            self._answer(call, response)
 
     def _answer(self, call: int, response: Fields) -> None:
         data = ros1.encode(self._node.interfaces, self._response, response)
@@ -151,6 +154,8 @@ class RospyNode:
         self.master = master
         self.localhost = localhost
         self.up = False
+        self.run_number = 0
+        """Number of the process that runs; calls are counted anew by each."""
         self.publications: dict[str, RospyPublication] = {}
         self.subscribers: dict[str, RospySubscriber] = {}
         self.services: dict[str, RospyService] = {}
@@ -274,6 +279,7 @@ class RospyNode:
         kind = head["is"]
         if kind == "up":
             self.up = True
+            self.run_number += 1
             for declared in self._declared:
                 self.send(declared, drop=False)
             for number, made in self._by_number.items():

@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
+import socket
 import struct
 import sys
 import threading
@@ -37,6 +39,9 @@ MOST_CALLS = 64
 
 ANSWER_S = 600.0
 """All parameters over a slow radio take minutes."""
+
+MOST_MEMORY_BYTES = 512 << 20
+"""Limit of this process: rospy collects a message of any length that a peer names before it is seen here."""
 
 COUNT_S = 0.25
 MASTER_S = 3.0
@@ -196,9 +201,36 @@ def _watch(program: Program, master: Any, name: str) -> None:
                 os._exit(NO_MASTER)
 
 
+def _confine() -> None:
+    """Read only programs of this computer: rospy itself connects to whatever publisher the master names."""
+    handler = import_module("rospy.impl.tcpros_pubsub").TCPROSHandler
+    create = handler.create_transport
+
+    def own(self: Any, resolved_name: str, pub_uri: str, protocol_params: Any) -> Any:
+        address = protocol_params[1] if isinstance(protocol_params, list) and len(protocol_params) == 3 else ""
+        if not _is_here(address):
+            return 0, "not of this computer", 0
+        return create(self, resolved_name, pub_uri, protocol_params)
+
+    handler.create_transport = own
+
+
+def _is_here(host: Any) -> bool:
+    """True if a name or address is one of this computer: a socket can be bound to it."""
+    try:
+        found = socket.getaddrinfo(str(host), 0, type=socket.SOCK_STREAM)
+        for family, kind, _, _, address in found:
+            with socket.socket(family, kind) as tried:
+                tried.bind(address)
+    except (OSError, UnicodeError):
+        return False
+    return bool(found) and bool(str(host))
+
+
 def main() -> int:
     """Run until the input ends; the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process ends this one
+    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # rospy prints
     try:
@@ -208,6 +240,8 @@ def main() -> int:
         return NO_ROSPY
     if not rosgraph.is_master_online():
         return NO_MASTER
+    if os.environ.get("ROS_IP") == "127.0.0.1":
+        _confine()
     rospy.init_node("skygcs", anonymous=True, disable_signals=True, disable_rosout=True, disable_rostime=True)
     program = Program(rospy, out)
     program.say({"is": "up"})

@@ -174,7 +174,8 @@ class Console:
         return await self._until_ready(None, show=True)
 
     async def _until_ready(self, seconds: float | None, *, show: bool) -> bool:
-        """Show output until the prompt comes; True if it came in time. Raises ShellEndedError."""
+        """Show output until the prompt comes; True if it came in time. Raises ShellEndedError, RpcError for a line that
+        was taken and then not sent."""
         loop = asyncio.get_running_loop()
         ends_at = None if seconds is None else loop.time() + seconds
         while True:
@@ -191,12 +192,11 @@ class Console:
             shown = self._text.feed(answer["text"])
             if show:
                 self._print(shown)
-            if answer["refused"]:
-                fail(answer["refused"])
-                return True
             if answer["end"] is not None:
                 self._session = None
-                raise ShellEndedError(0, f"the shell has ended: {answer['end']}")
+                raise ShellEndedError(0, f"the shell has ended: {answer['refused'] or answer['end']}")
+            if answer["refused"]:
+                raise RpcError(0, answer["refused"])
             if answer["ready"]:
                 return True
 

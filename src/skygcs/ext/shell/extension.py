@@ -203,10 +203,7 @@ class Shell(Extension[ShellConfig]):
                     self._start(session, now)
                 continue
             if not session.woken and now - session.started_at >= QUIET_S:
-                # pxh does not greet, nor does a shell that another program has left; what modules print is no prompt
-                if session.input.awaits_prompt and self._send(session, b"\n", flags=OPEN_FLAGS):
-                    session.input.sent_enter(now)
-                session.woken = True
+                self._wake(session, now)
                 continue
             piece = session.input.next_piece(now)
             if not piece or self._still_waits(session):
@@ -220,6 +217,15 @@ class Shell(Extension[ShellConfig]):
                 session.input.sent(piece, now)
                 if (line := session.line_sent(piece)) is not None:
                     self._report(session, f"shell: {line}")
+
+    def _wake(self, session: ShellSession, now: float) -> None:
+        """Send an Enter for the first prompt if none has come: pxh does not greet, nor does a shell that another
+        program has left, and what modules print is no prompt. It is input as any other."""
+        if not session.input.awaits_prompt:
+            session.woken = True
+        elif self._refusal(session.actor, force=session.force) is None and self._send(session, b"\n", flags=OPEN_FLAGS):
+            session.input.sent_enter(now)
+            session.woken = True
 
     def _start(self, session: ShellSession, now: float) -> bool:
         """Have the vehicle begin a shell, whose greeting may come; False if no link takes the message."""
@@ -267,11 +273,11 @@ class Shell(Extension[ShellConfig]):
 
     def _refusal(self, actor: VehicleActor, *, force: bool) -> str | None:
         """Why nothing may be typed for this vehicle now; None: it may."""
-        now, gates = self.core.now(), self.core.hub.send_gates
+        gates = self.core.hub.send_gates
         if gates is not None and (why := gates.refusal(actor.sysid, self.core.hub.boot_clock())) is not None:
             return why
-        others = [] if self._addressed else self._others(actor)
-        for vehicle in [*self.core.fleet.vehicles_of(actor.sysid), *others]:
+        hearing = [v for v in self._others(actor) if not (self._addressed and _looks(v.firmware))]
+        for vehicle in [*self.core.fleet.vehicles_of(actor.sysid), *hearing]:
             if (why := self.core.fleet.locks.refusal(ConsoleInput(vehicle.key))) is not None:
                 return why
         if force:
@@ -279,10 +285,8 @@ class Shell(Extension[ShellConfig]):
         for model in self._reached(actor):
             if model.not_disarmed is not None:
                 return f"{model.name} {model.not_disarmed}: a shell is for disarmed vehicles; {FORCE_HINT}"
-        models = [model_of(vehicle, now) for vehicle in self._others(actor)]
-        hearing = [model for model in models if not (self._addressed and _looks(model.version))]
         if hearing:
-            names = ", ".join(f"{model.name} (PX4 {model.version or 'of unknown version'})" for model in hearing)
+            names = ", ".join(f"{one.name} (PX4 {one.firmware or 'of unknown version'})" for one in hearing)
             return f"on the same link {names} may execute what is typed for {actor.name}, too; {FORCE_HINT}"
         return None
 

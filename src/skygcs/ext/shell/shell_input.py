@@ -157,9 +157,10 @@ class ShellInput:
             self._unread = max(0, self._unread - len(data))
 
     def drop(self) -> int:
-        """Forget what waits; how many bytes that were. See `cut`."""
+        """Forget what waits; how many bytes that were. See `cut`: also a begun line of which nothing waits stays in the
+        shell."""
         gone = len(self._waiting)
-        self.cut |= self._begun and gone > 0
+        self.cut |= self._begun
         self._waiting.clear()
         self._unfinished = 0
         return gone

@@ -250,3 +250,22 @@ def test_silence_and_standing_still_end_it() -> None:
     progress.on_state(state(), 101.0 + STALLED_S)
     stalled = progress.on_time(101.5 + STALLED_S)
     assert stalled is not None and "no nearer" in stalled.reason
+
+
+def test_a_landing_below_home_goes_on_as_long_as_it_sinks() -> None:
+    """The ground may lie below home: its distance is 0 there, and it still comes nearer."""
+    progress = going("land")
+    for second in range(1, 80):
+        sinking = state(mode="AUTO.LAND", position={"alt_rel_m": 10.0 - 0.7 * second, "vel_enu_mps": [0.0, 0.0, -0.7]})
+        assert progress.on_state(sinking, 100.0 + second) is None and progress.on_time(100.0 + second) is None
+    end = progress.on_time(100.0 + 79 + STALLED_S + 1.0) or progress.on_time(100.0 + 79 + STALLED_S + 1.0)
+    assert end is not None and end.status == ABORTED
+
+
+def test_a_goto_without_a_height_keeps_that_of_its_execution() -> None:
+    """It was sent while the vehicle climbed, and waited for the end of the take-off."""
+    fields = {"frame": 1, "lat_deg": 43.0, "lon_deg": -79.0}
+    progress = OrderProgress("goto", goal("goto", **fields), state(position={"alt_rel_m": 2.0}))
+    assert progress.on_event(outcome("goto")) is None and progress.accepted(100.0) is None
+    end = progress.on_state(state(position={"alt_rel_m": 10.0}), 100.2)
+    assert end is not None and end.status == SUCCEEDED

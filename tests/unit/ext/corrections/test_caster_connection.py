@@ -193,6 +193,24 @@ async def test_another_programs_corrections_go_first() -> None:
         assert bench.changes() == ["held_off", "up"]
 
 
+async def test_a_source_whose_turn_has_come_must_bring_messages_and_locks_nobody_out() -> None:
+    async with at_work(never_stops(ICY, bytes([0x55, 0xD3, 0x00]) * 20)) as (bench, _):
+        bench.feed.send("roof", STANDARD_1005)
+        await asyncio.sleep(3.0)
+        assert bench.status["state"] == "held_off"
+        await asyncio.sleep(60.0)  # the other one is silent, and what we get is no RTCM
+        assert bench.status["failures"] >= 1
+        assert any("no RTCM 3 message" in event.text for event in bench.events)
+        assert "sends corrections already" not in bench.status["text"]
+
+
+async def test_a_password_that_is_no_text_is_named_and_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CASTER_PASSWORD", "gr\udcfcn")
+    with pytest.raises(LinkError, match=r"CASTER_PASSWORD \(password_env\) holds no password") as raised:
+        read_password(CorrectionsConfig(ntrip="ntrip://u@127.0.0.1:1/M", password_env="CASTER_PASSWORD"))
+    assert "gr" not in str(raised.value).split("CASTER_PASSWORD")[1]
+
+
 async def test_when_it_ends_another_programs_may_follow_at_once() -> None:
     async with at_work(streams(EPOCHS)) as (bench, _):
         await asyncio.sleep(3.0)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from skygcs.cli.main import app
 from skygcs.ext.radio_tools.settings import Firmware, RadioState, Register, to_toml
-from skygcs.ext.radio_tools.timing_file import joined, pair_problems, to_text
+from skygcs.ext.radio_tools.timing_file import joined, pair_problems, spoils, to_text
 
 DONE, FAILED, USAGE = 0, 1, 2
 FLEET = """
@@ -193,6 +193,15 @@ def test_a_measurement_that_cannot_begin_leaves_every_file_alone(
     assert said in " ".join(run("measure", *(arg.format(tmp_path) for arg in args), code=code).split())
     assert (tmp_path / "file").read_text() == "x = 1\n" and (tmp_path / "binary").read_bytes() == b"\xff\xfe\x00"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["binary", "file", "same"]
+
+
+def test_a_pair_does_not_spoil_the_file_of_a_network() -> None:
+    network = {"air_speed_kbps": 64, "multipoint": True}
+    assert spoils(None, {"air_speed_kbps": 0, "multipoint": False}) is None
+    held = {"measurement": [network]}
+    assert spoils(held, {"air_speed_kbps": 125, "multipoint": True}) is None
+    assert "another kind of radios" in (spoils(held, {"air_speed_kbps": 64, "multipoint": False}) or "")
+    assert "AIR_SPEED" in (spoils(held, {"air_speed_kbps": 0, "multipoint": True}) or "")
 
 
 def test_a_file_of_measurements_is_read_back_as_it_was_written() -> None:

@@ -111,6 +111,15 @@ def test_losses_refusals_and_the_end_of_the_session_are_said(daemon: FakeDaemon)
     assert "the shell has ended: the vehicle is gone" in run("alpha", "top", code=FAILED).stderr
 
 
+def test_a_line_that_was_taken_and_not_sent_is_a_failure_and_ends_a_pipe(daemon: FakeDaemon) -> None:
+    daemon.extra = {"refused": "7 bytes were not sent: alpha is armed"}
+    assert "alpha is armed" in run("alpha", "ver hw", code=FAILED).stderr
+    daemon.closed, daemon.written = 0, []
+    daemon.extra = {"refused": "7 bytes were not sent: alpha is armed"}
+    run("alpha", typed="ver hw\nreboot\n", code=FAILED)
+    assert "reboot\n" not in daemon.written
+
+
 def test_bad_options_are_named(daemon: FakeDaemon) -> None:
     run("alpha", "a\nb", code=USAGE)
     run("alpha", "ver hw", "--wait", "0", code=USAGE)

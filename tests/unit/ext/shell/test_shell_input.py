@@ -182,6 +182,16 @@ def test_a_line_that_is_dropped_when_a_part_of_it_was_sent_is_not_forgotten() ->
     assert typed.cut
 
 
+def test_a_begun_line_that_was_sent_as_far_as_it_came_is_not_forgotten_either() -> None:
+    """The shell has it: 120 further characters would make a line that it cuts off without a word."""
+    typed = at_prompt()
+    typed.put("c" * 60)
+    typed.sent(typed.next_piece(0.0), 0.0)
+    assert typed.waiting_bytes == 0
+    typed.put(INTERRUPT)
+    assert typed.cut
+
+
 def test_text_that_the_shell_cannot_read_is_refused_as_a_whole() -> None:
     typed = at_prompt()
     for bad, why in (

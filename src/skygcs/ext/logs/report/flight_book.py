@@ -22,7 +22,8 @@ LONGEST_DARK_S = 60.0
 """A vehicle that was armed, was not heard for longer, and is armed again may have flown twice."""
 
 
-POSITIONS = frozenset({"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_RAW_INT"})
+LOCAL = "LOCAL_POSITION_NED"
+POSITIONS = frozenset({"GLOBAL_POSITION_INT", LOCAL, "GPS_RAW_INT"})
 BATTERIES = frozenset({"SYS_STATUS", "BATTERY_STATUS"})
 
 
@@ -95,6 +96,8 @@ class _OpenFlight:
         self._distance_m = 0.0
         self._highest_m = -math.inf
         self._place: tuple[float, float, float] | None = None
+        self._place_by = ""
+        """The message that the path is made of, as `VehicleFlight.place`."""
         self._track = Track(TRACK_POINTS)
         self._height, self._percent, self._volts = (Curve(CURVE_BUCKETS) for _ in range(3))
         self._first_percent = self._last_percent = math.nan
@@ -108,6 +111,8 @@ class _OpenFlight:
 
     def placed(self, now: float, vehicle: VehicleFlight) -> None:
         """A position has come: `VehicleFlight` has it as the end of its track."""
+        if vehicle.place != self._place_by:
+            self._begin_path(vehicle.place)
         height_m, ends = vehicle.altitude.newest, vehicle.track.ends
         if height_m is not None:
             self._height.add(now, height_m)
@@ -120,6 +125,15 @@ class _OpenFlight:
         if self._place is None or step_m >= STEP_M:
             self._distance_m += 0.0 if self._place is None else step_m
             self._place = place
+
+    def _begin_path(self, by: str) -> None:
+        """A better message than before has come: the path begins anew, as places of the two differ. What was counted
+        in a vehicle's own frame is dropped."""
+        if self._place_by == LOCAL:
+            self._distance_m, self._highest_m = 0.0, -math.inf
+            self._height = Curve(CURVE_BUCKETS)
+        self._place, self._place_by = None, by
+        self._track = Track(TRACK_POINTS)
 
     def charged(self, now: float, vehicle: VehicleFlight) -> None:
         """A battery message has come."""

@@ -22,6 +22,7 @@ from skygcs.ext.logs.report.day_figures import (
 )
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.number_text import rounded
+from skygcs.terminal_text import visible
 
 NONE = "–"
 
@@ -66,9 +67,8 @@ def _cell(column: Column, value: Any) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6f}" if column.name.endswith("time_s") else repr(round(value, 6))
-    if isinstance(value, str) and value.startswith(FORMULA):
-        return f"'{value}"
-    return str(value)
+    text = visible(str(value))  # a bare carriage return would begin a row
+    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text
 
 
 # -- how values are shown

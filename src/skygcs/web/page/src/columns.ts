@@ -189,8 +189,8 @@ export interface Sorting {
   down: boolean;
 }
 
-/** Names of vehicles that match a filter: each word in name, id, group, mode, autopilot or a word of its state. The
- *  server looks into the same words of a large fleet (fleet_digest.py). */
+/** True if each word of the filter is part of a name, id, group, mode or autopilot, or begins a word of the vehicle's state:
+ *  "armed" is no part of "disarmed". The server looks into the same words of a large fleet (fleet_digest.py). */
 export function matches(vehicle: Vehicle, filter: string, now_s: number): boolean {
   const words = filter.toLowerCase().split(/\s+/).filter(Boolean);
   if (words.length === 0) return true;
@@ -201,8 +201,9 @@ export function matches(vehicle: Vehicle, filter: string, now_s: number): boolea
     isHeard(vehicle, now_s) && !isProblem(vehicle) ? "" : "problem",
     vehicle.landed.replace("_", " "),
   ];
-  const text = [vehicle.name, vehicle.sysid, ...vehicle.groups, vehicle.mode, vehicle.autopilot, ...state].join(" ").toLowerCase();
-  return words.every((word) => text.includes(word));
+  const text = [vehicle.name, vehicle.sysid, ...vehicle.groups, vehicle.mode, vehicle.autopilot].join(" ").toLowerCase();
+  const states = state.join(" ").split(" ");
+  return words.every((word) => text.includes(word) || states.some((one) => one.startsWith(word)));
 }
 
 /** ``problemsFirst``: those in trouble stand above all others, the worst first, however the rest is sorted. */

@@ -5,12 +5,14 @@ import { fixed } from "./format.ts";
 import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
 import { HoldButton } from "./hold_button.tsx";
+import { useStore } from "./hooks.ts";
 import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { isSeen, isTextField } from "./stop_key.ts";
 import type { Store, Vehicle } from "./store.ts";
 
 export function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
   const who = useTargetsText({ store, targets });
+  const origin = useStore(store, (state) => state.origin);
   const chooser = useRef<HTMLButtonElement>(null);
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   const [fields, setFields] = useState({ x: "", y: "", height: "" });
@@ -26,6 +28,10 @@ export function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
     setDraft(beginGoto(store, view, (at) => setFields((before) => ({ ...before, x: at.x.toFixed(1), y: at.y.toFixed(1) }))));
   };
   useEffect(() => () => draft?.end(), [draft]);
+  useEffect(() => { // x and y were of the frame before
+    setDraft(null);
+    setFields((before) => ({ ...before, x: "", y: "" }));
+  }, [origin?.lat_deg, origin?.lon_deg, origin?.x_heading_deg]);
   useEffect(() => {
     if (valid) draft?.show(x, y);
   }, [draft, valid, x, y, targets]);
@@ -57,10 +63,11 @@ export function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
       </div>
       <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${fields.x}, y ${fields.y}${up}`}
         act={() => {
-          if (place === null) return;
+          const now = view.geodeticOf(x, y);
+          if (now === null) return;
           const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
           const label = `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`;
-          void send({ label, method: "vehicles.goto", params: { ...place, height_m: height } }).then((state) => {
+          void send({ label, method: "vehicles.goto", params: { ...now, height_m: height } }).then((state) => {
             if (state === "done") store.dispatch({ type: "goals", goals });
           });
           draft?.end();

@@ -52,7 +52,7 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
   const shown = rows.slice(window.first, window.first + window.count);
 
   const pick = (name: string, event: { shiftKey: boolean; ctrlKey: boolean; metaKey: boolean }): void => {
-    if (event.shiftKey && cursor !== null) {
+    if (event.shiftKey && cursor !== null && names.includes(cursor)) {
       const [from, to] = [names.indexOf(cursor), names.indexOf(name)].sort((a, b) => a - b);
       store.dispatch({ type: "select", names: names.slice(Math.max(from ?? 0, 0), (to ?? 0) + 1), how: "add" });
     } else {

@@ -45,10 +45,21 @@ function ranked(v: Vehicle, now_s: number, around: Surroundings): Ranked {
   return guarded(v) ?? flown(v, around) ?? { rank: RANK.nothing, cell: UNKNOWN };
 }
 
+/** The newest failsafe event of each vehicle, worked out once for each list of events: a whole fleet may be in failsafe. */
+function failsafesOf(events: State["events"]): ReadonlyMap<string, State["events"][number]> {
+  let found = failsafes.get(events);
+  if (found === undefined) {
+    found = new Map(events.filter(({ kind }) => kind === "failsafe").map((event) => [event.vehicle ?? "", event]));
+    failsafes.set(events, found);
+  }
+  return found;
+}
+
+const failsafes = new WeakMap<State["events"], ReadonlyMap<string, State["events"][number]>>();
+
 /** "FAILSAFE: GPS glitch, returning". The words are the vehicle's own. */
 function failsafeCell(v: Vehicle, others: readonly string[], { events }: Surroundings): Cell {
-  const event = [...events].reverse().find(({ kind, vehicle }) => kind === "failsafe" && vehicle === v.name);
-  const words = event?.data["last_warning"];
+  const words = failsafesOf(events).get(v.name)?.data["last_warning"];
   const does = DOES.find(([mode]) => mode.test(v.mode ?? ""))?.[1];
   const what = [...(typeof words === "string" && words !== "" ? [words] : []), ...(does === undefined ? [] : [does]), ...others];
   return cell(what.length === 0 ? "FAILSAFE" : `FAILSAFE: ${what.join(", ")}`, "danger", v.system_status);

@@ -66,3 +66,12 @@ test("of alarms that came together the first is said, and how many there are", (
   assert.equal(spokenText([event(0, "failsafe", "u02", {}, "battery low", "alarm"), event(0.1, "fault", null, {}, "disk", "alarm")]), "u02: battery low. 1 more alarm");
   assert.equal(spokenText(["a", "b", "c"].map((name) => event(0, "vehicle_lost", name, {}, "3.1 s", "alarm"))), "3 vehicles: vehicle lost");
 });
+
+test("events that are too few for a group stay where they happened", () => {
+  const rows = newestFirst(
+    event(100, "statustext", "alpha", {}, "GPS glitch"),
+    event(98, "failsafe", "bravo"),
+    event(96, "statustext", "alpha", {}, "GPS glitch"),
+  );
+  assert.deepEqual(grouped(rows).map(({ head }) => head.time_unix_s - 1000), [100, 98, 96]);
+});

@@ -145,6 +145,9 @@ test("the filter: all words, in any order, of names, groups, modes and states", 
   for (const words of ["", "alp", "scout rtl", "ARMED in air", "heard", "px4"]) assert.ok(matches(v, words, 1000), words);
   for (const words of ["bravo", "scouts land", "silent"]) assert.ok(!matches(v, words, 1000), words);
   assert.ok(matches(v, "silent", 1100));
+  const standing = heard("bravo", 2, { armed: false, landed: "on_ground" });
+  assert.ok(!matches(standing, "armed", 1000), "nothing that is disarmed is found by “armed”");
+  for (const words of ["disarmed", "dis", "ground", "bravo"]) assert.ok(matches(standing, words, 1000), words);
 });
 
 test("groups have a heading with their vehicles", () => {

@@ -85,6 +85,21 @@ def test_flights_are_what_was_flown() -> None:
         assert (xs[-1], ys[-1]) == pytest.approx(made.place(sysid, 114.5)[:2], abs=0.1)
 
 
+def test_a_recording_that_begins_in_flight_with_the_vehicles_own_frame_counts_no_jump() -> None:
+    """Its first places are metres of its own; the first on earth is far from them, and nothing flew there."""
+    local = {"x": 200.0, "y": 300.0, "z": -40.0}
+    home = {"lat": 437806000, "lon": -794653000, "alt": 200000, "relative_alt": 10000}
+    records = [(float(n), beat(1, n, armed=True)) for n in range(60)]
+    records += [(n + 0.2, frame("EXTENDED_SYS_STATE", {"landed_state": IN_AIR}, seq=n)) for n in range(60)]
+    records += [(n + 0.3, frame("LOCAL_POSITION_NED", local, seq=n)) for n in range(60)]
+    records += [(n + 0.4, frame("GLOBAL_POSITION_INT", home, seq=n)) for n in range(5, 60)]
+    (flight,) = vehicle(report_of(log(records)), 1).flights
+    assert flight.distance_m < 1 and flight.highest_m == pytest.approx(10.0)
+    assert flight.drawing is not None
+    xs, ys = flight.drawing.track
+    assert max(map(abs, [*xs, *ys])) < 1
+
+
 def test_armed_on_the_ground_is_no_flight_and_the_landed_state_decides() -> None:
     records = []
     for n in range(60):

@@ -43,7 +43,9 @@ export function grouped(rows: readonly JudgedEvent[]): EventGroup[] {
       if (likeness !== null) latest.set(likeness, made);
     }
   }
-  return groups.flatMap(({ group, likeness }) => (likeness === null ? [group] : alike(group)));
+  const place = new Map(rows.map((event, index) => [event, index]));
+  const found = groups.flatMap(({ group, likeness }) => (likeness === null ? [group] : alike(group)));
+  return found.sort((a, b) => (place.get(a.head) ?? 0) - (place.get(b.head) ?? 0));
 }
 
 /** Alike events of enough vehicles as one; else each for itself. */

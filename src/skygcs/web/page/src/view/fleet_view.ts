@@ -244,6 +244,7 @@ export class FleetView {
     // what stands in for an origin stays where it was: else the whole view would move with a vehicle
     if (!same && origin !== null && !(state.origin === null && this.frame?.standIn === true)) {
       this.frame = frameAt(origin, state.origin === null);
+      this.trailsDrawn = null; // the old trails are in metres of the frame before
     }
     this.loadMap(state.hello?.map ?? null);
   }
