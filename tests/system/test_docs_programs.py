@@ -25,6 +25,7 @@ PROGRAMS = {
 """Page -> which of its Python examples is a whole program for a daemon."""
 
 NOT_RUN = {
+    "docs/howto/extension.md": "a gate without its extension; a whole one of another name gates in test_extension",
     "docs/explanation/control-law.md": "a fragment, without the numbers that it takes",
     "docs/howto/logs.md": "needs pandas",
     "docs/howto/federation.md": "run in tests/federation/test_how_to.py, where there is a hub",
