@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import socket
@@ -68,7 +69,11 @@ async def page_of(station: WebStation, role: Any = "command", *, ws: bool = True
             yield page
         finally:
             if page.ws is not None:
+                sock = page.ws.get_extra_info("socket")
                 await page.ws.close()
+                if sock is not None:  # megabytes that nobody reads would keep it open beyond the loop
+                    with contextlib.suppress(OSError):
+                        sock.shutdown(socket.SHUT_RDWR)
 
 
 def raw(station: WebStation, request: str) -> str:
