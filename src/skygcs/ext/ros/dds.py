@@ -208,6 +208,7 @@ class DdsNode:
         self.subscribers: dict[str, Subscriber] = {}
         self.services: dict[str, Service] = {}
         self._topics: dict[str, Topic[Any]] = {}
+        self._classes: dict[str, type[IdlStruct]] = {}
 
     def publish(self, name: str, type_: str, quality: Quality) -> Publication:
         """A publication of this topic."""
@@ -251,7 +252,9 @@ class DdsNode:
     def topic(self, dds_name: str, type_: str) -> Topic[Any]:
         """The topic entity of this name."""
         if dds_name not in self._topics:
-            cls = type("Raw", (IdlStruct,), {"__idl_typename__": dds_type_name(type_)})
+            cls = self._classes.get(type_)
+            if cls is None:  # Cyclone works out a class anew for each topic: once for each type is enough
+                cls = self._classes[type_] = type("Raw", (IdlStruct,), {"__idl_typename__": dds_type_name(type_)})
             self._topics[dds_name] = Topic(self.participant, dds_name, cls)
         return self._topics[dds_name]
 
