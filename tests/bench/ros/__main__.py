@@ -170,7 +170,8 @@ async def span(daemon: DaemonProcess, reader: Reader | None) -> dict[str, float]
 
 def fly(daemon: DaemonProcess) -> None:
     """The simulated vehicle is in the air, under control by position."""
-    daemon.call("vehicles.takeoff", targets="flown", height_m=10.0, arm=True)
+    order = {"targets": "flown", "height_m": 10.0, "arm": True}
+    wait_until(lambda: daemon.call("vehicles.takeoff", **order)["outcomes"]["flown"]["ok"], "it takes off")
     wait_until(lambda: (daemon.vehicles()["flown"]["position"] or {}).get("alt_rel_m", 0) > 9, "it is up")
     outcome = daemon.call("control.set", targets="flown", mode="position")["outcomes"]["flown"]
     assert outcome["ok"], outcome
