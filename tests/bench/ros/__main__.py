@@ -101,8 +101,9 @@ def send(port: int, times: SynchronizedArray[float], stop: Any) -> None:
 class Reader:
     """Reads poses and IMUs of vehicles; ``ages_s`` of poses, and how many of each came."""
 
-    def __init__(self, domain: int, names: list[str], times: SynchronizedArray[float] | None) -> None:
-        self.node = DdsNode(Network(domain, True, ()), ros2_interfaces("1.16"), asyncio.get_running_loop())
+    def __init__(self, node: DdsNode, names: list[str], times: SynchronizedArray[float] | None) -> None:
+        self.node = node
+        self.read: list[Any] = []
         self.ages_s: list[float] = []
         self.counts: dict[str, int] = {}
         self.times = times
@@ -120,10 +121,16 @@ class Reader:
                 sent = self.times[number % len(self.times) // VEHICLES * VEHICLES + index]
                 self.ages_s.append(time.monotonic() - sent)
 
-        self.node.subscribe(topic, type_, "sensor", take)
+        self.read.append(self.node.subscribe(topic, type_, "sensor", take))
 
     def close(self) -> None:
-        self.node.close()
+        for subscriber in self.read:
+            subscriber.close()
+
+
+def opened(domain: int) -> DdsNode:
+    """A node; a process has one domain of a number."""
+    return DdsNode(Network(domain, True, ()), ros2_interfaces("1.16"), asyncio.get_running_loop())
 
 
 def cpu_s(pid: int) -> float:
@@ -190,9 +197,10 @@ async def at_50_hz(folder: Path) -> dict[str, dict[str, float]]:
         wait_until(lambda: len(daemon.vehicles()) == VEHICLES + 1, "all are known")
         wait_until(lambda: daemon.call("ros.status")["report"] is not None, "the process of ROS is up")
         await asyncio.to_thread(fly, daemon)
+        node = opened(domain)
         for _ in range(TURNS):
             spans["without"].append(await span(daemon, None))
-            reader = Reader(domain, names, times)
+            reader = Reader(node, names, times)
             spans["with"].append(await span(daemon, reader))
             reader.close()
     return {
@@ -207,7 +215,7 @@ async def behind_a_radio(folder: Path) -> list[tuple[str, float, float]]:
     with DaemonProcess(folder, RADIO.format(domain=domain), name="radio") as daemon:
         wait_until(lambda: len(daemon.vehicles()) == VEHICLES, "all are known")
         names = list(daemon.vehicles())
-        reader = Reader(domain, names, None)
+        reader = Reader(opened(domain), names, None)
         await asyncio.sleep(60.0)  # requests go one after another, and rates settle
         reader.counts = dict.fromkeys(reader.counts, 0)
         await asyncio.sleep(SECONDS)

@@ -47,7 +47,10 @@ def make(info: MessageInfo, version: int, seed: int, sysid: int, target: int, se
 
 def same_but_for_ids(before: bytes, after: bytes, sysid: int, target: int, info: MessageInfo) -> None:
     was, now = decoded(before), decoded(after)
-    expected = was.to_dict() | {target_field(info): target}
+    known, field = was.to_dict(), target_field(info)
+    # pymavlink's SERIAL_CONTROL has no target, which stands behind its fields: what it reads stays as it was
+    expected = known | {field: target} if field in known else known
+    assert parsed(after).fields()[field] == target
     assert repr(now.to_dict()) == repr(expected), "NaN is no number, and equal all the same here"
     assert (now.get_srcSystem(), now.get_srcComponent(), now.get_seq()) == (
         sysid,
