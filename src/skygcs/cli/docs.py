@@ -62,7 +62,7 @@ def docs_dir() -> Path:
 
 
 def all_pages() -> dict[str, Path]:
-    """Names as ``howto/radio``, and their files. Raises SkygcsError if there are none."""
+    """The files of the pages by name, such as ``howto/radio``. Raises SkygcsError without any."""
     top = docs_dir()
     found = {
         path.relative_to(top).with_suffix("").as_posix(): path

@@ -152,7 +152,7 @@ class LinkDemand:
 
     @property
     def timing(self) -> AirTiming | None:
-        """Timeslots at its air speed, measured if they were; None: there are none."""
+        """The timeslots at its air speed, measured or assumed; None for a link without timeslots."""
         if self.air_kbps is None:
             return None
         return self.measured.get(self.air_kbps) or assumed_timing(self.air_kbps)

@@ -19,7 +19,7 @@ MOST_TEXT = 1000
 """Characters of a text that comes from outside."""
 
 MOST_DATA = 4096
-"""Characters of an event's data; a part of JSON is none."""
+"""Characters of an event's data; longer data is left out, as truncated JSON cannot be read."""
 
 MOST_VEHICLES = 250
 """Vehicles in one message."""

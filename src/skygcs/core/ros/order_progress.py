@@ -60,13 +60,13 @@ SETTLE_S = 3.0
 
 STALLED_S = 30.0
 NEARER_M = 0.5
-"""Coming nearer by less than this in STALLED_S is none."""
+"""Progress below this in STALLED_S counts as no progress."""
 
 SILENT_S = 3.0
 """Without a state of the vehicle, which is sent five times a second."""
 
 OLD_S = 3.0
-"""An older position is none."""
+"""An older position is not used."""
 
 ASTRAY_M = 2.0
 """Flight control's reference leads elsewhere when it is so much farther from the place than it was."""

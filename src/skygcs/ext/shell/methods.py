@@ -36,7 +36,9 @@ class ShellWriteParams(SessionParams):
 
 
 class ShellReadParams(SessionParams):
-    wait_s: float = Field(0.0, ge=0.0, le=LONGEST_READ_S, description="For output or an end, if there is none yet.")
+    wait_s: float = Field(
+        0.0, ge=0.0, le=LONGEST_READ_S, description="Longest wait for output, or for the session's end."
+    )
 
 
 class ShellOpened(Result):

@@ -1,4 +1,4 @@
-// Orders for the selected vehicles. Hold and STOP act at once; everything else is held down for a second.
+// Orders for the selected vehicles. Hold, STOP and the end of setpoints act at once; everything else is held down for a second.
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { namesText } from "./format.ts";

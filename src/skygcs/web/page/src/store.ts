@@ -307,8 +307,12 @@ export function silenceOf(vehicle: Vehicle, now_s: number): number | null {
 
 /** Whether a vehicle's values are of now. A frozen good value is never shown as one. */
 export function isHeard(vehicle: Vehicle, now_s: number): boolean {
-  const silence = silenceOf(vehicle, now_s);
-  return vehicle.connected && silence !== null && silence < SILENT_S;
+  return isHeardAfter(vehicle, silenceOf(vehicle, now_s));
+}
+
+/** The same where its silence is known already: the view asks for each vehicle in each frame. */
+export function isHeardAfter({ connected }: Pick<Vehicle, "connected">, silence: number | null): boolean {
+  return connected && silence !== null && silence < SILENT_S;
 }
 
 export type Listener = (state: State) => void;

@@ -1,7 +1,7 @@
 // What is wrong with a vehicle, worst first: the one place that decides it, for strip, table and counts. Pure.
 
 import { ageText, fixed } from "./format.ts";
-import { isHeard, silenceOf, type Vehicle } from "./store.ts";
+import { isHeardAfter, silenceOf, type Vehicle } from "./store.ts";
 import type { Separation } from "./types.ts";
 
 export type Severity = "danger" | "warning";
@@ -65,7 +65,8 @@ export function troublesOf(vehicles: readonly Vehicle[], now_s: number): Trouble
 
 /** It was in the air when it was last heard, and may still be. */
 export function isLostInAir(v: Vehicle, now_s: number): boolean {
-  return !isHeard(v, now_s) && silenceOf(v, now_s) !== null && isInAir(v);
+  const silence = silenceOf(v, now_s);
+  return silence !== null && !isHeardAfter(v, silence) && isInAir(v);
 }
 
 const LOST_RANK = -1;
@@ -74,7 +75,7 @@ const SILENT_RANK = 100;
 function ranked(v: Vehicle, now_s: number): { rank: number; trouble: Trouble } | null {
   const made = (rank: number, severity: Severity, reasons: readonly string[]) => ({ rank, trouble: { name: v.name, severity, text: reasons.join(", "), reasons } });
   const silence = silenceOf(v, now_s);
-  if (!isHeard(v, now_s)) {
+  if (!isHeardAfter(v, silence)) {
     if (silence === null) return null;
     if (!isInAir(v)) return made(SILENT_RANK, "warning", ["not heard", ageText(silence)]);
     const height = fixed(v.position?.alt_rel_m, 1);

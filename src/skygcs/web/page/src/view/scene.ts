@@ -3,7 +3,7 @@
 import { siteOf } from "../levels.ts";
 import { ageOf, isHeard, serverNowS, type State, type Vehicle } from "../store.ts";
 import type { Separation, Vec3 } from "../types.ts";
-import { isLostInAir, troubleOf, type Trouble } from "../trouble.ts";
+import { troubleOf, type Trouble } from "../trouble.ts";
 import { fixed } from "../format.ts";
 import { placeOf, velocityOf, yawOf, type Frame } from "./frame.ts";
 import { VEHICLE_COLOURS } from "./palette.ts";
@@ -50,6 +50,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
     const place = placeOf(frame, vehicle);
     if (place === null) return;
     const heard = isHeard(vehicle, now_s);
+    const trouble = troubleOf(vehicle, now_s);
     const velocity = velocityOf(frame, vehicle);
     const speedMps = velocity === null ? null : Math.hypot(velocity[0], velocity[1]);
     let [x, y, z] = place;
@@ -70,8 +71,8 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       speedMps,
       heard,
       armed: vehicle.armed === true,
-      trouble: troubleOf(vehicle, now_s),
-      lostInAir: isLostInAir(vehicle, now_s),
+      trouble,
+      lostInAir: !heard && trouble?.severity === "danger",
       selected: state.selection.has(name),
       colour: (bySite ? state.sites.indexOf(siteOf(name)) : index) % VEHICLE_COLOURS,
       conflict: heard ? vehicle.separation : null,
