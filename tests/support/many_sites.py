@@ -37,6 +37,10 @@ def _lost(name: str) -> dict[str, Any]:
     return {"ok": False, "result": "unknown", "message": text, "id": ident}
 
 
+class UnknownMethod(Exception):
+    """A method that these sites do not have: an answer of another shape would be a fault of the daemon's."""
+
+
 class ManySites:
     """``sites`` of ``vehicles`` each."""
 
@@ -99,7 +103,7 @@ class ManySites:
                 return {"site": SITES[0], "role": "site", "hub": {"connected": True}, "sites": []}
             case "origin.get":
                 return {"origin": {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "alt_amsl_m": 180.0, "x_heading_deg": 90.0}}
-            case "events.recent":
+            case "events.recent" | "links.list" | "link.status":
                 return []
             case "vehicles.get":
                 return next(self.state(*each) for each in self.names if each[1] == params["target"])
@@ -114,7 +118,7 @@ class ManySites:
             names = targets if isinstance(targets, list) else [name for _, name, _ in self.names]
             lost = [name for name in names if method == UNANSWERED[0] and name.endswith(UNANSWERED[1])]
             return {"outcomes": {name: _lost(name) if name in lost else ACCEPTED for name in names}}
-        return {}
+        raise UnknownMethod(method)
 
     def _keep(self, method: str, params: dict[str, Any]) -> None:
         with self.orders.open("a") as file:
@@ -134,13 +138,16 @@ class ManySites:
                 method, params = request["method"], request.get("params", {})
                 if method == "subscribe":
                     number = request["id"]
-                    result: Any = {"subscription": number, "now_s": time.monotonic()}
+                    answer: Any = {"result": {"subscription": number, "now_s": time.monotonic()}}
                     if params["topic"] == "telemetry":
                         feeding.add(asyncio.create_task(self._feed(writer, number, params["rate_hz"])))
                 else:
-                    result = self.answer(method, params)
+                    try:
+                        answer = {"result": self.answer(method, params)}
+                    except UnknownMethod:
+                        answer = {"error": {"code": -32601, "message": f"no method {method}"}}
                 if "id" in request:
-                    _write(writer, {"jsonrpc": "2.0", "id": request["id"], "result": result})
+                    _write(writer, {"jsonrpc": "2.0", "id": request["id"], **answer})
         except (ConnectionError, asyncio.IncompleteReadError):
             pass
         finally:

@@ -55,9 +55,10 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
     };
   }, [store, connection, method, key, everyMs, turn]);
   // another question: its answer has not come yet
-  const asked = useRef(key);
-  if (asked.current !== key) {
-    asked.current = key;
+  const question = `${method} ${key}`;
+  const asked = useRef(question);
+  if (asked.current !== question) {
+    asked.current = question;
     if (found.answer !== null) setFound({ answer: null, atMs: 0, error: null });
   }
   return { ...found, again: () => setTurn((n) => n + 1) };
