@@ -21,6 +21,7 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.errors import ConfigError
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
@@ -38,7 +39,6 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
-from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports

@@ -15,10 +15,10 @@ from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.margins import DEFAULT
 from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.errors import RefusedError, SkygcsError, TargetError
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.runtime.planning_queue import PlanningQueue
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

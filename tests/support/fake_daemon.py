@@ -27,18 +27,18 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.plan.guidance import choose
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
+from skygcs.ext.plans.flight.guidance import choose
+from skygcs.ext.plans.plan_runner import ChosenWay
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
 from skygcs.extension import Extensions
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet_orders import Order, Reports, Unreported
-from skygcs.runtime.plan_runner import ChosenWay
-from skygcs.runtime.planning_queue import PlanningQueue
 
 NAMES = ("alpha", "bravo", "carol")
 

@@ -13,9 +13,9 @@ from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import MotionLimits
 from skygcs.daemon import Daemon
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
-from skygcs.runtime.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
 from support.flown import Flown
 
 Vector = tuple[float, float, float]

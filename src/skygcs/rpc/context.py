@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
@@ -25,7 +26,6 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
-from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing

@@ -140,7 +140,7 @@ METHODS: MethodTable[Context] = MethodTable(
         ),
     ),
     Later(
-        "skygcs.rpc.plans",
+        "skygcs.ext.plans.methods",
         "METHODS",
         (
             *("plan.upload", "plan.load", "plan.check", "plan.run", "plan.pause", "plan.resume", "plan.speed"),
@@ -149,7 +149,7 @@ METHODS: MethodTable[Context] = MethodTable(
         always=("plan.pause", "plan.abort", "plan.land"),  # a plan that flies has imported them
         while_stopping=("plan.status",),
     ),
-    Later("skygcs.rpc.planning", "METHODS", ("plan.make", "plan.certify", "plan.cancel", "plan.jobs")),
+    Later("skygcs.ext.plans.planning_methods", "METHODS", ("plan.make", "plan.certify", "plan.cancel", "plan.jobs")),
     (Method("clock.read", NoParams, clock_read, ClockReading, while_stopping=True),),
     Later("skygcs.rpc.alarms", "METHODS", ("alarms.list", "alarms.acknowledge"), while_stopping=("alarms.list",)),
     Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),

@@ -11,14 +11,14 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from skygcs.core.plan.flight_record import FlightRecord
-from skygcs.planning.process import PlanningProcesses
+from skygcs.core.vehicle.flight_record import FlightRecord
+from skygcs.ext.plans.planning.process import PlanningProcesses
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent, VehicleLinks
 
 if TYPE_CHECKING:  # 1 MB with the geometry of plans
-    from skygcs.runtime.plan_runner import PlanRunner, World
+    from skygcs.ext.plans.plan_runner import PlanRunner, World
 
 CHARGE_S = 5.0
 """Between two looks at the charges of all vehicles."""
@@ -53,7 +53,7 @@ class Plans:
     def runner(self) -> PlanRunner:
         """Return what loads, checks and flies a plan; made when it is first asked for."""
         if self._runner is None:
-            from skygcs.runtime.plan_runner import PlanRunner
+            from skygcs.ext.plans.plan_runner import PlanRunner
 
             self._runner = PlanRunner(self, self._fleet, self._trajectories, self._links, self._loop, self._on_event)
             if self._ending:

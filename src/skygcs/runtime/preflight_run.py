@@ -16,7 +16,6 @@ from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.params.names import turns_on
-from skygcs.core.plan.flight_findings import ReturnHeight, offered_heights
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
@@ -32,6 +31,7 @@ from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import sticks_of
+from skygcs.ext.plans.flight.flight_findings import ReturnHeight, offered_heights
 from skygcs.number_text import rounded
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams

@@ -16,8 +16,8 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.compare import Change, plan
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import ParamFile, parse
-from skygcs.core.plan.position_table import WHICH, parse_table
 from skygcs.errors import RefusedError
+from skygcs.ext.plans.position_table import WHICH, parse_table
 from skygcs.web.dropped import DroppedFile, Request, parsed
 
 MAX_PARAMS = 5000
@@ -63,9 +63,9 @@ def check_fence(params: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_plan_files(params: Mapping[str, Any]) -> dict[str, Any]:
     """web.plan.check."""
-    from skygcs.web import plan_checks
+    from skygcs.ext.plans import page_checks
 
-    return plan_checks.check_plan_files(params)
+    return page_checks.check_plan_files(params)
 
 
 def check_params(params: Mapping[str, Any]) -> dict[str, Any]:

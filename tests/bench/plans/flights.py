@@ -28,15 +28,15 @@ from typing import Any
 from bench.monitor.virtual import in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.plan.certificate import Certificate
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
-from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
+from skygcs.ext.plans.certificates.certificate import Certificate
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle

@@ -291,7 +291,7 @@ def test_any_file_is_answered_or_refused(name, content):
 
 
 def test_a_table_of_positions_is_read_as_the_command_line_reads_it(tmp_path):
-    from skygcs.cli.table import read_table
+    from skygcs.ext.plans.commands.table import read_table
 
     columns = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z,final_heading_deg"
     text = f"{columns}\na,0,1,5,10,0,5,90\n7,,,,1,2,3,\n"
