@@ -10,7 +10,6 @@ from typing import Any, Protocol
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
-from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
@@ -46,6 +45,8 @@ class ExtensionParts(Protocol):
     def methods(self) -> tuple[Method[Context], ...]: ...
     @property
     def state_groups(self) -> Mapping[str, object]: ...
+    def demand(self, word: str) -> tuple[Method[Context], ...]: ...
+    def every_method(self) -> tuple[Method[Context], ...]: ...
     def groups_of(self, vehicle: VehicleActor, now: float, names: frozenset[str] | None) -> JsonObject: ...
     async def serve(self, new_session: NewSession) -> None: ...
 
@@ -63,7 +64,6 @@ class Services(Protocol):
     air: AirPlanner
     corrections: CorrectionFeed
     message_sender: MessageSender
-    planning: PlanningQueue
     renumbering: Renumbering
     signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog

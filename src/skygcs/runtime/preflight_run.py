@@ -20,6 +20,7 @@ from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import Finding, Fix, Report, Severity, failed, passed
+from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome
@@ -31,7 +32,6 @@ from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import sticks_of
-from skygcs.ext.plans.flight.flight_findings import ReturnHeight, offered_heights
 from skygcs.number_text import rounded
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams

@@ -40,7 +40,7 @@ from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle
-from support.called import call
+from support.called import call, plans_of
 from support.on_air import FIELD
 from support.planned import content, inline
 from support.sim_pilot import int_param
@@ -179,7 +179,7 @@ class Air:
 
     async def fly(self, plan: Plan, seen: Watched, *, until: Callable[[], bool], lost: Callable[[], str | None]) -> Any:
         """Run it and look until then; resume it where it was stopped. ``lost``: the vehicle that is cut off."""
-        self.daemon.fleet.plans.runner.work = inline
+        plans_of(self.daemon).runner.work = inline
         await self.call("plan.load", plan=content(plan), name="bench")
         report = await self._begin()
         began, stopped_s = self.daemon.now(), 0.0

@@ -1,4 +1,4 @@
-"""The methods that fly a plan of the fleet. `METHODS` is their part of the table."""
+"""The methods of plans: these ones keep and fly one, those of `planning_methods` make and certify. `METHODS`: all."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pydantic import Field, model_validator
 
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
+from skygcs.ext.plans import planning_methods
 from skygcs.ext.plans.plan_runner import FlightRequest
 from skygcs.ext.plans.plan_uploads import MAX_PART_CHARS
-from skygcs.ext.plans.planning_methods import one_plan
+from skygcs.ext.plans.planning_methods import one_plan, plans_of
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -158,7 +159,7 @@ def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
     Four at a time, of all clients; one without a further part for a minute is dropped.
     """
     services = context.services
-    number, size = services.fleet.plans.runner.uploads.add(params.upload, params.part, services.now())
+    number, size = plans_of(services).runner.uploads.add(params.upload, params.part, services.now())
     return {"upload": number, "bytes": size}
 
 
@@ -167,14 +168,14 @@ async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
     content = params.upload if params.plan is None else params.plan
     assert content is not None
     try:
-        return await context.services.fleet.plans.runner.load(content, params.name)
+        return await plans_of(context.services).runner.load(content, params.name)
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
 
 
 def plan_unload(context: Context, _: NoParams) -> JsonObject:
     """Forget the plan. Refused while it is flown."""
-    return _done(context.services.fleet.plans.runner.unload())
+    return _done(plans_of(context.services).runner.unload())
 
 
 async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
@@ -183,7 +184,7 @@ async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
     Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
     the plan, with what is measured now. Vehicles that take no part are obstacles where they were measured.
     """
-    return await context.services.fleet.plans.runner.check(_request(params))
+    return await plans_of(context.services).runner.check(_request(params))
 
 
 async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
@@ -192,7 +193,7 @@ async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
     Answered when vehicles begin to arm; it is the daemon's from then on: the client may leave. See plan.status, the
     topic "plan" and events of kind plan.
     """
-    started, report = await context.services.fleet.plans.runner.run(
+    started, report = await plans_of(context.services).runner.run(
         _request(params), set_return_heights=params.set_return_heights
     )
     return {"started": started, "report": report}
@@ -200,7 +201,7 @@ async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
 
 def plan_pause(context: Context, _: NoParams) -> JsonObject:
     """Stop all on their ways, smoothly, by their common clock."""
-    return _done(context.services.fleet.plans.runner.pause())
+    return _done(plans_of(context.services).runner.pause())
 
 
 async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
@@ -210,18 +211,18 @@ async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
     certified anew: not ok names the pair. Vehicles that landed are out of it; force also passes silent ones and those
     flown by their pilots, where they were measured.
     """
-    ok, message, reasons = await context.services.fleet.plans.runner.resume(force=params.force)
+    ok, message, reasons = await plans_of(context.services).runner.resume(force=params.force)
     return {"ok": ok, "message": message, "reasons": reasons}
 
 
 def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
     """Fly faster or slower, at most as fast as was certified."""
-    return _done(context.services.fleet.plans.runner.set_speed(params.speed))
+    return _done(plans_of(context.services).runner.set_speed(params.speed))
 
 
 def plan_abort(context: Context, _: NoParams) -> JsonObject:
     """Stop all on their ways for good, then order each to hold. Those that are only armed are disarmed."""
-    return _done(context.services.fleet.plans.runner.abort())
+    return _done(plans_of(context.services).runner.abort())
 
 
 def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
@@ -229,7 +230,7 @@ def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
 
     Where none does, they stay; vehicles.land lands one all the same.
     """
-    return _done(context.services.fleet.plans.runner.land(force=params.force))
+    return _done(plans_of(context.services).runner.land(force=params.force))
 
 
 def plan_status(context: Context, _: NoParams) -> JsonObject:
@@ -262,4 +263,5 @@ METHODS: tuple[Method[Context], ...] = (
     Method("plan.land", PlanForceParams, plan_land, PlanOrderAnswer, _REFUSED, always=True),
     Method("plan.status", NoParams, plan_status, PlanStatus, while_stopping=True),
     Method("plan.unload", NoParams, plan_unload, PlanOrderAnswer, _REFUSED),
+    *planning_methods.METHODS,
 )

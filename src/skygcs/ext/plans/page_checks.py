@@ -1,7 +1,9 @@
-"""web.plan.check: certify a plan for the fleet from files, or make one from starts and goals.
+"""Checks of the page: `check_plan_files` certifies a plan for the fleet from files, or makes one from starts and goals;
+`check_positions` reads a table.
 
-The answer has the certificate, the paths for the page's timeline, and the plan as text in skygcs' own format, which is
-what is flown. A certificate is never believed by the daemon: it certifies the plan again before it flies it.
+The answer of the first has the certificate, the paths for the page's timeline, and the plan as text in skygcs' own
+format, which is what is flown. A certificate is never believed by the daemon: it certifies the plan again before it
+flies it.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.certificate import Certificate
+from skygcs.ext.plans.position_table import WHICH, parse_table
 from skygcs.web.dropped import DroppedFile, Metres, Name, OriginKeys, Place, Point, Request, parsed
 
 MAX_FILES = 255
@@ -246,3 +249,23 @@ def _sampled(trajectory: Trajectory, count: int) -> list[list[Any]]:
         [step, *([round(a, 3), round((b - a) / step, 6)] for a, b in zip(begin, end, strict=True))]
         for begin, end in pairwise(points)
     ]
+
+
+class PositionsCheck(Request):
+    """A table of initial and final positions."""
+
+    file: DroppedFile
+
+
+def check_positions(params: Mapping[str, Any]) -> dict[str, Any]:
+    """web.positions.check: the positions of a table, by the names that the file has."""
+    file = parsed(PositionsCheck, params).file
+    table = parse_table(file.name, file.content())
+    return {
+        "name": file.name,
+        "vehicles": {
+            name: {which: None if (spot := places.get(which)) is None else list(spot.position_m) for which in WHICH}
+            for name, places in table.items()
+        },
+        "headings": any(spot.heading_deg is not None for places in table.values() for spot in places.values()),
+    }

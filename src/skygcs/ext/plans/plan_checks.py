@@ -13,6 +13,7 @@ from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.monitor.order_check import FORGET
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.margins import DEFAULT, MarginRule
+from skygcs.core.preflight.return_heights import ReturnHeight
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
@@ -30,7 +31,6 @@ from skygcs.ext.plans.flight.flight_findings import (
     Finding,
     FlightTime,
     Level,
-    ReturnHeight,
     battery_finding,
     refused,
 )

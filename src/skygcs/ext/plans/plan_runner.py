@@ -21,9 +21,9 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
+from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.trajectory import ClockState, MotionLimits, least_limits, within_at_speed
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
-from skygcs.core.vehicle.flight_record import FlightRecord
 from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.errors import RefusedError, SkygcsError, TargetError
@@ -41,8 +41,6 @@ from skygcs.ext.plans.flight.execution import (
 from skygcs.ext.plans.flight.flight_findings import (
     Finding,
     Level,
-    ReturnHeight,
-    offered_heights,
     refusals,
     refused,
     return_height_findings,
@@ -87,9 +85,10 @@ from skygcs.ext.plans.plan_checks import (
 )
 from skygcs.ext.plans.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, PlanFlight
 from skygcs.ext.plans.plan_uploads import PlanUploads
-from skygcs.ext.plans.planning.process import PlanningProcesses
 from skygcs.number_text import rounded
+from skygcs.runtime.charge_records import ChargeRecords
 from skygcs.runtime.flight_locks import FlightLocks
+from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import Trajectories
@@ -127,16 +126,15 @@ class World(Protocol):
     def locks(self) -> FlightLocks: ...
     @property
     def monitor(self) -> SeparationMonitor: ...
+    @property
+    def trajectories(self) -> Trajectories: ...
+    @property
+    def links(self) -> VehicleLinks: ...
+    @property
+    def charges(self) -> ChargeRecords: ...
+    @property
+    def plans(self) -> PlanPlace: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
-
-
-class Place(Protocol):
-    """`runtime.plans.Plans`, as its runner sees it."""
-
-    processes: PlanningProcesses
-
-    def changed(self) -> None: ...
-    def record(self, actor: VehicleActor) -> FlightRecord: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,30 +239,28 @@ MAX_STEPS_SHOWN = 50
 
 
 class PlanRunner:
-    """Runner of the plans of one fleet; made by `runtime.plans.Plans`, which is notified of each change of `status`."""
+    """Runner of the plans of one fleet, whose `PlanPlace` is notified of each change of `status`."""
 
     def __init__(
         self,
-        plans: Place,
         fleet: World,
-        trajectories: Trajectories,
-        links: VehicleLinks,
+        work: Heavy,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
     ) -> None:
         self.kept: KeptPlan | None = None
         self.flight: PlanFlight | None = None
         self.uploads = PlanUploads()
-        self.work: Heavy = plans.processes.call
+        self.work = work
         """Runs what is heavy: a function and its arguments."""
-        self._changed = plans.changed
-        self._record = plans.record
+        self._changed = fleet.plans.changed
+        self._record = fleet.charges.record
         self._fleet = fleet
-        self._links = links
+        self._links = fleet.links
         self._loop = loop
         self._on_event = on_event
-        self._trajectories = trajectories
-        self._orders = FlightOrders(loop, on_event, plans.changed, self._certify_landing)
+        self._trajectories = fleet.trajectories
+        self._orders = FlightOrders(loop, on_event, fleet.plans.changed, self._certify_landing)
         self._numbers = itertools.count(1)
         self._busy: str | None = None
         """Work under way that must not run twice: a check before a flight, or a new certificate."""
@@ -723,7 +719,7 @@ class PlanRunner:
         self._ending = True
 
     async def wind_down(self) -> None:
-        """See `Plans.wind_down`."""
+        """See `PlanKeeper.wind_down`."""
         self.end()
         flight = self.flight
         if flight is None or flight.execution.over:
@@ -745,7 +741,7 @@ class PlanRunner:
     # -- what is shown
 
     def status(self) -> dict[str, Any]:
-        """The keys of plan.status that differ from those of no plan (`Plans.status`)."""
+        """See `PlanKeeper.status`."""
         now, kept, flight = self._loop.time(), self.kept, self.flight
         answer: dict[str, Any] = {"busy": self._busy}
         if kept is not None:

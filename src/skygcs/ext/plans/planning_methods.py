@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Protocol, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -18,6 +18,8 @@ from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import MAX_DURATION_S, MAX_PIECES, MAX_POSITION_M, Vector
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.flight.guidance import Choice, by_goto
+from skygcs.ext.plans.plan_runner import PlanRunner
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.ext.plans.planning.request import WrittenPath, check_request, make_request, paths_request
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, Services, one_vehicle
@@ -32,6 +34,19 @@ Metres = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 Point = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Corner = Annotated[list[Metres], Field(min_length=2, max_length=2)]
 PlacesByVehicle = Annotated[dict[str, Point], Field(min_length=1, max_length=MAX_VEHICLES)]
+
+
+class PlanParts(Protocol):
+    """The parts of the extension that its methods act on."""
+
+    runner: PlanRunner
+    queue: PlanningQueue
+
+
+def plans_of(services: Services) -> PlanParts:
+    """The extension of a running daemon: one of its methods was called, so it is made."""
+    parts: PlanParts = services.extensions["plan"]
+    return parts
 
 
 class SpaceParams(MethodParams):
@@ -255,9 +270,7 @@ async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
     """Certify a plan or refuse it, with the fleet's margins and its other vehicles as obstacles. Nothing moves."""
     facts = _Facts(context.services, params)
     space = facts.space(())  # those that take part are taken out by the process, which reads the plan
-    text = (
-        b"" if params.upload is None else context.services.fleet.plans.runner.uploads.take(params.upload, facts.now())
-    )
+    text = b"" if params.upload is None else plans_of(context.services).runner.uploads.take(params.upload, facts.now())
     request = check_request(
         params.plan, facts.rule(), _limits(params.limits), space, within_limits=params.within_limits, keep=params.keep
     )
@@ -266,13 +279,13 @@ async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
 
 def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
     """Cancel a request to plan: this client's, or the one of a number. It is answered as refused."""
-    queue = context.services.planning
+    queue = plans_of(context.services).queue
     return {"cancelled": queue.cancel(client=id(context), number=params.job)}
 
 
 def plan_jobs(context: Context, _: NoParams) -> JsonObject:
     """Return what is being planned, and what waits for it."""
-    queue = context.services.planning
+    queue = plans_of(context.services).queue
     counters = queue.counters
     return {
         "jobs": queue.status(),
@@ -291,7 +304,7 @@ async def _run(
 
     request["notes"], request["limits_of"] = facts.notes(), facts.limits_of()
     on_progress = note if progress else None
-    return Encoded(await context.services.planning.run(id(context), what, request, on_progress, text))
+    return Encoded(await plans_of(context.services).queue.run(id(context), what, request, on_progress, text))
 
 
 # --- what the daemon knows --------------------------------------------------------------------------------------------
@@ -369,7 +382,7 @@ class _Facts:
     def choose_way(self, names: Iterable[str], by: str, *, timed: bool) -> bool:
         """Choose the way in which these are to fly a plan; True if it takes phases. Raises RefusedError."""
         self._taking_part = [one_vehicle(self._services, name) for name in names]
-        runner = self._services.fleet.plans.runner
+        runner = plans_of(self._services).runner
         self._way = runner.chosen_way(self._taking_part, "position", by, timed=timed).choice
         return self._way.by.own_way
 

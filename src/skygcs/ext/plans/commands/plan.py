@@ -18,6 +18,7 @@ import typer
 
 from skygcs.cli.connection import run, run_offline
 from skygcs.cli.options import Json, with_groups
+from skygcs.cli.plan_reading import read_files
 from skygcs.cli.render import console, print_json, table
 from skygcs.core.geo import Origin
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
@@ -34,7 +35,6 @@ from skygcs.ext.plans.commands.plan_inputs import (
     Places,
     origin_of_fleet,
     print_notes,
-    read_files,
     starts_and_goals,
     vehicles_of,
 )

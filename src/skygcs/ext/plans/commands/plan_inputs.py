@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
@@ -12,12 +12,11 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cli.parsing import finite
+from skygcs.cli.plan_reading import bytes_of
 from skygcs.core.geo import Origin
-from skygcs.core.plan.file_reading import MAX_FILE_BYTES
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
-from skygcs.core.plan.plan_files import NamedFile, ReadPlan, read_together
+from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.plan.plan_json import read_plan_json
-from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import PlanFileError
 from skygcs.ext.plans.commands.plan_options import vector
@@ -37,27 +36,6 @@ Files = Annotated[
 MISSIONS = ".plan"
 
 Places = dict[str, Vector]
-
-
-def bytes_of(file: Path) -> bytes:
-    """Return what a file holds, one byte more than is read at most. Raises PlanFileError."""
-    try:
-        with file.open("rb") as opened:
-            return opened.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise PlanFileError(str(file), "", f"cannot be read: {error.strerror or error}") from None
-
-
-def read_files(files: Sequence[Path], limits: MotionLimits, origin: Origin | None) -> ReadPlan:
-    """One plan; several files are one timed plan together. Raises SkygcsError."""
-    named = []
-    for file in files:
-        vehicle, given, path = str(file).partition("=")
-        if given and vehicle and not file.exists():
-            named.append(NamedFile(path, bytes_of(Path(path)), vehicle))
-        else:
-            named.append(NamedFile(str(file), bytes_of(file)))
-    return read_together(named, limits, origin)
 
 
 async def origin_of_fleet(gcs: Client, files: Iterable[Path]) -> Origin | None:

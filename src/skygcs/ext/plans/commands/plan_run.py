@@ -14,12 +14,13 @@ import typer
 from skygcs.cli.connection import Exit, fail, run, run_show, show, waiting
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
+from skygcs.cli.plan_reading import read_files
 from skygcs.cli.render import LiveView, duration, fixed, print_json, print_lines, table
 from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError, RpcError
-from skygcs.ext.plans.commands.plan_inputs import origin_of_fleet, print_notes, read_files
+from skygcs.ext.plans.commands.plan_inputs import origin_of_fleet, print_notes
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:

@@ -13,12 +13,13 @@ import typer
 from skygcs.cli.connection import print_outcomes, run, run_order, run_show
 from skygcs.cli.options import Json, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite, within
+from skygcs.cli.plan_reading import read_files
 from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
-from skygcs.ext.plans.commands.plan_inputs import origin_of_fleet, print_notes, read_files
+from skygcs.ext.plans.commands.plan_inputs import origin_of_fleet, print_notes
 from skygcs.rpc.client import Client
 
 app = typer.Typer(help="Load timed trajectories and fly them on one clock.", no_args_is_help=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.remedies import Remedy
 from skygcs.number_text import rounded
@@ -102,14 +102,6 @@ def battery_finding(
     return Finding(vehicle, check, Level.OK, text)
 
 
-class ReturnHeight(NamedTuple):
-    """The parameter of the height in which a vehicle returns, and its units per metre."""
-
-    param: str
-    per_metre: float
-    height_m: float
-
-
 def return_height_findings(heights: Mapping[str, ReturnHeight | None], apart_m: float) -> list[Finding]:
     """Losing the ground sends all home at once: in different heights."""
     check, findings = "return height", []
@@ -131,16 +123,3 @@ def return_height_findings(heights: Mapping[str, ReturnHeight | None], apart_m: 
     if not findings:
         findings.append(Finding(None, check, Level.OK, f"all return at least {apart_m:.1f} m apart"))
     return findings
-
-
-def offered_heights(heights: Mapping[str, ReturnHeight | None], apart_m: float) -> dict[str, float]:
-    """Return heights in metres that are far enough apart: in the order they have now, none lower than it is."""
-    offered: dict[str, float] = {}
-    last_m = -math.inf
-    for name, height in sorted(
-        ((n, h) for n, h in heights.items() if h is not None), key=lambda item: (item[1].height_m, item[0])
-    ):
-        last_m = max(height.height_m, last_m + apart_m)
-        offered[name] = float(math.ceil(last_m - 1e-9))
-        last_m = offered[name]
-    return offered

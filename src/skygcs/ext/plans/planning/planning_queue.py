@@ -14,6 +14,7 @@ from pydantic_core import to_json
 
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits, compute
+from skygcs.ext.plans.planning.request import with_text
 
 MAX_WAITING = 8
 """Requests that wait for the one that is computed; each takes seconds, two minutes at most."""
@@ -83,8 +84,6 @@ class PlanningQueue:
         self._last += 1
         job = PlanningJob(self._last, what, client, self._loop.time())
         self._jobs[job.number] = job
-        from skygcs.ext.plans.planning.request import with_text  # rpc.planning has imported it: no daemon does before
-
         encoded = with_text(to_json(request), text) if text else to_json(request)
         job.work = self._loop.create_task(self._in_turn(job, encoded, on_progress), name=f"planning {job.number}")
         try:

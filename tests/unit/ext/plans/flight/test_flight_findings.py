@@ -6,15 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.vehicle.flight_record import FlightRecord
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.flight_findings import (
     Finding,
     FlightTime,
     Level,
-    ReturnHeight,
     battery_finding,
-    offered_heights,
     refusals,
     refused,
     return_height_findings,
