@@ -32,8 +32,8 @@ from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
 from skygcs.ext.plans.flight.guidance import choose
+from skygcs.ext.plans.flight_check import ChosenWay
 from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
-from skygcs.ext.plans.plan_runner import ChosenWay
 from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
 from skygcs.ext.plans.planning.worker import answered

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
 from skygcs.ext.plans import planning_methods
-from skygcs.ext.plans.plan_runner import FlightRequest
+from skygcs.ext.plans.flight_check import FlightRequest
 from skygcs.ext.plans.plan_uploads import MAX_PART_CHARS
 from skygcs.ext.plans.planning_methods import one_plan, plans_of
 from skygcs.rpc import error_codes

@@ -11,89 +11,59 @@ Certificates take numpy and up to seconds, so they are made by a process of thei
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
-import math
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
-from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
+from skygcs.core.geo import Origin
+from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_json import plan_from_json, read_plan_json
-from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
-from skygcs.core.trajectory import ClockState, MotionLimits, least_limits, within_at_speed
+from skygcs.core.trajectory import ClockState
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
-from skygcs.core.vehicle.offboard_entry import loss_reach
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
-from skygcs.errors import RefusedError, SkygcsError, TargetError
+from skygcs.errors import RefusedError, SkygcsError
 from skygcs.events import Event
-from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.execution import (
     POSITION_SILENT_S,
     SLOW_MPS,
     Execution,
     PlanState,
     Sight,
-    Tubes,
     Why,
 )
-from skygcs.ext.plans.flight.flight_findings import (
-    Finding,
-    Level,
-    refusals,
-    refused,
-    return_height_findings,
+from skygcs.ext.plans.flight.flight_findings import refusals
+from skygcs.ext.plans.flight.flight_situation import Situation
+from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, rest_of
+from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight_check import (
+    Checked,
+    ChosenWay,
+    FlightCheck,
+    FlightRequest,
+    KeptPlan,
+    Vehicles,
+    space_with,
+    write_heights,
 )
-from skygcs.ext.plans.flight.flight_situation import Prepared, Situation
-from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, renamed, rest_of, starts_of
-from skygcs.ext.plans.flight.guidance import AUTO, Choice, Guidance, choose
-from skygcs.ext.plans.flight.plan_rehearsal import (
-    PX4_OVERSHOOT_S,
-    Flown,
-    Stage,
-    Stopped,
-    factor_that_passes,
-    rehearse,
-    slowed,
-    too_fast,
-)
+from skygcs.ext.plans.flight_preparation import Work, limits_of, stage_of, way_down
 from skygcs.ext.plans.plan_by_goto import GotoGuidance, MissionGuidance
 from skygcs.ext.plans.plan_by_setpoints import SetpointGuidance
 from skygcs.ext.plans.plan_checks import (
     Measured,
-    armed_together,
-    battery_findings,
-    bounds_findings,
-    certificate_findings,
-    climb_s,
-    fence_findings,
-    grounds,
     home_of,
-    link_findings,
-    made_elsewhere,
-    margin_rule,
     measure,
-    mission_findings,
-    not_streamed,
-    preflight_findings,
-    reach_findings,
-    rehearsal_findings,
-    return_heights,
-    state_finding,
     stopped_text,
 )
 from skygcs.ext.plans.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, PlanFlight
 from skygcs.ext.plans.plan_uploads import PlanUploads
-from skygcs.number_text import rounded
-from skygcs.runtime.charge_records import ChargeRecords
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.vehicle_services import VehicleLinks
 
 BELOW_GROUND_M = 2.0
 """A landing is certified down to so far below the lowest known ground: the field may slope."""
@@ -110,18 +80,12 @@ MISSION_LEFT = (
 PAUSE_WAIT_S = 30.0
 """The longest stop: 5 m/s with 1 m/s² takes five seconds."""
 
-Heavy = Callable[..., Awaitable[Any]]
 
-
-class World(Protocol):
+class World(Vehicles, Protocol):
     """The parts of the fleet that a plan needs."""
 
-    def resolve(self, expression: str) -> list[VehicleActor]: ...
-    def everybody(self) -> list[VehicleActor]: ...
     @property
     def vehicles(self) -> Mapping[int, VehicleActor]: ...
-    @property
-    def origin(self) -> Origin | None: ...
     @property
     def locks(self) -> FlightLocks: ...
     @property
@@ -129,113 +93,7 @@ class World(Protocol):
     @property
     def trajectories(self) -> Trajectories: ...
     @property
-    def links(self) -> VehicleLinks: ...
-    @property
-    def charges(self) -> ChargeRecords: ...
-    @property
     def plans(self) -> PlanPlace: ...
-    async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
-
-
-@dataclass(frozen=True, slots=True)
-class KeptPlan:
-    """A plan that was loaded."""
-
-    number: str
-    name: str
-    plan: Plan
-    space: FlightSpace
-
-    def describe(self) -> dict[str, Any]:
-        """Description for people and programs."""
-        plan = self.plan
-        timed = isinstance(plan, TimedPlan)
-        return {
-            "plan": self.number,
-            "name": self.name,
-            "kind": "timed" if timed else "phased",
-            "vehicles": list(starts_of(plan)),
-            "duration_s": round(max(t.duration_s for t in plan.trajectories.values()), 3)
-            if isinstance(plan, TimedPlan)
-            else None,
-            "phases": [phase.name for phase in plan.phases] if isinstance(plan, PhasedPlan) else [],
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class FlightRequest:
-    """How a plan is to be flown. ``vehicles``: names in the plan → targets of the fleet; None: all, by their names."""
-
-    plan: str | None = None
-    vehicles: Mapping[str, str] | None = None
-    control_mode: str = "position"
-    speed_factor: float = 1.0
-    margin_m: float | None = None
-    force: bool = False
-    by: str = AUTO
-    """A `Guidance`, or the choice of one."""
-
-
-@dataclass(slots=True)
-class _Checked:
-    """Result of a check: what it has found, and what a flight of it takes."""
-
-    kept: KeptPlan
-    actors: list[VehicleActor]
-    lock: FlightLock
-    by: Choice
-    findings: list[Finding] = field(default_factory=list)
-    steps: tuple[FlightStep, ...] = ()
-    loaded: tuple[dict[str, LoadedTrajectory], ...] = ()
-    execution: Execution | None = None
-    certificate: Any = None
-    way: Any = None
-    sources: dict[str, dict[str, list[Any]]] | None = None
-    heights: dict[str, ReturnHeight | None] | None = None
-    apart_m: float = 0.0
-    new_heights: dict[str, float] = field(default_factory=dict)
-    """Return heights in metres that are to be set before the flight begins."""
-
-    def passes(self, *, force: bool) -> bool:
-        """True if nothing found keeps the plan on the ground."""
-        return not refusals(self.findings, force=force)
-
-    def report(self, *, force: bool) -> dict[str, Any]:
-        """JSON-able."""
-        findings = self.findings
-        heights = self.heights or {}
-        offered = offered_heights(heights, self.apart_m)
-        return {
-            "ok": not refusals(findings, force=force),
-            "by": self.by.by.value,
-            "why": self.by.reason,
-            "findings": [finding.as_dict() for finding in findings],
-            "certificate": None if self.certificate is None else self.certificate.as_dict(),
-            "way_there": None if self.way is None else self.way.as_dict(),
-            "margins": self.sources or {},
-            "duration_s": round(math.fsum(step.duration_s for step in self.steps), 1),
-            "steps": [
-                {
-                    "name": step.name,
-                    "duration_s": round(step.duration_s, 1),
-                    "goals": {name: [round(v, 2) for v in place] for name, place in step.places().items()},
-                }
-                for step in self.steps[:MAX_STEPS_SHOWN]
-            ],
-            "return_heights": {
-                name: [h.height_m, offered[name], h.param] for name, h in heights.items() if h is not None
-            },
-        }
-
-
-class ChosenWay(NamedTuple):
-    """The way in which a plan is flown, and what was found of the links that it needs."""
-
-    choice: Choice
-    findings: list[Finding]
-
-
-MAX_STEPS_SHOWN = 50
 
 
 class PlanRunner:
@@ -244,7 +102,7 @@ class PlanRunner:
     def __init__(
         self,
         fleet: World,
-        work: Heavy,
+        work: Work,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
     ) -> None:
@@ -254,9 +112,8 @@ class PlanRunner:
         self.work = work
         """Runs what is heavy: a function and its arguments."""
         self._changed = fleet.plans.changed
-        self._record = fleet.charges.record
         self._fleet = fleet
-        self._links = fleet.links
+        self._flight_check = FlightCheck(fleet, self._in_process, loop)
         self._loop = loop
         self._on_event = on_event
         self._trajectories = fleet.trajectories
@@ -311,6 +168,22 @@ class PlanRunner:
         """The report; nothing moves. Raises RefusedError, TargetError."""
         return (await self._check(request)).report(force=request.force)
 
+    async def _check(self, request: FlightRequest, *, set_return_heights: bool = False, held: bool = False) -> Checked:
+        """``held``: nobody may change what it is checked with from here on."""
+        lock = functools.partial(self._locked, held=held)
+        checked = await self._flight_check.check(
+            self._kept(request.plan), request, lock, set_return_heights=set_return_heights
+        )
+        self._rule = checked.rule or self._rule
+        return checked
+
+    def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
+        """See `FlightCheck.chosen_way`."""
+        return self._flight_check.chosen_way(actors, control_mode, by, timed=timed)
+
+    async def _in_process(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        return await self.work(function, *arguments)
+
     async def run(self, request: FlightRequest, *, set_return_heights: bool = False) -> tuple[bool, dict[str, Any]]:
         """Return whether the flight has begun, and the report. Raises RefusedError, TargetError."""
         self._require_idle("it cannot be flown")
@@ -319,7 +192,7 @@ class PlanRunner:
         self._busy = "the check before a flight"
         try:
             await self._last_ended()
-            checked = await self._check(request, set_return_heights=set_return_heights, before_flight=True)
+            checked = await self._check(request, set_return_heights=set_return_heights, held=True)
             if not checked.passes(force=request.force) or checked.execution is None:
                 return False, checked.report(force=request.force)
             if (lacking := await self._relayed(checked.actors, checked.loaded)) is not None:
@@ -327,7 +200,7 @@ class PlanRunner:
             if self._ending:
                 raise RefusedError("skygcs is shutting down")
             if checked.new_heights:  # last: a flight that is refused has changed nothing
-                await self._write_heights(checked)
+                await write_heights(checked, self._tasks, lambda: self._ending)
             report = checked.report(force=request.force)
             if report["ok"]:
                 self._begin(request, checked, checked.execution)
@@ -344,7 +217,7 @@ class PlanRunner:
         except TimeoutError:
             raise RefusedError("orders of the last flight are still under way: `skygcs-cli plan status`") from None
 
-    def _begin(self, request: FlightRequest, checked: _Checked, execution: Execution) -> None:
+    def _begin(self, request: FlightRequest, checked: Checked, execution: Execution) -> None:
         """Let a checked flight begin."""
         settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
         actors = {actor.name: actor for actor in checked.actors}
@@ -359,13 +232,6 @@ class PlanRunner:
             make = GotoGuidance if by is Guidance.GOTO else MissionGuidance
             return make(self._fleet.monitor, self._loop, self._orders.start)
         return SetpointGuidance(self._trajectories, self._loop, by)
-
-    def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
-        """The way in which these vehicles fly a plan, and what was found of their links. Raises RefusedError."""
-        narrow = not_streamed(actors, control_mode, self._links)
-        own = {actor.name: made_elsewhere(actor) for actor in actors}
-        choice = choose(by, timed=timed, own_companion=own, not_streamed=narrow)
-        return ChosenWay(choice, link_findings(actors, choice, narrow, control_mode, self._loop.time(), timed=timed))
 
     def _locked(self, kept: KeptPlan, actors: Sequence[VehicleActor], origin: Origin, *, held: bool) -> FlightLock:
         """Return what the flight is checked with; ``held`` from here to the end of the flight."""
@@ -384,146 +250,12 @@ class PlanRunner:
 
         self._fleet.locks.take(lock, under_way)
 
-    async def _check(
-        self, request: FlightRequest, *, set_return_heights: bool = False, before_flight: bool = False
-    ) -> _Checked:
-        """``before_flight``: nobody may change what it is checked with from here on."""
-        kept = self._kept(request.plan)
-        names, actors = self._chosen(kept, request.vehicles)
-        origin = self._fleet.origin
-        if origin is None:
-            raise RefusedError("the fleet has no origin yet: set [origin], or `skygcs-cli origin from`")
-        timed = isinstance(kept.plan, TimedPlan)
-        way = self.chosen_way(actors, request.control_mode, request.by, timed=timed)
-        by = way.choice.by
-        checked = _Checked(kept, actors, self._locked(kept, actors, origin, held=before_flight), way.choice)
-        frame, now = EnuFrame(origin), self._loop.time()
-        # each vehicle by itself
-        await asyncio.gather(*(actor.read_loss() for actor in actors))
-        findings = checked.findings
-        findings += [state_finding(actor, [actor.name for actor in actors], now) for actor in actors]
-        findings += way.findings
-        if by is Guidance.MISSION:
-            findings += await mission_findings(actors)
-        if not refusals(findings, force=request.force):
-            standing = measure(actors, [], frame, now).grounded
-            findings += await preflight_findings(actors, standing, self._fleet.preflight)
-            checked.heights = await return_heights(actors)
-        # the places as they are now, after the questions
-        measured = measure(actors, self._fleet.everybody(), frame, self._loop.time())
-        findings += measured.findings
-        rule, checked.sources = self._margins(actors, request, by)
-        self._rule = rule
-        if len(measured.places) < len(actors):
-            return checked
-        _check_heights(checked, rule, set_return_heights=set_return_heights)
-        # the way there, the plan, the certificates
-        situation = Situation(
-            renamed(kept.plan, names),
-            _space_with(kept.space, measured, {actor.name for actor in actors}),
-            measured.places,
-            measured.grounded,
-            rule,
-            _limits(actors, request.speed_factor),
-            request.speed_factor,
-            by,
-            grounds(actors, measured, frame),
-        )
-        stage = None if by.own_way else _stage(checked, request.speed_factor)
-        prepared, checked.loaded, stopped = await self._prepared(situation, None, stage)
-        checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
-        findings += certificate_findings(prepared)
-        findings += bounds_findings(checked.steps, checked.loaded, checked.lock, request.speed_factor)
-        findings += rehearsal_findings(stopped, timed=timed)
-        if by.own_way:
-            findings += reach_findings(checked.steps, actors)
-        findings += await fence_findings(actors, prepared, frame, measured)
-        flight_s = climb_s(prepared, measured) + prepared.duration_s / request.speed_factor
-        findings += battery_findings(actors, flight_s, self._record)
-        if prepared.tubes is not None and prepared.steps:
-            checked.execution = self._execution(prepared, prepared.tubes, measured, actors, by)
-        return checked
-
-    def _execution(
-        self, prepared: Prepared, tubes: Tubes, measured: Measured, actors: Sequence[VehicleActor], by: Guidance
-    ) -> Execution:
-        places, together = measured.places, armed_together(actors, self._links)
-        return Execution(prepared.steps, measured.grounded, tubes, places, by=by, together=together)
-
-    async def _write_heights(self, checked: _Checked) -> None:
-        """Set the return heights that the check has found necessary; all of them, or none if one cannot be set or the
-        order is cancelled meanwhile."""
-        before = dict(checked.heights or {})
-        written: list[VehicleActor] = []
-        done = False
-        try:
-            for actor in checked.actors:
-                wanted, is_now = checked.new_heights.get(actor.name), before.get(actor.name)
-                if wanted is None or is_now is None:
-                    continue
-                written.append(actor)
-                outcomes = await actor.params.set({is_now.param: wanted * is_now.per_metre}, own=checked.lock)
-                failed = [f"{name}: {outcome.message}" for name, outcome in outcomes.items() if not outcome.ok]
-                if failed:
-                    remedy = remedies.insist("check its link")
-                    checked.findings.append(refused(actor.name, "return height", failed[0], remedy))
-                    return
-            done = not self._ending
-        finally:
-            if not done:
-                await asyncio.shield(
-                    self._tasks.start(self._restore_heights(checked, written, before), "heights undone")
-                )
-        heights = {
-            name: None if h is None else h._replace(height_m=checked.new_heights.get(name, h.height_m))
-            for name, h in before.items()
-        }
-        checked.heights = heights
-
-    async def _restore_heights(
-        self, checked: _Checked, written: Sequence[VehicleActor], before: Mapping[str, ReturnHeight | None]
-    ) -> None:
-        """The return heights as they were, of those whose new one was sent."""
-        for actor in written:
-            height = before[actor.name]
-            if height is None:
-                continue
-            outcomes = await actor.params.set({height.param: height.height_m * height.per_metre}, own=checked.lock)
-            if not all(outcome.ok for outcome in outcomes.values()):
-                text = f"{height.param} may not be {rounded(height.height_m)} m as before"
-                remedy = remedies.set_parameter(actor.name, height.param, height.height_m * height.per_metre)
-                checked.findings.append(refused(actor.name, "return height", text, remedy))
-
     def _kept(self, number: str | None) -> KeptPlan:
         if self.kept is None:
             raise RefusedError("no plan is loaded: plan.load first")
         if number is not None and number != self.kept.number:
             raise RefusedError(f"plan {number} is not loaded any more; plan {self.kept.number} ({self.kept.name}) is")
         return self.kept
-
-    def _chosen(self, kept: KeptPlan, vehicles: Mapping[str, str] | None) -> tuple[dict[str, str], list[VehicleActor]]:
-        """The fleet's name of each vehicle of the plan, and the vehicles. Raises RefusedError, TargetError."""
-        wanted = {name: name for name in starts_of(kept.plan)} if vehicles is None else dict(vehicles)
-        if unknown := wanted.keys() - starts_of(kept.plan).keys():
-            raise RefusedError(f"the plan has no {min(unknown)[:40]}")
-        if not wanted:
-            raise RefusedError("a flight has one vehicle at least")
-        names, actors = dict[str, str](), list[VehicleActor]()
-        for name, target in wanted.items():
-            found = self._fleet.resolve(target)
-            if len(found) != 1:
-                raise TargetError(f"{target!r} names {len(found)} vehicles; one is wanted for {name} of the plan")
-            if found[0] in actors:
-                raise RefusedError(f"{found[0].name} is given twice")
-            names[name] = found[0].name
-            actors.append(found[0])
-        return names, actors
-
-    def _margins(
-        self, actors: Sequence[VehicleActor], request: FlightRequest, by: Guidance
-    ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
-        others = [actor for actor in self._fleet.everybody() if actor not in actors]
-        return margin_rule(actors, others, request.margin_m, by)
 
     # -- orders of people
 
@@ -601,13 +333,13 @@ class PlanRunner:
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
         by = flight.guidance.by
         if by is Guidance.GOTO and not in_place:  # from where they are on their legs, and not from the begin of these
-            limits = _limits(actors, self._request.speed_factor)
+            limits = limits_of(actors, self._request.speed_factor)
             rest[0] = from_where(rest[0], measured.places, execution.tubes.downwash_ratio, limits)
         situation = self._situation_of_rest(actors, measured, rest, in_place=in_place)
         stage = None
         if by is not Guidance.GOTO:
-            stage = _stage_of(flight.lock, actors, self._request.speed_factor)
-        prepared, loaded, stopped = await self._prepared(situation, rest, stage)
+            stage = stage_of(flight.lock, actors, self._request.speed_factor)
+        prepared, loaded, stopped = await self._flight_check.prepared(situation, rest, stage)
         if stopped is not None:
             return False, f"refused: {stopped_text(stopped[0])}", [stopped_text(stopped[0])]
         if prepared.problems or prepared.tubes is None:
@@ -636,15 +368,15 @@ class PlanRunner:
         self, actors: Sequence[VehicleActor], measured: Measured, rest: Sequence[FlightStep], *, in_place: bool
     ) -> Situation:
         """``in_place``: they are where they have to be, so there is no way back."""
-        rule, _ = self._margins(actors, self._request, self._by)
+        rule, _ = self._flight_check.margins(actors, self._request, self._by)
         kept_space = FlightSpace() if self.kept is None else self.kept.space
         return Situation(
             plan_of(rest[0]),
-            _space_with(kept_space, measured, {actor.name for actor in actors}),
+            space_with(kept_space, measured, {actor.name for actor in actors}),
             rest[0].starts() if in_place else measured.places,
             frozenset(),
             rule,
-            _limits(actors, self._request.speed_factor),
+            limits_of(actors, self._request.speed_factor),
             self._request.speed_factor,
             self._by,
         )
@@ -674,7 +406,7 @@ class PlanRunner:
         ground_m = min([*known, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
         try:
-            rounds, certificate = await self.work(_way_down, measured.places, ground_m, self._rule, space)
+            rounds, certificate = await self.work(way_down, measured.places, ground_m, self._rule, space)
         except SkygcsError as error:  # no process, or it took too long
             todo = "`plan land --force` lands all at once"
             self._orders.carry_out(flight, execution.landing_refused([str(error), todo]))
@@ -684,10 +416,6 @@ class PlanRunner:
         else:
             reasons = [*certificate.reasons(), "move them apart, or `plan land --force` lands all at once"]
             self._orders.carry_out(flight, execution.landing_refused(reasons))
-
-    async def _prepared(self, situation: Situation, rest: list[FlightStep] | None, stage: Stage | None) -> _Rehearsed:
-        found: _Rehearsed = await self.work(_prepared_and_loaded, situation, rest, stage)
-        return found
 
     async def _relayed(
         self, actors: Sequence[VehicleActor], steps: Sequence[Mapping[str, LoadedTrajectory]]
@@ -768,101 +496,6 @@ class PlanRunner:
     def moving(self) -> bool:
         """True if a flight is under way."""
         return self.flight is not None and not self.flight.execution.over
-
-
-def _prepared_and_loaded(situation: Situation, rest: list[FlightStep] | None, stage: Stage | None) -> _Rehearsed:
-    """The steps (``rest``: after a stop), the bounds of each trajectory, and what stopped their rehearsal on a
-    ``stage``; all take long, and load numpy. Straight legs that lead towards a fence too fast are slowed down."""
-    from skygcs.ext.plans.flight.preparation import prepare, prepare_return
-
-    prepared = prepare(situation) if rest is None else prepare_return(situation, rest)
-    if prepared.problems:
-        return _Rehearsed(prepared, (), None)
-    steps, loaded = [], []
-    for step in prepared.steps:
-        ways = _loaded(step)
-        tubes = prepared.tubes
-        if stage is not None and tubes is not None and not step.timed and too_fast(step, ways, stage, tubes):
-            slower = slowed(step, situation.limits, stage, tubes)
-            step, ways = (step, ways) if slower is None else (slower, _loaded(slower))
-        steps.append(step)
-        loaded.append(ways)
-    prepared = replace(prepared, steps=tuple(steps))
-    stopped = None
-    if stage is not None and steps and prepared.tubes is not None:
-        why = rehearse(steps, loaded, prepared.tubes, stage)
-        if why is not None:
-            stopped = why, factor_that_passes(loaded, steps, prepared.tubes, stage)
-    return _Rehearsed(prepared, tuple(loaded), stopped)
-
-
-class _Rehearsed(NamedTuple):
-    """Parts that a flight is made of."""
-
-    prepared: Prepared
-    loaded: tuple[dict[str, LoadedTrajectory], ...]
-    stopped: tuple[Stopped, float | None] | None
-    """Reason for which the rehearsal stopped, and the speed factor at which nothing stops it; None: it reached its
-    end."""
-
-
-def _loaded(step: FlightStep) -> dict[str, LoadedTrajectory]:
-    return {name: LoadedTrajectory(trajectory, step.name) for name, trajectory in step.trajectories.items()}
-
-
-def _stage(checked: _Checked, speed_factor: float) -> Stage:
-    return _stage_of(checked.lock, checked.actors, speed_factor)
-
-
-def _stage_of(lock: FlightLock, actors: Sequence[VehicleActor], speed_factor: float) -> Stage:
-    """Where a flight with this lock is rehearsed: with the guard's figures of now."""
-    flown = {
-        actor.name: Flown(
-            lock.member(actor.name).fence,
-            loss_reach(actor.vehicle),
-            PX4_OVERSHOOT_S if actor.vehicle.family == "px4" else 0.0,
-        )
-        for actor in actors
-    }
-    brake_mps2 = min(lock.member(actor.name).limits.brake_mps2 for actor in actors)
-    return Stage(lock.origin, flown, brake_mps2, speed_factor)
-
-
-def _way_down(*arguments: Any) -> Any:
-    """`preparation.way_down`, which loads numpy."""
-    from skygcs.ext.plans.flight.preparation import way_down
-
-    return way_down(*arguments)
-
-
-def _check_heights(checked: _Checked, rule: MarginRule, *, set_return_heights: bool) -> None:
-    """Find return heights that are too near each other; note those that are to be set if that is asked for."""
-    if checked.heights is None or len(checked.actors) < 2:
-        return
-    half_m = max(rule.half_m(actor.name) for actor in checked.actors)
-    checked.apart_m = 2.0 * half_m * rule.downwash_ratio
-    found = return_height_findings(checked.heights, checked.apart_m)
-    if set_return_heights and any(f.level is Level.REFUSED for f in found):
-        offered = offered_heights(checked.heights, checked.apart_m)
-        known = {name: height for name, height in checked.heights.items() if height is not None}
-        checked.new_heights = {name: offered[name] for name, h in known.items() if offered[name] != h.height_m}
-        wanted = {
-            name: None if height is None else height._replace(height_m=offered[name])
-            for name, height in checked.heights.items()
-        }
-        found = return_height_findings(wanted, checked.apart_m)
-    checked.findings += found
-
-
-def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -> FlightSpace:
-    """Return what the plan says stands somewhere, and what is measured: that counts."""
-    standing = {name: place for name, place in space.standing.items() if name not in taking_part}
-    return replace(space, standing={**standing, **measured.others})
-
-
-def _limits(actors: Sequence[VehicleActor], speed_factor: float) -> MotionLimits:
-    """Within which ways and phases are timed: the least of the vehicles' own, for a flight so many times as fast."""
-    return within_at_speed(least_limits(actor.config.control.motion_limits() for actor in actors), speed_factor)
 
 
 def _returning(

@@ -15,7 +15,7 @@ from skygcs.core.plan.plan_json import plan_from_json, write_plan_json
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.commands.plan_run import headline, picture, report_lines
 from skygcs.ext.plans.flight.flight_steps import starts_of
-from skygcs.ext.plans.plan_runner import FlightRequest
+from skygcs.ext.plans.flight_check import FlightRequest
 from support.controlled import Commanded, commanded
 
 FAILED, USAGE = 1, 2
