@@ -1,5 +1,5 @@
 """A plan's flight guided by the autopilots themselves: nothing is streamed. By goto each leg is one order; by missions
-the whole way of a vehicle is one leg, which it has on board. What is decided is decided in `core.plan.goto_legs`."""
+the whole way of a vehicle is one leg, which it has on board. What is decided is decided in `flight.goto_legs`."""
 
 from __future__ import annotations
 

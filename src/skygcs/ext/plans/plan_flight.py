@@ -1,4 +1,4 @@
-"""One flight of a plan: shows `core.plan.execution` the vehicles, and gives them the orders that it returns.
+"""One flight of a plan: shows `flight.execution` the vehicles, and gives them the orders that it returns.
 
 What is decided is decided there. Vehicles are seen in the frame of the plan, that of the flight's lock.
 """
@@ -66,7 +66,7 @@ class FlightSettings(NamedTuple):
 
 
 class FlightGuidance(Protocol):
-    """The way in which the vehicles of one flight are guided (`core.plan.guidance`)."""
+    """The way in which the vehicles of one flight are guided (`flight.guidance`)."""
 
     by: Guidance
 

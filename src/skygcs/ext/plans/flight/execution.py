@@ -38,7 +38,7 @@ In a step that flies (to_starts, returning, flying) and while it is paused:
     does not follow any more: guard, pilot, an order, lost           at once
     has not come to its place at the barrier                         for `BARRIER_S`
 
-By goto and by missions (`core.plan.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are
+By goto and by missions (`flight.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are
 shown as one. A vehicle may then be silent for `SILENT_S`, and is in trouble as well when it has denied its leg (`Left`)
 or has not come to its place in the leg's time and `LEG_S`.
 

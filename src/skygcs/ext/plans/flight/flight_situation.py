@@ -1,5 +1,5 @@
 """Situation of a flight: what is to be flown, where the vehicles are, and what was made of that: the question and the
-answer of `core.plan.preparation`, without numpy."""
+answer of `flight.preparation`, without numpy."""
 
 from __future__ import annotations
 
