@@ -17,7 +17,7 @@ from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.errors import RefusedError, TargetError
 from skygcs.ext.plans.flight import remedies
-from skygcs.ext.plans.flight.execution import Execution, Tubes
+from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_findings import (
     Finding,
     Level,
@@ -29,6 +29,7 @@ from skygcs.ext.plans.flight.flight_situation import Prepared, Situation
 from skygcs.ext.plans.flight.flight_steps import FlightStep, renamed, starts_of
 from skygcs.ext.plans.flight.guidance import AUTO, Choice, Guidance, choose
 from skygcs.ext.plans.flight.plan_rehearsal import Stage
+from skygcs.ext.plans.flight.sights import Tubes
 from skygcs.ext.plans.flight_preparation import Rehearsed, Work, limits_of, prepared_and_loaded, stage_of
 from skygcs.ext.plans.plan_checks import (
     Measured,

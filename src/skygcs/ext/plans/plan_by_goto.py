@@ -13,9 +13,10 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, mission_along
-from skygcs.ext.plans.flight.execution import LEG_S, Left, PlanState, Why
+from skygcs.ext.plans.flight.execution import LEG_S, PlanState
 from skygcs.ext.plans.flight.goto_legs import AGAIN_S, GotoLegs
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.sights import Left, Why
 from skygcs.runtime.order_runner import UNHEARD
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.vehicle_actor import VehicleActor

@@ -12,8 +12,9 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.trajectory_flight import StartTube
 from skygcs.errors import RefusedError
-from skygcs.ext.plans.flight.execution import FAR, START_LEAD_S, Left, Why
+from skygcs.ext.plans.flight.execution import FAR, START_LEAD_S
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.sights import Left, Why
 from skygcs.runtime.trajectories import Trajectories, TrajectoryGroup
 from skygcs.runtime.vehicle_actor import VehicleActor
 

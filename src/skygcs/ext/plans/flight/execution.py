@@ -49,18 +49,17 @@ within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle d
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
-from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, distance_to_leg, scaled
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.sights import ClockProgress, Left, Pair, Sight, Tubes, pairs_near, pairs_text
 
 FAR = 2.0
 """Tubes away from its place a vehicle is in trouble at once."""
@@ -93,15 +92,6 @@ SLOW_MPS = 0.6
 
 START_LEAD_S = 1.0
 """From the order to the common start of a step: setpoints of all vehicles are at the start by then."""
-
-NEAR = 3.0
-"""Pairs are named that are within so many margins of each other when one is in trouble: it may fly on for as far as the
-stop of the others takes."""
-
-MAX_PAIRS = 5
-
-PROGRESS = 32
-"""Ticks that are remembered: at five a second longer than `POSITION_SILENT_S`."""
 
 
 class PlanState(StrEnum):
@@ -153,67 +143,6 @@ class OrderKind(StrEnum):
 class Order(NamedTuple):
     kind: OrderKind
     vehicles: tuple[str, ...] = ()
-
-
-class Why(StrEnum):
-    """Why a vehicle does not follow any more."""
-
-    LOST = "lost"
-    PILOT = "pilot"
-    GUARD = "guard"
-    ORDER = "order"
-
-
-class Left(NamedTuple):
-    why: Why
-    text: str
-
-
-class Sight(NamedTuple):
-    """A vehicle as it was measured, in the frame of the plan; the place is carried on to now."""
-
-    place_m: Vector | None
-    age_s: float = 0.0
-    speed_mps: float = 0.0
-    armed: bool = True
-    on_ground: bool = False
-    takeoff: str | None = None
-    """climbs, reached, or what disturbed it; None: no take-off of this plan."""
-    left: Left | None = None
-    """Set where it should follow and does not."""
-    reported_m: Vector | None = None
-    """The newest place as it was reported, and ``before_s``, how long ago it was there: what is compared with the
-    way. A place that is carried on through a gap of the link flies past every corner."""
-    before_s: float = 0.0
-    holds: bool = False
-    """Its autopilot holds it where it is, and needs nobody for that."""
-    forgotten: bool = False
-    """The fleet has it no more: no order reaches it, and no outcome comes."""
-    unexpected_mode: str | None = None
-    """The mode in which it is, if no order of a plan leads to that one and it is not under control: its pilot's, or of
-    another program. It is never ordered to hold."""
-
-
-class Pair(NamedTuple):
-    """Two vehicles near each other; the distance is in the downwash metric."""
-
-    vehicles: tuple[str, str]
-    distance_m: float
-    margin_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Tubes:
-    """By vehicle: ``half_m``, its part of each margin, and ``tube_m``, how far it may be from its reference in a timed
-    step and from its way else."""
-
-    half_m: Mapping[str, float]
-    timed_m: Mapping[str, float]
-    free_m: Mapping[str, float]
-    downwash_ratio: float
-
-    def tube_m(self, name: str, *, timed: bool) -> float:
-        return (self.timed_m if timed else self.free_m)[name]
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,8 +222,7 @@ class Execution:
         self._watch = _Watch()
         self._unexpected_modes: dict[str, str] = {}
         """`Sight.unexpected_mode` of those that have one, as of the last look."""
-        self._progress: deque[tuple[float, float]] = deque(maxlen=PROGRESS)
-        """Time and trajectory time of the last ticks of this step."""
+        self._progress = ClockProgress()
 
     # -- what is shown
 
@@ -317,16 +245,8 @@ class Execution:
         """The same as it was when the vehicle reported its place."""
         if sight.reported_m is None:
             return math.inf if sight.place_m is None else self.off_m(name, sight.place_m, trajectory_s)
-        return self.off_m(name, sight.reported_m, self._trajectory_s_at(now - sight.before_s, now, trajectory_s))
-
-    def _trajectory_s_at(self, then: float, now: float, trajectory_s: float) -> float:
-        """The trajectory time at an earlier time, between the ticks around it; the oldest one known if it is older."""
-        later, later_s = now, trajectory_s
-        for at, s in reversed(self._progress):
-            if at <= then:
-                return s if later <= at else s + (later_s - s) * (then - at) / (later - at)
-            later, later_s = at, s
-        return later_s
+        then_s = self._progress.trajectory_s_at(now - sight.before_s, now, trajectory_s)
+        return self.off_m(name, sight.reported_m, then_s)
 
     def why_displaced(self, name: str, place_m: Vector | None) -> str | None:
         """Why a vehicle that is not under control yet is not where it was certified to be; None if it is."""
@@ -362,9 +282,6 @@ class Execution:
             elif now - self._watch.late.setdefault(name, now) >= LATE_S or off_m > FAR * free_m:
                 return name, self._displaced_text(name, off_m)
         return None
-
-    def _apart_m(self, a: Vector, b: Vector) -> float:
-        return separation_m(a[0] - b[0], a[1] - b[1], a[2] - b[2], self.tubes.downwash_ratio)
 
     # -- orders of people
 
@@ -491,7 +408,7 @@ class Execution:
         self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
     ) -> list[Order]:
         """``clock``: the state of the step's clock; None: none runs."""
-        self._progress.append((now, trajectory_s))
+        self._progress.note(now, trajectory_s)
         self._unexpected_modes = {
             name: sights[name].unexpected_mode or "" for name in self.names if sights[name].unexpected_mode
         }
@@ -700,7 +617,7 @@ class Execution:
                 sight.place_m is not None
                 and sight.age_s <= POSITION_SILENT_S
                 and sight.speed_mps <= SLOW_MPS
-                and self._apart_m(sight.place_m, place) <= self.tubes.free_m[name]
+                and self.tubes.apart_m(sight.place_m, place) <= self.tubes.free_m[name]
             )
             if not there:
                 self._watch.settled.pop(name, None)
@@ -733,31 +650,15 @@ class Execution:
 
     def _stop(self, name: str | None, text: str, sights: Mapping[str, Sight] | None = None) -> list[Order]:
         """Stop the clock of all, and name the pairs in danger."""
-        self.pairs = () if name is None or sights is None else self.pairs_near(name, sights)
+        ours = {} if sights is None else {n: sights[n] for n in self.names}
+        self.pairs = () if name is None or sights is None else pairs_near(name, ours, self.tubes)
         standing = self._disarm() if self.state is PlanState.TAKEOFF else []
-        self._enter(PlanState.STOPPED, text + _pairs_text(self.pairs), name, self.pairs)
+        self._enter(PlanState.STOPPED, text + pairs_text(self.pairs), name, self.pairs)
         return [Order(OrderKind.STOP_CLOCK)] if self._started else standing
 
     def _leave(self, name: str, left: Left, sights: Mapping[str, Sight]) -> list[Order]:
         self.left[name] = left
         return self._stop(name, f"{name} left: {left.text}", sights)
-
-    def pairs_near(self, name: str, sights: Mapping[str, Sight]) -> tuple[Pair, ...]:
-        """The pairs of this vehicle with those near it, the nearest first; as they were measured."""
-        here = sights[name].place_m
-        if here is None:
-            return ()
-        found = []
-        for other in self.names:
-            there = sights[other].place_m
-            if other == name or there is None:
-                continue
-            offset = [a - b for a, b in zip(here, there, strict=True)]
-            distance_m = separation_m(offset[0], offset[1], offset[2], self.tubes.downwash_ratio)
-            margin_m = self.tubes.half_m[name] + self.tubes.half_m[other]
-            if distance_m <= NEAR * margin_m:
-                found.append(Pair((name, other), distance_m, margin_m))
-        return tuple(sorted(found, key=lambda pair: pair.distance_m - pair.margin_m)[:MAX_PAIRS])
 
     # -- the end
 
@@ -845,14 +746,3 @@ def _named(names: Sequence[str]) -> str:
     """At most five of them."""
     more = len(names) - 5
     return ", ".join(names[:5]) + (f" and {more} more" if more > 0 else "")
-
-
-def _pairs_text(pairs: Sequence[Pair]) -> str:
-    if not pairs:
-        return ""
-    near = [pair for pair in pairs if pair.distance_m < pair.margin_m]
-    found = ", ".join(
-        f"{pair.vehicles[0]} and {pair.vehicles[1]} ({pair.distance_m:.1f} m, margin {pair.margin_m:.1f} m)"
-        for pair in near or pairs[:1]
-    )
-    return f"; {'too near each other' if near else 'the nearest to each other'}: {found}"

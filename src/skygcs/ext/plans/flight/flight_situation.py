@@ -12,9 +12,9 @@ from skygcs.core.plan.margins import MarginRule
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.ext.plans.certificates.certificate import Certificate
-from skygcs.ext.plans.flight.execution import Tubes
 from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.sights import Tubes
 
 Places = Mapping[str, Vector]
 

@@ -23,7 +23,6 @@ from skygcs.errors import RefusedError, SkygcsError
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.certificates.certify import certify, motions_of
 from skygcs.ext.plans.certificates.layered_flight import LIFT_M, layered
-from skygcs.ext.plans.flight.execution import Tubes
 from skygcs.ext.plans.flight.flight_situation import Prepared, Situation
 from skygcs.ext.plans.flight.flight_steps import (
     FlightStep,
@@ -36,6 +35,7 @@ from skygcs.ext.plans.flight.flight_steps import (
     steps_of,
 )
 from skygcs.ext.plans.flight.guidance import Guidance, level_or_vertical
+from skygcs.ext.plans.flight.sights import Tubes
 
 LEAST_TUBE_M = 0.3
 """A measured tracking error below it is not demanded at barriers: positions are noisy."""

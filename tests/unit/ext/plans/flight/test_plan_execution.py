@@ -20,17 +20,13 @@ from skygcs.ext.plans.flight.execution import (
     POSITION_SILENT_S,
     SETTLED_S,
     Execution,
-    Left,
     Order,
     OrderKind,
-    Pair,
     PlanState,
-    Sight,
-    Tubes,
-    Why,
     _pairs_text,
 )
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
+from skygcs.ext.plans.flight.sights import Left, Pair, Sight, Tubes, Why, pairs_near
 from support.examples import examples
 from support.table import each
 
@@ -568,7 +564,7 @@ def test_whatever_comes_in_whatever_order(
 def test_a_step_of_one_vehicle_that_stands_has_no_pairs() -> None:
     step = replace(steps()[0], trajectories={"alpha": steps()[0].trajectories["alpha"]})
     execution = Execution([step], (), tubes(("alpha",)), step.starts())
-    assert execution.pairs_near("alpha", {"alpha": Sight((0.0, 0.0, 10.0))}) == ()
+    assert pairs_near("alpha", {"alpha": Sight((0.0, 0.0, 10.0))}, execution.tubes) == ()
 
 
 # --- a vehicle that is gone -------------------------------------------------------------------------------------------

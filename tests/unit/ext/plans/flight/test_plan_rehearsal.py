@@ -11,7 +11,6 @@ from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
 from skygcs.core.trajectory import MotionLimits, path_within
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.way_out import LossReach
-from skygcs.ext.plans.flight.execution import Tubes
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
 from skygcs.ext.plans.flight.plan_rehearsal import (
     PX4_OVERSHOOT_S,
@@ -23,6 +22,7 @@ from skygcs.ext.plans.flight.plan_rehearsal import (
     slowed,
     too_fast,
 )
+from skygcs.ext.plans.flight.sights import Tubes
 
 ORIGIN = Origin(43.78, -79.46, 180.0)
 LIMITS = MotionLimits()
