@@ -38,7 +38,6 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
-from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
@@ -126,7 +125,6 @@ class Daemon:
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
-        self.planning = PlanningQueue(self.loop, self.fleet.plans.processes.compute)
         self.socket_path = own.socket or default_socket_path()
         token = read_token("daemon", own.token_file)
         self.fleet.on_woke.append(self.operator_watchdog.slept)
@@ -148,7 +146,7 @@ class Daemon:
             missing = [f"no extension is installed for [{name}]" for name in tables.keys() - owners.keys()]
             raise ConfigError(self.source, [*(f"{p.path[0]}: {p.text}" for p in problems), *missing])
         made = {name: cast("type[Extension[Any]]", owners[name])(self, table) for name, table in tables.items()}
-        extensions = Extensions(made, self.hub.fault)
+        extensions = Extensions(made, self.hub.fault, self)
         if problems := control_place_problems(self.config, extensions.places_of_control()):
             raise ConfigError(self.source, [f"{'.'.join(map(str, p.path))}: {p.text}" for p in problems])
         return extensions
@@ -239,10 +237,8 @@ class Daemon:
                     clock.cancel()
                 self.operator_watchdog.close()
                 self.extensions.close()
-                self.planning.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
-                await self.fleet.plans.processes.close()
             await self.links.close()
             signing.cancel()  # after the last message that was signed
 

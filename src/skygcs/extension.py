@@ -5,6 +5,10 @@ groups of a vehicle's state, clocks, a start and an end, and hooks: frames that 
 before they are sent, and a gate before bytes are sent. The package that has it names it as an entry point of the group
 `skygcs.extensions`, with the name of the table: docs/howto/extension.md shows one of 60 lines.
 
+An extension without a table is an entry point of the group `skygcs.on_demand`, with the first word of its methods. It
+is imported beside the loop and made when one of them is first called; nothing is asked of it but methods, state groups,
+orders to check, and its end.
+
 What a running daemon calls, and when:
 
     __init__       once, before a link is open; `core` is complete but for its socket
@@ -26,11 +30,12 @@ import functools
 import re
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
+from skygcs.config.extension_tables import find_on_demand, on_demand
 from skygcs.config.tables import Model, Problem
 from skygcs.core.routing.send_gates import SendGate, SendGates
-from skygcs.errors import ConfigError
+from skygcs.errors import ConfigError, RefusedError
 
 if TYPE_CHECKING:  # an extension imports what it uses
     from skygcs.config.models import FleetConfig, VehicleConfig
@@ -52,6 +57,11 @@ ENDS_FLIGHT = frozenset({"land", "rtl", "hold", "stop", "disarm", "release"})
 AGAIN_S = 1.0
 """From a fault of an extension's work to its next begin: a fault that stays is reported, and takes no core."""
 
+
+class NoTable(Model):
+    """The table of an extension that has none."""
+
+
 StateGroup = Callable[["VehicleActor", float], dict[str, Any] | None]
 """One group of a vehicle's state now; None: it has none."""
 
@@ -69,7 +79,7 @@ class Clock:
 class Extension(Generic[C]):
     """Base of extensions: every part that one does not override is empty."""
 
-    Config: ClassVar[type[Model]]
+    Config: ClassVar[type[Model]] = NoTable
     """Its table of the fleet file: frozen, unknown keys refused, a default for each key if the table may be empty."""
 
     names: ClassVar[tuple[str, ...]] = ()
@@ -181,29 +191,66 @@ class Extension(Generic[C]):
 class Extensions:
     """The extensions of one running daemon. What one of them does wrong is reported as a fault and stops nothing."""
 
-    def __init__(self, parts: Mapping[str, Extension[Any]], on_fault: Callable[[Exception], None]) -> None:
-        """``parts``: by the names of their tables. Raises ConfigError for a name that is not the extension's own."""
-        self._parts = dict(parts)
+    def __init__(
+        self,
+        parts: Mapping[str, Extension[Any]],
+        on_fault: Callable[[Exception], None],
+        core: Services | None = None,
+    ) -> None:
+        """``parts``: by the names of their tables; ``core``: for those without a table, None: there are none. Raises
+        ConfigError for a name that is not the extension's own."""
+        self._parts: dict[str, Extension[Any]] = {}
         self._on_fault = on_fault
-        self.methods: tuple[Method[Context], ...] = tuple(m for part in parts.values() for m in part.methods())
+        self._core = core
+        self._closed = False
+        self._demanded: dict[str, tuple[Method[Context], ...]] = {}
+        """Methods of those that were made on demand, by their first word."""
+        self.methods: tuple[Method[Context], ...] = ()
         self.state_groups: dict[str, StateGroup] = {}
         for table, part in parts.items():
-            groups = part.state_groups()
-            problems = [
-                f"its extension names the {kind} {name}: the name must begin with {' or '.join((table, *part.names))}"
-                for kind, names in (("method", [m.name for m in part.methods()]), ("state group", groups))
-                for name in names
-                if re.split(r"[._]", name)[0] not in (table, *part.names)
-            ]
-            if problems:
-                raise ConfigError(table, problems)
-            self.state_groups |= groups
+            self._take(table, part)
+
+    def _take(self, table: str, part: Extension[Any]) -> None:
+        methods, groups = tuple(part.methods()), part.state_groups()
+        problems = [
+            f"its extension names the {kind} {name}: the name must begin with {' or '.join((table, *part.names))}"
+            for kind, names in (("method", [m.name for m in methods]), ("state group", groups))
+            for name in names
+            if re.split(r"[._]", name)[0] not in (table, *part.names)
+        ]
+        if problems:
+            raise ConfigError(table, problems)
+        self._parts[table] = part
+        self.methods += methods
+        self.state_groups |= groups
+
+    def demand(self, word: str) -> tuple[Method[Context], ...]:
+        """Make the extension without a table whose methods begin with this word, once. Returns its methods; none: no
+        such one is installed. Raises what its import and its constructor raise, and RefusedError after `close`."""
+        if word not in self._demanded:
+            if self._closed:
+                raise RefusedError("skygcs is shutting down")
+            if self._core is None or word in self._parts or (found := find_on_demand(word)) is None:
+                return ()
+            before = len(self.methods)
+            self._take(word, cast("type[Extension[Any]]", found)(self._core, found.Config()))
+            self._demanded[word] = self.methods[before:]
+        return self._demanded[word]
+
+    def every_method(self) -> tuple[Method[Context], ...]:
+        """All their methods: extensions without a table are made for it."""
+        for word in () if self._core is None else on_demand():
+            try:
+                self.demand(word)
+            except Exception as error:
+                self._on_fault(error)
+        return self.methods
 
     def __iter__(self) -> Iterator[Extension[Any]]:
         return iter(self._parts.values())
 
     def __getitem__(self, table: str) -> Extension[Any]:
-        """The extension of this table. Raises KeyError if the fleet file has no such table."""
+        """The extension of this table, or of this first word of methods. Raises KeyError if there is none."""
         return self._parts[table]
 
     def flights_elsewhere(self) -> dict[str, NewFlight]:
@@ -277,7 +324,8 @@ class Extensions:
                 group.create_task(serving, name=f"clients of {table}")
 
     def close(self) -> None:
-        """End the work of all."""
+        """End the work of all; none is made any more."""
+        self._closed = True
         for part in self._parts.values():
             try:
                 part.close()

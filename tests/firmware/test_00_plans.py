@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.plan.certificate import Certificate
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
-from skygcs.core.plan.layered_flight import layered
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.separation import DOWNWASH_RATIO, separation_m
 from skygcs.core.trajectory import MotionLimits
+from skygcs.ext.plans.certificates.certificate import Certificate
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.layered_flight import layered
 from support.firmware_field import HOME, SPACING_M, TRACKING_ERROR_M, MixedField, available
 from support.firmware_report import Report, Row
 from support.planned import content

@@ -13,6 +13,7 @@ import pytest
 
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.firmware_modes import Px4Mode
+from support.called import plans_of
 from support.companion_pair import Pair, companion_pair
 from support.planned import Places, content, inline, timed
 
@@ -36,7 +37,7 @@ async def two(tmp_path: Path, **kinds: Any) -> AsyncIterator[Pair]:
 
 
 async def run(pair: Pair) -> None:
-    pair.ground.fleet.plans.runner.work = inline
+    plans_of(pair.ground).runner.work = inline
     await pair("plan.load", plan=content(timed(STARTS, GOALS)), name="test")
     answer = await pair("plan.run", margin_m=3.0, force=True)
     refused = [f for f in answer["report"]["findings"] if f["severity"] == "refused"]

@@ -12,6 +12,7 @@ import pytest
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.called import plans_of
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
@@ -272,7 +273,7 @@ async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_
             raise RefusedError("the planning process is busy")
 
         plans = gcs.daemon.fleet.plans
-        plans.runner.work = broken
+        plans_of(gcs.daemon).runner.work = broken
         await gcs("plan.land")
         await gcs.until(lambda: state(gcs) == "stopped", 15.0)
         assert "the planning process is busy" in plans.status()["reason"]

@@ -15,10 +15,11 @@ from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.margins import DEFAULT
 from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.errors import RefusedError, SkygcsError, TargetError
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.runtime.planning_queue import PlanningQueue
+from support.called import plans_of
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime
@@ -31,7 +32,7 @@ async def _here(request: bytes, on_progress: OnProgress | None, limits: ProcessL
 
 
 def planning(gcs: Flown) -> Callable[..., Any]:
-    gcs.daemon.planning = PlanningQueue(asyncio.get_running_loop(), _here)
+    plans_of(gcs.daemon).queue = PlanningQueue(asyncio.get_running_loop(), _here)
 
     async def ask(method: str, **params: Any) -> dict[str, Any]:
         found: dict[str, Any] = await gcs(method, **params)

@@ -36,8 +36,11 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "runtime/outgoing_gate.py": ("runtime/test_outgoing_gate.py",),
     },
     "certificates": {
-        "core/plan/certify.py": ("core/plan/test_certify.py",),
-        "core/plan/closest_approach.py": ("core/plan/test_closest_approach.py", "core/plan/test_certify.py"),
+        "ext/plans/certificates/certify.py": ("ext/plans/certificates/test_certify.py",),
+        "ext/plans/certificates/closest_approach.py": (
+            "ext/plans/certificates/test_closest_approach.py",
+            "ext/plans/certificates/test_certify.py",
+        ),
     },
     "leases": {
         "ext/federation/protocol/lease.py": (

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
+from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.methods import METHODS
@@ -51,6 +52,10 @@ class _Transport(asyncio.Transport):
         self.lines += [json.loads(line) for line in lines]
 
 
+ALL_METHODS = METHODS.extended(PLAN_METHODS)
+"""Those of a daemon whose fleet file has no extension's table."""
+
+
 class Asked:
     """``complaints``: of the event loop, which nobody may ever have."""
 
@@ -61,7 +66,8 @@ class Asked:
         self.vehicle = PymavPeer(1, 1)
         daemon.loop.set_exception_handler(lambda _, context: self.complaints.append(context))
         daemon.event_log.subscribe(self.events.append)
-        self._sessions = Sessions(daemon, Dispatcher(METHODS), daemon.loop)
+        daemon.extensions.demand("plan")
+        self._sessions = Sessions(daemon, Dispatcher(ALL_METHODS), daemon.loop)
         self._transport = _Transport()
         self._session = Session(self._sessions, None)
         self._session.connection_made(self._transport)
@@ -150,6 +156,6 @@ def resolved(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> Mapping[str,
 
 def methods_with_numbers() -> Iterator[str]:
     """Methods with a number among their parameters."""
-    for name, method in METHODS.items():
+    for name, method in ALL_METHODS.items():
         if re.search(r"'(number|integer)'", str(method.params.model_json_schema())):
             yield name

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from skygcs.daemon import Daemon
+from skygcs.ext.plans.extension import Plans
 from skygcs.rpc.dispatch import Encoded
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.slices import Slices
@@ -16,9 +17,18 @@ from skygcs.rpc.slices import Slices
 async def call(daemon: Daemon, name: str, /, *, reports: Any = None, **params: Any) -> Any:
     """The method's result. Raises what the method raises, and pydantic's error for parameters. ``reports``: a
     `runtime.fleet.Reports` of a client that asks for the outcomes as they come."""
+    if name not in METHODS:
+        daemon.extensions.demand(name.partition(".")[0])
     of_extensions = {method.name: method for method in daemon.extensions.methods}
     method = of_extensions.get(name) or METHODS[name]
     context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()), reports=reports)
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
     return json.loads(result.body) if isinstance(result, Encoded) else result
+
+
+def plans_of(daemon: Daemon) -> Plans:
+    """The extension of plans, which is made for it."""
+    daemon.extensions.demand("plan")
+    plans: Plans = daemon.extensions["plan"]
+    return plans

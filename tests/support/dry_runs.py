@@ -16,6 +16,7 @@ from skygcs.core.plan.fleet_plan import PhasedPlan, Plan
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
+from support.called import plans_of
 from support.flown import Flown, flown
 from support.planned import content, inline, instant_planning, phased, plan_events, state, timed
 
@@ -138,7 +139,7 @@ class RandomPlans:
         }
 
     async def _load(self, plan: Plan) -> None:
-        self.gcs.daemon.fleet.plans.runner.work = inline
+        plans_of(self.gcs.daemon).runner.work = inline
         await self.gcs("plan.load", plan=content(plan), name="random")
 
     # -- what becomes of it

@@ -9,14 +9,17 @@ from typing import Any, get_type_hints
 
 from pydantic import BaseModel
 
-from skygcs.config.extension_tables import find_owners, installed
+from skygcs.config.extension_tables import find_owners, installed, on_demand
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.methods import METHODS
 
 OWN = {name: point.value for name, point in sorted(installed().items()) if point.value.startswith("skygcs.ext.")}
 """The tables of our own extensions, and their classes."""
 
-ROOMS = sorted({".".join(value.partition(":")[0].split(".")[:3]) for value in OWN.values()})
+ON_DEMAND = {word: point.value for word, point in on_demand().items() if point.value.startswith("skygcs.ext.")}
+"""Our own extensions without a table: the first word of their methods, and their classes."""
+
+ROOMS = sorted({".".join(value.partition(":")[0].split(".")[:3]) for value in (*OWN.values(), *ON_DEMAND.values())})
 """Their folders."""
 
 ALL_METHODS: dict[str, Method[Any]] = dict(METHODS) | {

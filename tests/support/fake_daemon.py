@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.dialects import load_dialect
@@ -27,18 +27,21 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.plan.guidance import choose
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
-from skygcs.extension import Extensions
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
+from skygcs.ext.plans.flight.guidance import choose
+from skygcs.ext.plans.flight_check import ChosenWay
+from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
+from skygcs.extension import Extension, Extensions, NoTable
+from skygcs.rpc.context import Services
+from skygcs.rpc.dispatch import Method
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet_orders import Order, Reports, Unreported
-from skygcs.runtime.plan_runner import ChosenWay
-from skygcs.runtime.planning_queue import PlanningQueue
 
 NAMES = ("alpha", "bravo", "carol")
 
@@ -414,6 +417,21 @@ class FakePlans:
         return "nothing is flown"
 
 
+class FakePlanning(Extension[NoTable]):
+    """The extension of plans, with the fleet's `FakePlans`."""
+
+    def methods(self) -> tuple[Method[Any], ...]:
+        return PLAN_METHODS
+
+    @property
+    def runner(self) -> FakePlans:
+        return cast("FakePlans", self.core.fleet.plans)
+
+    @cached_property
+    def queue(self) -> PlanningQueue:
+        return PlanningQueue(asyncio.get_running_loop(), compute_here)
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
@@ -613,7 +631,7 @@ class FakeDaemon:
             send_gates=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
-        self.extensions = Extensions({}, _raised)
+        self.extensions = Extensions({"plan": FakePlanning(cast("Services", self), NoTable())}, _raised)
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})
@@ -621,10 +639,6 @@ class FakeDaemon:
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
         self._on_frame: list[tuple[set[int] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
         self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
-
-    @cached_property
-    def planning(self) -> PlanningQueue:
-        return PlanningQueue(asyncio.get_running_loop(), compute_here)
 
     def vehicle(self, name: str) -> FakeVehicle:
         return self.fleet.resolve(name)[0]

@@ -13,9 +13,10 @@ from skygcs.core.plan.plan_json import write_plan_json
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import MotionLimits
 from skygcs.daemon import Daemon
-from skygcs.planning.process import OnProgress, ProcessLimits
-from skygcs.planning.worker import answered
-from skygcs.runtime.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.planning_queue import PlanningQueue
+from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
+from skygcs.ext.plans.planning.worker import answered
+from support.called import plans_of
 from support.flown import Flown
 
 Vector = tuple[float, float, float]
@@ -55,12 +56,12 @@ def instant_planning(daemon: Daemon) -> None:
     async def here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
         return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
 
-    daemon.planning = PlanningQueue(asyncio.get_running_loop(), here)
-    daemon.fleet.plans.runner.work = inline
+    plans_of(daemon).queue = PlanningQueue(asyncio.get_running_loop(), here)
+    plans_of(daemon).runner.work = inline
 
 
 async def load(gcs: Flown, plan: Plan, space: FlightSpace | None = None) -> None:
-    gcs.daemon.fleet.plans.runner.work = inline
+    plans_of(gcs.daemon).runner.work = inline
     await gcs("plan.load", plan=content(plan, space), name="test")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.sim.conditions import conditions_of
+from support.called import plans_of
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, inline, least_distance, load, state, timed
 from support.random_flights import KINDS, NAMES, Judged, RandomFlight, changes, denied, pilot, restart, watched
@@ -107,7 +108,7 @@ async def _begin(flight: RandomFlight, gcs: Flown) -> None:
             name: (x + flight.rng.uniform(-4, 4), y + flight.rng.uniform(8, 20), up + flight.rng.uniform(-2, 2))
             for name, (x, y, up) in starts.items()
         }
-        gcs.daemon.fleet.plans.runner.work = inline
+        plans_of(gcs.daemon).runner.work = inline
         await load(gcs, timed(starts, goals))
         answer: dict[str, Any] = await gcs("plan.run", margin_m=MARGIN_M, force=True)
         if answer["started"]:

@@ -42,7 +42,7 @@ PAGES_RUN = (
 )
 
 PAGES_NOT_RUN = {
-    "docs/explanation/plans.md": "the reader's goals; tests/unit/cli/test_cli_plan.py",
+    "docs/explanation/plans.md": "the reader's goals; tests/unit/ext/plans/commands/test_cli_plan.py",
     "docs/howto/calibration.md": "a person who turns the vehicle",
     "docs/howto/clients.md": "test_docs_programs.py flies its pymavlink program on this link",
     "docs/howto/companion.md": "a vehicle's computer; tests/system/test_companion_process.py",
@@ -79,7 +79,7 @@ NOT_RUN = {
     "skygcs-cli mission watch": "runs until Ctrl-C; tests/unit/cli/test_cli_mission_flight.py",
     "skygcs-cli message watch ATTITUDE": "runs until Ctrl-C",
     "skygcs-cli plot": "the trace of a flight; tests/unit/cli/test_cli_plot.py",
-    "skygcs-cli table": "a flight of minutes; tests/unit/cli/test_cli_table.py",
+    "skygcs-cli table": "a flight of minutes; tests/unit/ext/plans/commands/test_cli_table.py",
     "skygcs-cli tlog play": "takes as long as the flight did; tests/unit/cli/test_tlog_play.py",
     "skygcs-cli track": "runs until Ctrl-C",
     "skygcs-cli watch": "runs until Ctrl-C",

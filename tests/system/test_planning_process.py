@@ -19,8 +19,8 @@ from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import RefusedError
-from skygcs.planning.process import PlanningFailed, PlanningProcesses, ProcessLimits, call, compute
-from skygcs.planning.request import make_request
+from skygcs.ext.plans.planning.process import PlanningFailed, PlanningProcesses, ProcessLimits, call, compute
+from skygcs.ext.plans.planning.request import make_request
 
 pytestmark = pytest.mark.system
 

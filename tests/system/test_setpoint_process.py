@@ -106,7 +106,7 @@ def test_registering_the_commands_imports_nothing_that_they_need() -> None:
         "import sys\n"
         "import skygcs.cli.main\n"
         "heavy = ('numpy', 'matplotlib', 'csv', 'tomllib', 'skygcs.core', 'skygcs.cli.control',\n"
-        "         'skygcs.cli.setpoint', 'skygcs.cli.table', 'skygcs.ext.logs.trace_plot')\n"
+        "         'skygcs.cli.setpoint', 'skygcs.ext.plans.commands.table', 'skygcs.ext.logs.trace_plot')\n"
         "print([m for m in heavy if m in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=TIMEOUT_S, check=True)

@@ -22,13 +22,13 @@ SPARED = (
     "greenlet",
     "importlib.metadata",
     "platform",
-    "skygcs.core.plan.execution",
+    "skygcs.core.plan",
     "skygcs.links.simulated",
     "skygcs.rpc.missions",
     "skygcs.rpc.params",
     "skygcs.ext.companions.companion_control",
     "skygcs.ext.companions.ground_orders",
-    "skygcs.runtime.plan_runner",
+    "skygcs.ext.plans",
     "skygcs.sim",
     "sysconfig",
     "zipfile",
@@ -109,6 +109,27 @@ serve.serve_until_signal = served
 serve.main(["run", "-q", sys.argv[1]])
 """
 
+WITH_PLANS = """
+import asyncio, sys
+from skygcs.cli import process, serve
+from skygcs.rpc.client import Client
+watched = sys.argv[3:]
+loaded = lambda: [m for m in watched if m in sys.modules]
+async def served(daemon, **_):
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    async with Client(sys.argv[2]) as gcs:
+        async for plan in gcs.plan(rate_hz=1.0):
+            break
+        print("shown", *loaded())
+        await gcs.call("plan.status")
+        print("asked", *loaded())
+    daemon.stop()
+    await running
+serve.serve_until_signal = served
+serve.main(["run", "-q", sys.argv[1]])
+"""
+
 
 def loaded(code: str, *arguments: str) -> list[set[str]]:
     """The words of each line that the code printed, without the first."""
@@ -142,6 +163,15 @@ def test_a_vehicle_with_a_place_in_the_world_loads_nothing_heavy(tmp_path: Path)
     )
     loaded(RUN, str(fleet))  # makes the dialect's table
     assert loaded(WITH_A_VEHICLE, str(fleet), f"{tmp_path}/s", *HEAVY) == [set()]
+
+
+def test_plans_are_imported_when_one_of_their_methods_is_called(tmp_path: Path) -> None:
+    """Not for a page that shows the status of the plan, of which there is none; and numpy never."""
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
+    loaded(RUN, str(fleet))  # makes the dialect's table
+    rooms = ("skygcs.core.plan", "skygcs.ext.plans", "skygcs.ext.plans.plan_runner")
+    assert loaded(WITH_PLANS, str(fleet), f"{tmp_path}/s", *rooms, "numpy") == [set(), set(rooms)]
 
 
 def test_rich_can_be_imported_after_the_log_was_set_up() -> None:

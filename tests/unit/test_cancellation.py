@@ -13,14 +13,17 @@ from skygcs.cancellation import carried_through, end_if_cancelled, ended, togeth
 from support.process import ROOT
 
 SWALLOWS = {
-    ("runtime/planning_queue.py", "run"): "a planning request that an operator cancelled is refused to its client",
+    (
+        "ext/plans/planning/planning_queue.py",
+        "run",
+    ): "a planning request that an operator cancelled is refused to its client",
     (
         "ext/federation/bridge/orders_taken.py",
         "_carry_out",
     ): "ends its task: the record says that the outcome is unknown",
     ("cli/missions.py", "sent"): "Ctrl-C: shows what the vehicles hold, and ends",
     ("cli/missions.py", "cleared"): "Ctrl-C: shows what the vehicles hold, and ends",
-    ("cli/plan_run.py", "_follow"): "the first Ctrl-C asks what to do, the second ends it",
+    ("ext/plans/commands/plan_run.py", "_follow"): "the first Ctrl-C asks what to do, the second ends it",
     ("cli/radio_port.py", "run"): "raised as KeyboardInterrupt",
     ("web/daemon_connection.py", "run"): "its owner sets `stopping` before it cancels, and that is asked after",
     ("rpc/dispatch.py", "_finish"): "ends its task: the client gets an error",

@@ -9,7 +9,8 @@ from functools import cache
 from pathlib import Path
 
 from skygcs.cli.topics import EXTENSION_COMMANDS, EXTENSION_PROGRAMS
-from skygcs.config.extension_tables import GROUP
+from skygcs.config.extension_tables import GROUP, ON_DEMAND
+from skygcs.web.file_checks import EXTENSION_CHECKS
 from support.extension_parts import ALL_METHODS
 from support.source_trees import SRC, source_files, tree_of
 from support.table import each
@@ -25,7 +26,7 @@ PATH = re.compile(
     r"(?<![\w./*$~-])((?:[\w.-]+/)+[\w.-]+\.(?:py|c|h|toml|md)|(?:src/skygcs|core|sim|tlog|modem|links|runtime|rpc|config|cli)/[\w/]+|\w+\.py)\b"
 )
 MODULE = re.compile(r"\bskygcs(?:\.[A-Za-z_]\w*)+")
-ENTRY_POINTS = (GROUP, EXTENSION_COMMANDS, EXTENSION_PROGRAMS)
+ENTRY_POINTS = (GROUP, ON_DEMAND, EXTENSION_CHECKS, EXTENSION_COMMANDS, EXTENSION_PROGRAMS)
 """Groups of entry points, which look like modules."""
 FILES = (".sock", ".service", ".toml")
 """Names of files that look like modules."""

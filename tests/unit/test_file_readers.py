@@ -30,12 +30,12 @@ from skygcs.core.params import param_file
 from skygcs.core.plan import plan_files
 from skygcs.core.plan.fleet_plan import FlightSpace, TimedPlan
 from skygcs.core.plan.plan_json import write_plan_json
-from skygcs.core.plan.position_table import parse_table
 from skygcs.core.plan.skyc import write_skyc
 from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory import Piece as _Piece
 from skygcs.errors import SkygcsError
 from skygcs.ext.federation.hub_inventory import load_inventory
+from skygcs.ext.plans.position_table import parse_table
 
 ORIGIN = Origin(47.4, 8.5, 400.0)
 

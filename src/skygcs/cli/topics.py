@@ -20,7 +20,7 @@ TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "several": (
         "plans and control in one frame of coordinates",
-        ("origin", "plan", "table", "trajectory", "control", "setpoint", "gains"),
+        ("origin", "control", "setpoint", "gains"),
     ),
     "vehicle": (
         "parameters, fences, sensors and logs of autopilots",

@@ -25,7 +25,6 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
-from skygcs.runtime.planning_queue import PlanningQueue
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
@@ -46,6 +45,8 @@ class ExtensionParts(Protocol):
     def methods(self) -> tuple[Method[Context], ...]: ...
     @property
     def state_groups(self) -> Mapping[str, object]: ...
+    def demand(self, word: str) -> tuple[Method[Context], ...]: ...
+    def every_method(self) -> tuple[Method[Context], ...]: ...
     def groups_of(self, vehicle: VehicleActor, now: float, names: frozenset[str] | None) -> JsonObject: ...
     async def serve(self, new_session: NewSession) -> None: ...
 
@@ -63,7 +64,6 @@ class Services(Protocol):
     air: AirPlanner
     corrections: CorrectionFeed
     message_sender: MessageSender
-    planning: PlanningQueue
     renumbering: Renumbering
     signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog

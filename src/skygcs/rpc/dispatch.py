@@ -6,6 +6,7 @@ Why not a library: docs/decisions/0002-json-rpc-dispatch.md.
 from __future__ import annotations
 
 import asyncio
+import functools
 import importlib
 import inspect
 import json
@@ -14,7 +15,7 @@ import sys
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import structlog
 from pydantic import ValidationError
@@ -124,11 +125,17 @@ class MethodTable(Mapping[str, Method[C]]):
                 self._take(part)
 
     def extended(self, methods: Collection[Method[C]]) -> MethodTable[C]:
-        """This table and further methods. Raises ValueError if one of them has the name of another."""
+        """A new table of these and further methods. Raises ValueError if one of them has the name of another."""
+        table: MethodTable[C] = MethodTable(*self._parts)
+        table.add(methods)
+        return table
+
+    def add(self, methods: Collection[Method[C]]) -> None:
+        """Take further methods. Raises ValueError if one of them has the name of another."""
         twice = sorted(method.name for method in methods if method.name in self._methods)
         if twice:
             raise ValueError(f"two methods are called {', '.join(twice)}")
-        return MethodTable(*self._parts, tuple(methods)) if methods else self
+        self._take(methods)
 
     def __getitem__(self, name: str) -> Method[C]:
         found = self._methods[name]
@@ -176,6 +183,18 @@ class Encoded:
     body: bytes
 
 
+class OnDemand(Protocol):
+    """Methods that come into the table when one of them is first called."""
+
+    def may_have(self, name: str) -> bool:
+        """True if a method that is not in the table may come into it."""
+        ...
+
+    async def add(self, name: str) -> None:
+        """Add it, if it exists. Raises what adding it raises."""
+        ...
+
+
 Reply = bytes | Coroutine[Any, Any, bytes] | None
 """Encoded reply without newline; or a coroutine that makes it; or None (a notification that is done)."""
 
@@ -184,11 +203,16 @@ class Dispatcher(Generic[C]):
     """Finds the method, checks its parameters, runs it, encodes the reply. Never raises for what a client sent."""
 
     def __init__(
-        self, methods: Mapping[str, Method[C]], import_beside: Callable[[str], Awaitable[None]] | None = None
+        self,
+        methods: Mapping[str, Method[C]],
+        import_beside: Callable[[str], Awaitable[None]] | None = None,
+        on_demand: OnDemand | None = None,
     ) -> None:
-        """``import_beside`` imports a module while the loop goes on; None: `MethodTable.load` does it at once."""
+        """``import_beside`` imports a module while the loop goes on; None: `MethodTable.load` does it at once.
+        ``on_demand`` adds to ``methods``."""
         self._methods = methods if isinstance(methods, MethodTable) else MethodTable(methods.values())
         self._import_beside = import_beside
+        self._on_demand = on_demand
         self.always = self._methods.always
         self.while_stopping = self._methods.while_stopping
 
@@ -206,8 +230,8 @@ class Dispatcher(Generic[C]):
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
             return error_reply(request_id, INVALID_REQUEST, 'a request has "jsonrpc": "2.0" and a method name')
         notification = "id" not in request
-        if self._import_beside is not None and (part := self._methods.missing(name)) is not None:
-            return self._start_later(self._import_beside, part, context, request, key_twice)
+        if (prepare := self._preparation(name)) is not None:
+            return self._start_later(prepare, context, request, key_twice)
         try:
             method = self._methods.get(name)
             if method is None:
@@ -224,22 +248,33 @@ class Dispatcher(Generic[C]):
 
     def outlives_client(self, request: object) -> bool:
         """True if a request that `start` answered with a coroutine is to be finished without its client, too."""
-        if not isinstance(request, dict) or self._methods.missing(request["method"]) is not None:
+        if not isinstance(request, dict):
             return False
-        return self._methods[request["method"]].outlives_client
+        name = request["method"]
+        return name in self._methods and self._methods.missing(name) is None and self._methods[name].outlives_client
+
+    def _preparation(self, name: str) -> Callable[[], Awaitable[None]] | None:
+        """Return what has to be awaited before this method can be called; None: nothing."""
+        if self._import_beside is not None and (part := self._methods.missing(name)) is not None:
+            return functools.partial(self._import, self._import_beside, part)
+        if self._on_demand is not None and self._on_demand.may_have(name):
+            return functools.partial(self._on_demand.add, name)
+        return None
+
+    async def _import(self, import_beside: Callable[[str], Awaitable[None]], part: Later) -> None:
+        await import_beside(part.module)
+        self._methods.load(part)
 
     async def _start_later(
         self,
-        import_beside: Callable[[str], Awaitable[None]],
-        part: Later,
+        prepare: Callable[[], Awaitable[None]],
         context: C,
         request: dict[str, Any],
         key_twice: Callable[[], str | None],
     ) -> bytes:
-        """The first calls of a part, in their order: its module is imported beside the loop."""
+        """The first calls of methods that are imported for them, beside the loop, in their order."""
         try:
-            await import_beside(part.module)
-            self._methods.load(part)
+            await prepare()
         except Exception as error:
             return failure_reply(request["id"], request["method"], error) if "id" in request else b""
         reply = self.start(context, request, key_twice)

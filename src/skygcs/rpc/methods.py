@@ -94,7 +94,7 @@ def unsubscribe(context: Context, params: UnsubscribeParams) -> JsonObject:
 
 def rpc_discover(context: Context, _: NoParams) -> JsonObject:
     """This interface as an OpenRPC document, with the methods of the extensions that run."""
-    return _document(context.services.extensions.methods)
+    return _document(context.services.extensions.every_method())
 
 
 @functools.lru_cache(maxsize=1)
@@ -139,17 +139,6 @@ METHODS: MethodTable[Context] = MethodTable(
             *("trajectory.abort", "trajectory.unload", "trajectory.paths", "trajectory.status"),
         ),
     ),
-    Later(
-        "skygcs.rpc.plans",
-        "METHODS",
-        (
-            *("plan.upload", "plan.load", "plan.check", "plan.run", "plan.pause", "plan.resume", "plan.speed"),
-            *("plan.abort", "plan.land", "plan.status", "plan.unload"),
-        ),
-        always=("plan.pause", "plan.abort", "plan.land"),  # a plan that flies has imported them
-        while_stopping=("plan.status",),
-    ),
-    Later("skygcs.rpc.planning", "METHODS", ("plan.make", "plan.certify", "plan.cancel", "plan.jobs")),
     (Method("clock.read", NoParams, clock_read, ClockReading, while_stopping=True),),
     Later("skygcs.rpc.alarms", "METHODS", ("alarms.list", "alarms.acknowledge"), while_stopping=("alarms.list",)),
     Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),

@@ -17,7 +17,6 @@ import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import structlog
@@ -95,16 +94,21 @@ class RpcServer:
             await imports.beside("skygcs.rpc.sessions")
             from skygcs.rpc.dispatch import Dispatcher
             from skygcs.rpc.methods import METHODS
+            from skygcs.rpc.methods_on_demand import MethodsOnDemand
             from skygcs.rpc.sessions import Session, Sessions
 
-            methods = METHODS.extended(self._services.extensions.methods)
-            self._hub = hub = Sessions(self._services, Dispatcher(methods, imports.beside), loop)
+            extensions = self._services.extensions
+            methods = METHODS.extended(extensions.methods)
+            dispatcher = Dispatcher(
+                methods, imports.beside, MethodsOnDemand(methods, extensions, imports.call_beside, loop)
+            )
+            self._hub = hub = Sessions(self._services, dispatcher, loop)
             listener = self._unix.bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)
             self._servers.append(server)
             if self._tcp_listener is not None:
                 await self._listen_tcp(self._tcp_listener, lambda: Session(hub, self._token))
-            serving = self._services.extensions.serve(lambda admits: Session(hub, None, admits))
+            serving = extensions.serve(lambda admits: Session(hub, None, admits))
             self._of_extensions = loop.create_task(serving, name="clients of extensions")
         except BaseException:
             await self.close()
@@ -169,7 +173,7 @@ class _Imports:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._tasks: dict[str, asyncio.Task[ModuleType]] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
         self._switch_s = sys.getswitchinterval()
 
     async def beside(self, module: str) -> None:
@@ -182,12 +186,16 @@ class _Imports:
             task.add_done_callback(lambda done: self._tasks.pop(module))
         await asyncio.shield(task)
 
-    async def _import(self, module: str) -> ModuleType:
+    async def call_beside(self, function: Callable[[], object]) -> None:
+        """Call a function that reads and imports."""
         sys.setswitchinterval(SWITCH_S)
         try:
-            return await asyncio.to_thread(importlib.import_module, module)
+            await asyncio.to_thread(function)
         finally:
             sys.setswitchinterval(self._switch_s)
+
+    async def _import(self, module: str) -> None:
+        await self.call_beside(lambda: importlib.import_module(module))
 
 
 def _bound_tcp(port: int) -> socket.socket:

@@ -17,13 +17,13 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.plan.flight_record import FlightRecord
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
 from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, lost_place
+from skygcs.core.vehicle.flight_record import FlightRecord
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -31,13 +31,14 @@ from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError
 from skygcs.events import Event
 from skygcs.links.base import Channel, StateUpdate
+from skygcs.runtime.charge_records import ChargeRecords
 from skygcs.runtime.command_client import SendFn
 from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.plans import Plans
+from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
@@ -136,7 +137,8 @@ class Fleet:
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
-        self.plans = Plans(self, self.trajectories, self._links, loop, on_event)
+        self.plans = PlanPlace(loop.time)
+        self.charges = ChargeRecords(self.everybody)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -196,7 +198,8 @@ class Fleet:
                 fault = fault or error
         self.components.tick(now)
         self.trajectories.tick(now)
-        self.plans.tick(now)
+        self.charges.tick(now)
+        self.plans.tick()
         if self._recalled:
             self._report_recalled(now)
         self._note_flights(now)
@@ -244,7 +247,6 @@ class Fleet:
         self.components.close()
         self.monitor.close()
         self.returns.close()
-        self.plans.close()
         self.orders.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
@@ -401,6 +403,11 @@ class Fleet:
         return found[0]
 
     @property
+    def links(self) -> VehicleLinks:
+        """The daemon's knowledge of the links to the vehicles."""
+        return self._links
+
+    @property
     def origin(self) -> Origin | None:
         """Origin of the world frame; None: it is not set yet."""
         return self.world.origin
@@ -554,7 +561,7 @@ class Fleet:
     def _recall(self, notes: Iterable[FlightNote]) -> None:
         now, unix_now = self._loop.time(), time.time()
         for note in notes:
-            self.plans.recalled[note.key] = FlightRecord(note.flown_s, note.dropped_percent)
+            self.charges.recalled[note.key] = FlightRecord(note.flown_s, note.dropped_percent)
             parser = FrameParser(self._dialect)
             frames = [(f, at) for at, raw in note.frames for f in parser.feed_datagram(raw) if f.info is not None]
             heard_at = max((at for frame, at in frames if frame.msgid == HEARTBEAT), default=-math.inf)
@@ -588,7 +595,7 @@ class Fleet:
         notes = []
         for actor in (a for a in self.vehicles.values() if not a.vehicle.replayed):
             flying, flown_by = is_flying(actor.vehicle, now), actor.unattended.watch.owed_to
-            vehicle, (flown_s, dropped) = actor.vehicle, self.plans.record(actor).consumption
+            vehicle, (flown_s, dropped) = actor.vehicle, self.charges.record(actor).consumption
             frames = tuple((at + to_unix_s, f.raw) for f, at in vehicle.last_frames(KEPT_MESSAGES))
             if flying or flown_s > 0.0:
                 notes.append(

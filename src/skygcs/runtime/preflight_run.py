@@ -16,11 +16,11 @@ from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.params.names import turns_on
-from skygcs.core.plan.flight_findings import ReturnHeight, offered_heights
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import Finding, Fix, Report, Severity, failed, passed
+from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome

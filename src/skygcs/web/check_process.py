@@ -77,14 +77,14 @@ async def _run(name: str, params: dict[str, Any]) -> Any:
 
 def main() -> None:
     """The process."""
-    from skygcs.web.file_checks import CHECKS
+    from skygcs.web.file_checks import find_check
 
     os.nice(NICE)
     resource.setrlimit(resource.RLIMIT_AS, (CHECK_MEMORY_BYTES, CHECK_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (int(CHECK_TIMEOUT_S), int(CHECK_TIMEOUT_S)))
     params = json.load(sys.stdin)
     try:
-        answer: dict[str, Any] = {"result": CHECKS[sys.argv[1]](params)}
+        answer: dict[str, Any] = {"result": find_check(sys.argv[1])(params)}
     except SkygcsError as error:
         answer = {"problem": str(error)}
     text = json.dumps(answer, allow_nan=False)

@@ -1,13 +1,16 @@
 """Checks of files that a person drops on the page; each runs in a process of its own with limits of size and time.
 
 `CHECKS` maps the method of the WebSocket to its function: parameters as they came (not trusted) to a JSON-able answer.
-Each raises SkygcsError, with a text for the person, and nothing else.
+Each raises SkygcsError, with a text for the person, and nothing else. Those of extensions are entry points of the group
+`EXTENSION_CHECKS`, with the name of the method.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -16,12 +19,13 @@ from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.compare import Change, plan
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import ParamFile, parse
-from skygcs.core.plan.position_table import WHICH, parse_table
 from skygcs.errors import RefusedError
 from skygcs.web.dropped import DroppedFile, Request, parsed
 
 MAX_PARAMS = 5000
 """More than any autopilot has."""
+
+EXTENSION_CHECKS = "skygcs.page_checks"
 
 Check = Callable[[Mapping[str, Any]], dict[str, Any]]
 
@@ -59,13 +63,6 @@ def check_fence(params: Mapping[str, Any]) -> dict[str, Any]:
     from skygcs.web import mission_checks
 
     return mission_checks.check_fence(params)
-
-
-def check_plan_files(params: Mapping[str, Any]) -> dict[str, Any]:
-    """web.plan.check."""
-    from skygcs.web import plan_checks
-
-    return plan_checks.check_plan_files(params)
 
 
 def check_params(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,30 +107,23 @@ def _change(change: Change) -> dict[str, Any]:
     return {"name": change.name, "value": change.value, "before": before, "sort": change.sort}
 
 
-class PositionsCheck(Request):
-    """A table of initial and final positions."""
-
-    file: DroppedFile
-
-
-def check_positions(params: Mapping[str, Any]) -> dict[str, Any]:
-    """web.positions.check: the positions of a table, by the names that the file has."""
-    file = parsed(PositionsCheck, params).file
-    table = parse_table(file.name, file.content())
-    return {
-        "name": file.name,
-        "vehicles": {
-            name: {which: None if (spot := places.get(which)) is None else list(spot.position_m) for which in WHICH}
-            for name, places in table.items()
-        },
-        "headings": any(spot.heading_deg is not None for places in table.values() for spot in places.values()),
-    }
-
-
 CHECKS: dict[str, Check] = {
     "web.mission.check": check_mission,
     "web.fence.check": check_fence,
-    "web.plan.check": check_plan_files,
     "web.params.check": check_params,
-    "web.positions.check": check_positions,
 }
+"""Those of the core."""
+
+
+@functools.cache
+def extension_checks() -> Mapping[str, EntryPoint]:
+    """The checks of installed extensions, by the method that they answer."""
+    return {point.name: point for point in entry_points(group=EXTENSION_CHECKS) if point.name not in CHECKS}
+
+
+def find_check(name: str) -> Check:
+    """The check of this method; an extension's is imported. Raises KeyError."""
+    if name in CHECKS:
+        return CHECKS[name]
+    check: Check = extension_checks()[name].load()
+    return check

@@ -32,7 +32,7 @@ from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection
-from skygcs.web.file_checks import CHECKS
+from skygcs.web.file_checks import CHECKS, extension_checks
 from skygcs.web.fleet_digest import view_of
 from skygcs.web.http_server import HttpServer
 from skygcs.web.map_image import MapImage
@@ -108,7 +108,7 @@ class WebProcess:
         }
         if isinstance(self.source, ReplaySource):
             methods |= self.source.own_methods()
-        return methods | {name: self._check(name) for name in CHECKS}
+        return methods | {name: self._check(name) for name in (*CHECKS, *extension_checks())}
 
     def _check(self, name: str) -> OwnMethod:
         async def run(page: PageClient, params: dict[str, Any]) -> Any:

@@ -25,10 +25,10 @@ from typing import Any
 from bench.monitor.virtual import in_virtual_time
 from bench.plans import flights, goto_flights, refusals, tick_lateness
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import TimedPlan
-from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 from support.dry_runs import Judged as DryRuns
 from support.dry_runs import judge as judge_dry_runs
 

@@ -28,19 +28,19 @@ from typing import Any
 from bench.monitor.virtual import in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.plan.certificate import Certificate
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
-from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
+from skygcs.ext.plans.certificates.certificate import Certificate
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle
-from support.called import call
+from support.called import call, plans_of
 from support.on_air import FIELD
 from support.planned import content, inline
 from support.sim_pilot import int_param
@@ -179,7 +179,7 @@ class Air:
 
     async def fly(self, plan: Plan, seen: Watched, *, until: Callable[[], bool], lost: Callable[[], str | None]) -> Any:
         """Run it and look until then; resume it where it was stopped. ``lost``: the vehicle that is cut off."""
-        self.daemon.fleet.plans.runner.work = inline
+        plans_of(self.daemon).runner.work = inline
         await self.call("plan.load", plan=content(plan), name="bench")
         report = await self._begin()
         began, stopped_s = self.daemon.now(), 0.0

@@ -7,11 +7,11 @@ import random
 from typing import Any, NamedTuple
 
 from bench.plans import checker
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.plan.plan_search import Task, make_plan
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 
 RATIO = 2.0
 MARGIN_M = 2.5

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from skygcs.core.plan.certificate import Certificate
-from skygcs.core.plan.certify import certify
 from skygcs.core.plan.fleet_plan import FlightSpace, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.plan.plan_search import Kind, Task, make_plan
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, straight_lines
 from skygcs.core.trajectory.timing import TimedPoint
+from skygcs.ext.plans.certificates.certificate import Certificate
+from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.plan_search import Kind, Task, make_plan
 
 RULE = MarginRule(fixed_m=2.5)
 LIMITS = MotionLimits()

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from skygcs.cli.setpoint import COLUMNS as SETPOINT_COLUMNS
 from skygcs.cli.setpoint import VECTORS, LineReader
-from skygcs.cli.table import read_table
 from skygcs.core.control.trace import COLUMNS, FORMAT
-from skygcs.core.plan.position_table import spots
+from skygcs.ext.plans.commands.table import read_table
+from skygcs.ext.plans.position_table import spots
 from support.public_data import ROOT
 from support.table import each
 

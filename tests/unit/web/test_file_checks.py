@@ -13,7 +13,7 @@ from skygcs.core.mission.formats import read_plan as read_mission
 from skygcs.core.plan.plan_files import read_plan
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
-from skygcs.web.file_checks import CHECKS
+from skygcs.web.file_checks import CHECKS, extension_checks, find_check
 from support.examples import examples
 from support.table import each
 
@@ -33,7 +33,7 @@ def wpl(*rows: tuple[int, float, float, float]) -> str:
 
 
 def mission(**keys: object) -> dict:
-    return CHECKS["web.mission.check"](keys)
+    return find_check("web.mission.check")(keys)
 
 
 # --- missions ---------------------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_a_drawn_fence_is_written_as_a_plan_with_nothing_but_the_fence():
     corners = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
     drawn = {"polygons": [{"corners": corners}], "circles": [{"inclusion": False, "center": [10, 10], "radius_m": 5.0}]}
 
-    answer = CHECKS["web.fence.check"]({"drawn": drawn, "origin": ORIGIN, "autopilot": "px4"})
+    answer = find_check("web.fence.check")({"drawn": drawn, "origin": ORIGIN, "autopilot": "px4"})
 
     plan = read_mission(answer["text"].encode(), "drawn.plan").plan
     assert not plan.mission and len(plan.fence.polygons) == 1 and len(plan.fence.circles) == 1
@@ -110,14 +110,14 @@ def test_a_drawn_fence_is_written_as_a_plan_with_nothing_but_the_fence():
 def test_a_fence_that_crosses_itself_is_an_error():
     drawn = {"polygons": [{"corners": [[0, 0], [50, 50], [50, 0], [0, 50]]}]}
 
-    answer = CHECKS["web.fence.check"]({"drawn": drawn, "origin": ORIGIN})
+    answer = find_check("web.fence.check")({"drawn": drawn, "origin": ORIGIN})
 
     assert not answer["ok"] and answer["errors"] >= 1
 
 
 def test_of_a_file_without_a_fence_the_check_says_so():
     with pytest.raises(SkygcsError, match="holds no fence"):
-        CHECKS["web.fence.check"]({"file": {"name": "a.waypoints", "text": wpl((16, 47.4, 8.5, 10))}})
+        find_check("web.fence.check")({"file": {"name": "a.waypoints", "text": wpl((16, 47.4, 8.5, 10))}})
 
 
 # --- plans ------------------------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ CROSSING = "vehicle,t,x,y,z,yaw\n" + "".join(
 
 
 def plan_check(**keys: object) -> dict:
-    return CHECKS["web.plan.check"](keys)
+    return find_check("web.plan.check")(keys)
 
 
 def test_a_plan_whose_vehicles_meet_is_refused_with_the_pair_and_the_time():
@@ -211,7 +211,7 @@ HELD = [
 
 def params_check(text: str, **keys: object) -> dict:
     given = {"file": {"name": "a.params", "text": text}, "params": HELD, "sysid": 1, "autopilot": "px4", **keys}
-    return CHECKS["web.params.check"](given)
+    return find_check("web.params.check")(given)
 
 
 def test_a_parameter_file_is_compared_as_the_command_line_compares_it():
@@ -231,7 +231,7 @@ def test_a_value_that_the_type_cannot_hold_is_a_problem():
 # --- what a hostile page sends ----------------------------------------------------------------------------------------
 
 
-@each("method", CHECKS)
+@each("method", [*CHECKS, *extension_checks()])
 @each(
     "params",
     [
@@ -249,7 +249,7 @@ def test_a_value_that_the_type_cannot_hold_is_a_problem():
 )
 def test_nothing_but_a_skygcs_error_leaves_a_check(method, params):
     with pytest.raises(SkygcsError):
-        CHECKS[method](params)
+        find_check(method)(params)
 
 
 JSON = st.recursive(
@@ -261,10 +261,12 @@ KEYS = ("file", "files", "drawn", "task", "origin", "params", "sysid", "standing
 
 
 @settings(max_examples=examples(150), deadline=None)
-@given(st.sampled_from(sorted(CHECKS)), st.dictionaries(st.sampled_from(KEYS), JSON, max_size=4))
+@given(
+    st.sampled_from(sorted([*CHECKS, *extension_checks()])), st.dictionaries(st.sampled_from(KEYS), JSON, max_size=4)
+)
 def test_any_json_is_answered_or_refused(method, params):
     try:
-        answer = CHECKS[method](params)
+        answer = find_check(method)(params)
     except SkygcsError:
         return
     json.dumps(answer, allow_nan=False)
@@ -281,7 +283,7 @@ def test_any_file_is_answered_or_refused(name, content):
         ("web.params.check", {"file": file, "params": HELD, "sysid": 1, "autopilot": "px4"}),
     ):
         try:
-            answer = CHECKS[method](params)
+            answer = find_check(method)(params)
         except SkygcsError:
             continue
         json.dumps(answer, allow_nan=False)
@@ -291,12 +293,12 @@ def test_any_file_is_answered_or_refused(name, content):
 
 
 def test_a_table_of_positions_is_read_as_the_command_line_reads_it(tmp_path):
-    from skygcs.cli.table import read_table
+    from skygcs.ext.plans.commands.table import read_table
 
     columns = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z,final_heading_deg"
     text = f"{columns}\na,0,1,5,10,0,5,90\n7,,,,1,2,3,\n"
     (tmp_path / "t.csv").write_text(text)
-    answer = CHECKS["web.positions.check"]({"file": {"name": "t.csv", "text": text}})
+    answer = find_check("web.positions.check")({"file": {"name": "t.csv", "text": text}})
     assert answer["vehicles"] == {
         "a": {"initial": [0.0, 1.0, 5.0], "final": [10.0, 0.0, 5.0]},
         "7": {"initial": None, "final": [1.0, 2.0, 3.0]},
@@ -307,11 +309,11 @@ def test_a_table_of_positions_is_read_as_the_command_line_reads_it(tmp_path):
         name: places["final"] for name, places in answer["vehicles"].items()
     }
     toml = "[vehicles.a]\nfinal = [1, 2, 3]\n"
-    answer = CHECKS["web.positions.check"]({"file": {"name": "T.TOML", "text": toml}})
+    answer = find_check("web.positions.check")({"file": {"name": "T.TOML", "text": toml}})
     assert answer["vehicles"] == {"a": {"initial": None, "final": [1.0, 2.0, 3.0]}} and answer["headings"] is False
 
 
 @each("text", ["", "x,y\n1,2\n", "vehicle,final_x\na,nan\n", "vehicle,final_x,final_y,final_z\na,1e9,0,0\n"])
 def test_a_bad_table_is_refused_with_its_name(text):
     with pytest.raises(SkygcsError, match=r"t\.csv"):
-        CHECKS["web.positions.check"]({"file": {"name": "t.csv", "text": text}})
+        find_check("web.positions.check")({"file": {"name": "t.csv", "text": text}})

@@ -166,7 +166,7 @@ def _with_plan(wishes: Wishes, files: list[Path], names: dict[str, int]) -> tupl
         return wishes, lambda _: None
     from dataclasses import replace
 
-    from skygcs.cli.plan_inputs import read_files
+    from skygcs.cli.plan_reading import read_files
     from skygcs.core.trajectory import MotionLimits
     from skygcs.ext.logs.report.planned import add_plan, planned_paths
 

@@ -1,0 +1,1 @@
+"""The commands of plans, tables of positions and trajectories."""

@@ -1,0 +1,267 @@
+"""The methods of plans: these ones keep and fly one, those of `planning_methods` make and certify. `METHODS`: all."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
+from skygcs.errors import PlanFileError
+from skygcs.ext.plans import planning_methods
+from skygcs.ext.plans.flight_check import FlightRequest
+from skygcs.ext.plans.plan_uploads import MAX_PART_CHARS
+from skygcs.ext.plans.planning_methods import one_plan, plans_of
+from skygcs.rpc import error_codes
+from skygcs.rpc.context import Context, JsonObject
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.models import MethodParams, NoParams, Result, Target
+
+SpeedFactor = Annotated[float, Field(ge=MIN_SPEED_FACTOR, le=MAX_SPEED_FACTOR)]
+
+
+class PlanUploadParams(MethodParams):
+    part: Annotated[str, Field(min_length=1, max_length=MAX_PART_CHARS)] = Field(
+        description="The next part of the text of a plan's JSON file, of any length up to 400,000 characters."
+    )
+    upload: int | None = Field(None, description="What the first part answered; null: this is the first.")
+
+
+class PlanUploaded(Result):
+    upload: int = Field(description="Its number, for further parts, plan.load and plan.certify.")
+    bytes: int = Field(description="What it has by now; 32 MiB at most.")
+
+
+class PlanLoadParams(MethodParams):
+    """One of plan and upload."""
+
+    plan: dict[str, Any] | None = Field(
+        None, description="A plan in skygcs' own JSON format (docs/explanation/plans.md)."
+    )
+    name: Annotated[str, Field(min_length=1, max_length=64)] = Field(
+        "plan", description="For people: in texts and status."
+    )
+    upload: int | None = Field(
+        None, description="Or the number of one that plan.upload took in parts; it is used up by that."
+    )
+
+    @model_validator(mode="after")
+    def _one_plan(self) -> Self:
+        return one_plan(self, self.plan, self.upload)
+
+
+class PlanFlightParams(MethodParams):
+    plan: str | None = Field(None, description="What plan.load answered; null: the plan that is loaded.")
+    vehicles: dict[str, Target] | None = Field(
+        None,
+        description="Names in the plan and the vehicles that fly them; those left out do not fly. null: all, by name.",
+    )
+    mode: Literal["position", "velocity", "attitude"] = Field("position", description="The control mode.")
+    speed: SpeedFactor = Field(1.0, description="Multiple of the planned speed; certified with it.")
+    margin_m: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        None, description="The margin of each pair, in place of its terms."
+    )
+    force: bool = Field(False, description="Although checks refuse it that can be insisted on.")
+    by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
+        "auto",
+        description="goto: an order for each leg, flown by the autopilot itself (phased plans); setpoints: a stream; "
+        "onboard: by companions, or as missions where no vehicle has one; mission: each has its whole way on board, "
+        "and flies it without the ground (phased plans that need no barriers). auto: setpoints where every link "
+        "carries them, else goto; the report says why.",
+    )
+
+
+class PlanRunParams(PlanFlightParams):
+    set_return_heights: bool = Field(
+        False, description="Set the return heights of vehicles that would return too near each other."
+    )
+
+
+class PlanSpeedParams(MethodParams):
+    speed: SpeedFactor = Field(description="Multiple of the planned speed, at most the one it was run with.")
+
+
+class PlanForceParams(MethodParams):
+    force: bool = Field(False, description="Without what a certificate asks for; the text says what that is.")
+
+
+class LoadedPlan(Result):
+    plan: str = Field(description="Its number, for plan.check and plan.run.")
+    name: str
+    kind: Literal["timed", "phased"]
+    vehicles: list[str]
+    duration_s: float | None = Field(description="null: phases have no times.")
+    phases: list[str]
+
+
+class PlanReport(Result):
+    """Findings before a flight."""
+
+    ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
+    by: Literal["goto", "setpoints", "onboard", "mission"] = Field(description="The way in which it is flown.")
+    why: str = Field(description="Why it is that way.")
+    findings: list[dict[str, Any]] = Field(
+        description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, command (what "
+        "clears a refusal; FILE: the plan's), insist (whether force passes it)."
+    )
+    certificate: dict[str, Any] | None = Field(description="Of the plan, with what is measured now.")
+    way_there: dict[str, Any] | None = Field(description="The certificate of the way to the starts.")
+    margins: dict[str, dict[str, list[Any]]] = Field(
+        description="By vehicle: each term, and whether it is measured, of the fleet file or a default."
+    )
+    duration_s: float = Field(description="Way and plan, at the planned speed.")
+    steps: list[dict[str, Any]] = Field(description="name, duration_s, goals; the first 50.")
+    return_heights: dict[str, list[Any]] = Field(description="By vehicle: is, offered (m), the parameter.")
+
+
+class PlanStarted(Result):
+    started: bool = Field(description="False: the report says why; nothing has moved.")
+    report: PlanReport
+
+
+class PlanOrderAnswer(Result):
+    ok: bool
+    message: str
+    reasons: list[str] = Field(description="Why not: each pair with its distance and margin, each vehicle.")
+
+
+class PlanStatus(Result):
+    now_s: float = Field(description="The daemon's clock.")
+    plan: str | None
+    name: str | None
+    kind: str | None
+    state: str = Field(
+        description="none, loaded; in flight arming, takeoff, engaging, to_starts, flying, paused, stopped, returning, "
+        "aborting, landing; over: finished, aborted, landed."
+    )
+    busy: str | None = Field(description="A check or a certificate that is under way.")
+    phase: str | None = Field(description="The name of the step.")
+    step: int
+    steps: int
+    reason: str = Field(description="What the last change of the state was.")
+    by: str | None = Field(description="goto, setpoints, onboard or mission.")
+    mode: str | None = Field(description="The control mode; null by goto.")
+    speed: float | None
+    clock: dict[str, Any] | None = Field(
+        description="Of the step: state, trajectory_s, duration_s, rate, speed_factor, finishes_in_s."
+    )
+    waits_for: list[str] = Field(description="Vehicles that are not where they have to be before it goes on.")
+    pairs: list[dict[str, Any]] = Field(description="In danger when it was stopped: vehicles, distance_m, margin_m.")
+    vehicles: list[dict[str, Any]] = Field(
+        description="vehicle, state, error_m (from its reference or its way), tube_m (how far it may be), pos_enu_m, "
+        "goal_enu_m, position_age_s, left (why it does not follow)."
+    )
+
+
+def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
+    """Take a plan in parts, as a request has at most 1 MiB; it is not read before plan.load or plan.certify.
+
+    Four at a time, of all clients; one without a further part for a minute is dropped.
+    """
+    services = context.services
+    number, size = plans_of(services).runner.uploads.add(params.upload, params.part, services.now())
+    return {"upload": number, "bytes": size}
+
+
+async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
+    """Keep a plan, in place of the one before; nothing moves. Refused while one is flown."""
+    content = params.upload if params.plan is None else params.plan
+    assert content is not None
+    try:
+        return await plans_of(context.services).runner.load(content, params.name)
+    except PlanFileError as error:
+        raise InvalidParams(("plan", str(error))) from None
+
+
+def plan_unload(context: Context, _: NoParams) -> JsonObject:
+    """Forget the plan. Refused while it is flown."""
+    return _done(plans_of(context.services).runner.unload())
+
+
+async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
+    """Everything that is looked at before the plan is flown; nothing moves.
+
+    Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
+    the plan, with what is measured now. Vehicles that take no part are obstacles where they were measured.
+    """
+    return await plans_of(context.services).runner.check(_request(params))
+
+
+async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
+    """Check the plan, and fly it if the check passes: arm, take off in layers, fly to the starts, begin together.
+
+    Answered when vehicles begin to arm; it is the daemon's from then on: the client may leave. See plan.status, the
+    topic "plan" and events of kind plan.
+    """
+    started, report = await plans_of(context.services).runner.run(
+        _request(params), set_return_heights=params.set_return_heights
+    )
+    return {"started": started, "report": report}
+
+
+def plan_pause(context: Context, _: NoParams) -> JsonObject:
+    """Stop all on their ways, smoothly, by their common clock."""
+    return _done(plans_of(context.services).runner.pause())
+
+
+async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
+    """Go on after a pause or a stop.
+
+    Where all are at their places the clock goes on. Else a way back from where they are measured and the rest are
+    certified anew: not ok names the pair. Vehicles that landed are out of it; force also passes silent ones and those
+    flown by their pilots, where they were measured.
+    """
+    ok, message, reasons = await plans_of(context.services).runner.resume(force=params.force)
+    return {"ok": ok, "message": message, "reasons": reasons}
+
+
+def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
+    """Fly faster or slower, at most as fast as was certified."""
+    return _done(plans_of(context.services).runner.set_speed(params.speed))
+
+
+def plan_abort(context: Context, _: NoParams) -> JsonObject:
+    """Stop all on their ways for good, then order each to hold. Those that are only armed are disarmed."""
+    return _done(plans_of(context.services).runner.abort())
+
+
+def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
+    """Stop all, then land them where they are: at once, or the lowest first, as a certificate allows it.
+
+    Where none does, they stay; vehicles.land lands one all the same.
+    """
+    return _done(plans_of(context.services).runner.land(force=params.force))
+
+
+def plan_status(context: Context, _: NoParams) -> JsonObject:
+    """The plan that is loaded, and its flight."""
+    return context.services.fleet.plans.status()
+
+
+def _request(params: PlanFlightParams) -> FlightRequest:
+    return FlightRequest(
+        params.plan, params.vehicles, params.mode, params.speed, params.margin_m, params.force, params.by
+    )
+
+
+def _done(message: str) -> JsonObject:
+    return {"ok": True, "message": message, "reasons": []}
+
+
+_REFUSED = (error_codes.REFUSED,)
+_BOTH = (error_codes.TARGET_ERROR, error_codes.REFUSED)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("plan.upload", PlanUploadParams, plan_upload, PlanUploaded, _REFUSED),
+    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED, unique_keys=True),
+    Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH, unique_keys=True),
+    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH, unique_keys=True),
+    Method("plan.pause", NoParams, plan_pause, PlanOrderAnswer, _REFUSED, always=True),
+    Method("plan.resume", PlanForceParams, plan_resume, PlanOrderAnswer, _REFUSED),
+    Method("plan.speed", PlanSpeedParams, plan_speed, PlanOrderAnswer, _REFUSED),
+    Method("plan.abort", NoParams, plan_abort, PlanOrderAnswer, _REFUSED, always=True),
+    Method("plan.land", PlanForceParams, plan_land, PlanOrderAnswer, _REFUSED, always=True),
+    Method("plan.status", NoParams, plan_status, PlanStatus, while_stopping=True),
+    Method("plan.unload", NoParams, plan_unload, PlanOrderAnswer, _REFUSED),
+    *planning_methods.METHODS,
+)

@@ -1,0 +1,241 @@
+"""`skygcs-cli table`: vehicles sent to their places, watched until they arrive."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli.main import app
+from skygcs.errors import RpcError
+from skygcs.ext.plans.commands.table import TableFlight, flight_table, send
+from skygcs.ext.plans.position_table import Spot
+from support.controlled import Commanded, commanded
+from support.fake_daemon import FakeOutcome
+
+DONE, FAILED, USAGE = 0, 1, 2
+TABLE = """vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z,final_heading_deg
+alpha,10,0,5,10,20,5,90
+bravo,20,0,5,20,20,5,
+3,30,0,5,30,20,5,-45
+"""
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
+    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
+    with commanded(tmp_path) as fleet:
+        yield fleet
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> str:
+    path = tmp_path / "places.csv"
+    path.write_text(TABLE)
+    return str(path)
+
+
+def test_all_fly_to_their_places_and_their_arrivals_are_reported(fleet: Commanded, table: str) -> None:
+    text = fleet.run("table", table, "final")
+    assert "all 3 arrived in" in text
+    assert sum("arrived, 0." in line for line in text.splitlines()) == 3
+    order, place = fleet.vehicles["carol"].orders[0]
+    assert (order, place["enu_m"], place["yaw_deg"]) == ("goto", [30.0, 20.0, 5.0], -45.0)
+    assert fleet.vehicles["bravo"].orders[0][1]["yaw_deg"] is None
+
+
+def test_a_vehicle_that_is_there_already_has_arrived(fleet: Commanded, table: str) -> None:
+    assert fleet.json("table", table, "initial")["vehicles"]["alpha"]["arrived"]
+
+
+def test_only_some_of_the_table(fleet: Commanded, table: str) -> None:
+    answer = fleet.json("table", table, "final", "alpha,3")
+    assert answer["ok"] and list(answer["vehicles"]) == ["alpha", "carol"]
+    assert answer["vehicles"]["alpha"]["distance_m"] <= 0.5
+    assert not fleet.vehicles["bravo"].orders
+    assert "has no delta; it has: alpha, bravo, 3" in fleet.run("table", table, "final", "delta", code=FAILED)
+
+
+def test_a_vehicle_that_does_not_arrive_in_time_is_named_with_its_distance(fleet: Commanded, table: str) -> None:
+    fleet.vehicles["bravo"].stuck = True
+    text = fleet.run("table", table, "final", "--timeout", "2", code=FAILED)
+    assert "2 of 3 arrived in 2." in text and "not: bravo (20.00 m away)" in text
+
+
+def test_a_vehicle_that_refuses_is_not_waited_for(fleet: Commanded, table: str) -> None:
+    fleet.vehicles["bravo"].outcome = FakeOutcome(False, "refused", "refused: it is on the ground")
+    text = fleet.run("table", table, "final", code=FAILED)
+    assert "bravo does not fly: refused: it is on the ground" in text and "2 of 3 arrived" in text
+    answer = fleet.json("table", table, "final", code=FAILED)
+    assert answer["vehicles"]["bravo"]["refused"] == "refused: it is on the ground"
+
+
+async def test_more_vehicles_than_the_daemon_takes_orders_at_once() -> None:
+    class Busy:
+        under_way = most = 0
+
+        async def goto(self, name: str, **_: object) -> dict[str, dict[str, object]]:
+            self.under_way += 1
+            self.most = max(self.most, self.under_way)
+            await asyncio.sleep(0)
+            self.under_way -= 1
+            if name == "v7":
+                raise RpcError(-32602, "yaw_deg: is wrong")
+            return {name: {"ok": True}}
+
+    busy = Busy()
+    flights = [TableFlight(f"v{i}", Spot((float(i), 0.0, 5.0)), 9.0) for i in range(250)]
+    await send(busy, flights, "all")  # type: ignore[arg-type]
+    assert busy.most == 32
+    assert [f.name for f in flights if f.refused] == ["v7"]
+
+
+def nothing_flew(fleet: Commanded) -> bool:
+    return not any(vehicle.orders for vehicle in fleet.vehicles.values())
+
+
+def test_unknown_vehicles_are_all_named_and_no_vehicle_flies(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,0,0,5\ndelta,9,0,5\n44,20,0,5\n")
+    text = fleet.run("table", str(path), "final", code=FAILED)
+    assert "the table names delta, 44; the daemon knows: alpha, bravo, carol" in text and nothing_flew(fleet)
+
+
+def test_a_vehicle_by_name_and_id_is_named_twice(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,0,0,5\n1,9,0,5\n")
+    assert "twice" in fleet.run("table", str(path), "final", code=FAILED) and nothing_flew(fleet)
+
+
+def test_without_an_origin_a_position_or_a_vehicle_no_vehicle_flies(fleet: Commanded, table: str) -> None:
+    fleet.vehicles["bravo"].no_frame = True
+    assert "skygcs-cli origin set" in fleet.run("table", table, "final", code=FAILED)
+    fleet.vehicles["bravo"].position_m = None
+    assert "bravo: no position yet" in fleet.run("table", table, "final", code=FAILED)
+    fleet.vehicles["alpha"].connected = False
+    assert "alpha: not connected" in fleet.run("table", table, "final", code=FAILED)
+    assert nothing_flew(fleet)
+
+
+def test_a_table_that_lacks_a_place_says_whose(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,0,0,5\n")
+    assert "alpha: the table has no initial position" in fleet.run("table", str(path), "initial", code=FAILED)
+
+
+def test_places_too_near_are_refused_also_with_force(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,10,0,5\nbravo,11,0,5\n")
+    text = fleet.run("table", str(path), "final", "--force", code=FAILED)
+    assert "alpha and bravo come within 1.000 m in phase standing at the goals" in text and nothing_flew(fleet)
+    assert "margin 3.300 m" in text and "--separation" in text
+    fleet.run("table", str(path), "final", "--separation", "0.5")
+
+
+def test_crossing_paths_need_force(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,20,0,5\nbravo,10,0,5\n")
+    text = fleet.run("table", str(path), "final", code=FAILED)
+    assert "alpha and bravo come within 0.000 m in phase straight, at (10.00, 0.00, 5.00)" in text
+    assert "--force insists" in text and "plan make FILE --fleet" in text and nothing_flew(fleet)
+    assert "come within" in fleet.run("table", str(path), "final", "--force")
+
+
+def test_a_vehicle_that_does_not_take_part_is_in_the_way(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,40,0,5\n")
+    text = fleet.run("table", str(path), "final", code=FAILED)
+    assert "alpha and bravo" in text and "alpha and carol" in text and nothing_flew(fleet)
+
+
+@pytest.mark.parametrize(
+    "args", [("--arrive", "0"), ("--timeout", "-1"), ("--separation", "nan"), ("--separation", "-1"), ("--arrive", "x")]
+)
+def test_a_wrong_option_is_a_usage_error(fleet: Commanded, table: str, args: tuple[str, str]) -> None:
+    assert args[0] in fleet.run("table", table, "final", *args, code=USAGE)
+
+
+def checked(path: Path, text: str, *args: str, code: int = DONE) -> str:
+    path.write_text(text)
+    result = CliRunner().invoke(app, ["table", str(path), "check", *args])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    return result.output
+
+
+def test_check_needs_no_daemon_and_finds_all(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    first, closest = checked(path, TABLE).splitlines()
+    assert first == "3 vehicles: 3 initial positions, 3 final positions; certified"
+    assert closest.startswith(
+        "closest: alpha and bravo come within 10.000 m in phase initial to final, at (10.00, 0.00"
+    )
+    swapped = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z\na,0,0,5,10,0,5\nb,10,0,5,0,0,5\n"
+    text = checked(path, swapped + "c,10,1,5,,,\n", code=FAILED)
+    assert "b and c come within 1.000 m in phase standing at the initial positions" in text
+    assert "a and b come within 0.000 m in phase initial to final" in text
+    (pair,) = json.loads(checked(path, swapped, "--json", code=FAILED))["too_near"]["paths"]
+    assert (pair["vehicles"], pair["distance_m"], pair["margin_m"]) == (["a", "b"], 0.0, 3.3)
+    assert len(pair["places_m"]) == 2 and pair["places_m"][0][2] == 5.0
+    assert "line 2: final x" in checked(path, "vehicle,final_x,final_y,final_z\na,x,1,2\n", code=FAILED)
+
+
+@pytest.mark.parametrize(
+    ("rows", "what"),
+    [
+        # at one speed they pass, but one of them may be late
+        (
+            "a,0,0,5,30,0,5\nb,10,-20,5,10,20,5\n",
+            "a and b come within 0.000 m in phase initial to final, at (10.00, 0.00",
+        ),
+        # above each other, within the downwash
+        ("a,0,0,5,0,9,5\nb,0,0,11,0,9,11\n", "a and b come within 3.000 m in phase standing at the initial positions"),
+    ],
+)
+def test_whoever_is_late_and_whoever_is_below_counts(tmp_path: Path, rows: str, what: str) -> None:
+    header = "vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z\n"
+    assert what in checked(tmp_path / "t.csv", header + rows, code=FAILED)
+
+
+def test_the_margin_can_be_given(fleet: Commanded, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("vehicle,final_x,final_y,final_z\nalpha,10,9,5\nbravo,12.5,9,5\n")
+    assert "margin 3.300 m" in fleet.run("table", str(path), "final", code=FAILED) and nothing_flew(fleet)
+    fleet.run("table", str(path), "final", "--separation", "2")
+    assert not nothing_flew(fleet)
+
+
+def test_arrival_is_taken_back_when_a_vehicle_leaves() -> None:
+    flight = TableFlight("alpha", Spot((0.0, 0.0, 5.0)), 10.0)
+    assert not flight.see((1.0, 0.0, 5.0), 1.0, 0.5)
+    assert flight.see((0.4, 0.0, 5.0), 2.0, 0.5) and not flight.see((0.3, 0.0, 5.0), 2.5, 0.5)
+    assert flight.arrived_s == 2.0
+    flight.see((0.6, 0.0, 5.0), 3.0, 0.5)
+    assert flight.arrived_s is None and not flight.settled
+    assert flight.see((0.4, 0.0, 5.0), 4.0, 0.5) and flight.arrived_s == 4.0
+
+
+def test_the_live_table_shows_where_each_vehicle_is() -> None:
+    from rich.console import Console
+
+    spot = Spot((10.0, -2.5, 5.0))
+    flights = [
+        TableFlight("alpha", spot, 0.2, arrived_s=3.0),
+        TableFlight("bravo", spot, 7.5),
+        TableFlight("carol", spot, 9.0, refused="not armed"),
+        TableFlight("delta", spot, 9.0, connected=False),
+    ]
+    screen = Console(width=100)
+    with screen.capture() as capture:
+        screen.print(flight_table(flights, 4.25))
+    lines = [" ".join(line.split()) for line in capture.get().splitlines()]
+    assert lines[0] == "4.2 s"
+    assert lines[2:] == [
+        "alpha 10, -2.5, 5 0.20 m 3.0 s arrived",
+        "bravo 10, -2.5, 5 7.50 m 4.2 s on its way",
+        "carol 10, -2.5, 5 9.00 m refused: not armed",
+        "delta 10, -2.5, 5 9.00 m 4.2 s lost",
+    ]

@@ -1,0 +1,82 @@
+"""Plans in a daemon: there when one of their methods is first called, and no earlier."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.daemon import Daemon
+from skygcs.errors import RefusedError
+from skygcs.ext.plans.extension import Plans
+from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
+from skygcs.rpc.client import connect
+from skygcs.rpc.methods import METHODS
+from skygcs.runtime.plan_place import NO_PLAN, PlanPlace
+from support.called import call
+
+
+def new_daemon(folder: Path) -> Daemon:
+    config = FleetConfig.model_validate({"daemon": {"socket": folder / "s", "log_dir": folder, "record": False}})
+    return Daemon(config, load_dialect(config.dialect))
+
+
+def test_the_core_has_none_of_their_methods() -> None:
+    assert not [name for name in METHODS if name.startswith("plan.")]
+    assert {method.name.partition(".")[0] for method in PLAN_METHODS} == {"plan"}
+    assert {method.name for method in PLAN_METHODS if method.always} == {"plan.pause", "plan.abort", "plan.land"}
+
+
+async def test_the_first_call_makes_them_and_discovery_shows_them_before(tmp_path: Path) -> None:
+    daemon = new_daemon(tmp_path)
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    try:
+        async with connect(tmp_path / "s") as gcs:
+            assert daemon.fleet.plans.keeper is None
+            document = await gcs.call("rpc.discover")
+            assert {m.name for m in PLAN_METHODS} <= {m["name"] for m in document["methods"]}
+            status = await gcs.call("plan.status")
+            assert {key: status[key] for key in NO_PLAN} == NO_PLAN
+            assert isinstance(daemon.extensions["plan"], Plans)
+            assert daemon.fleet.plans.keeper is daemon.extensions["plan"].runner
+            assert await gcs.call("plan.jobs") | {"jobs": []} == await gcs.call("plan.jobs")
+    finally:
+        daemon.stop()
+        await running
+    with pytest.raises(RefusedError, match="shutting down"):
+        new = new_daemon(tmp_path)
+        new.extensions.close()
+        new.extensions.demand("plan")
+
+
+async def test_one_that_is_made_while_the_daemon_ends_begins_no_flight(tmp_path: Path) -> None:
+    daemon = new_daemon(tmp_path)
+    daemon.stop()
+    with pytest.raises(RefusedError, match="shutting down"):
+        await call(daemon, "plan.run")
+
+
+def test_the_place_of_a_plan_is_empty_until_something_keeps_one() -> None:
+    class Keeper:
+        moving = True
+        ticks = 0
+
+        def status(self) -> dict[str, Any]:
+            return {"state": "flying"}
+
+        def tick(self) -> None:
+            self.ticks += 1
+
+        async def wind_down(self) -> None: ...
+
+    place, keeper = PlanPlace(lambda: 12.3456), Keeper()
+    place.tick()
+    assert (place.moving, place.status()) == (False, {"now_s": 12.346, **NO_PLAN})
+    place.keeper = keeper
+    place.tick()
+    assert (place.moving, keeper.ticks, place.status()["state"], place.status()["step"]) == (True, 1, "flying", 0)

@@ -1,0 +1,120 @@
+"""Methods of extensions without a table: looked for, imported and added when one of them is first called."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from skygcs.rpc import methods_on_demand
+from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.methods_on_demand import MethodsOnDemand
+from skygcs.rpc.models import NoParams
+
+
+def add_one(calls: list[str], _: NoParams) -> int:
+    calls.append("add")
+    return len(calls)
+
+
+HERE: Method[list[str]] = Method("daemon.here", NoParams, lambda calls, _: len(calls))
+ADDED: tuple[Method[list[str]], ...] = (
+    Method("kite.add", NoParams, add_one, always=True),
+    Method("kite.land", NoParams, lambda calls, _: list(calls), outlives_client=True),
+)
+
+
+class Installed:
+    """One installed extension without a table, ``kite``, and what was done to find it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.done: list[str] = []
+        self.broken = False
+        self.beside = asyncio.Event()
+        self.beside.set()
+        monkeypatch.setattr(methods_on_demand, "on_demand", lambda: {"kite": "an entry point"})
+        monkeypatch.setattr(methods_on_demand, "find_on_demand", self._find)
+        self.table: MethodTable[list[str]] = MethodTable((HERE,))
+        loop = asyncio.get_running_loop()
+        self.dispatcher = Dispatcher(self.table, None, MethodsOnDemand(self.table, self, self._call, loop))
+
+    def _find(self, word: str) -> None:
+        self.done.append(f"import {word}")
+        if self.broken:
+            raise ImportError("half installed")
+
+    def demand(self, word: str) -> tuple[Method[Any], ...]:
+        self.done.append(f"make {word}")
+        return ADDED
+
+    async def _call(self, function: Callable[[], object]) -> None:
+        await self.beside.wait()
+        function()
+
+    def start(self, calls: list[str], method: str, number: int = 1) -> Reply:
+        return self.dispatcher.start(calls, {"jsonrpc": "2.0", "id": number, "method": method})
+
+
+async def answered(reply: Reply) -> Any:
+    raw = await reply if isinstance(reply, Coroutine) else reply
+    assert raw
+    return json.loads(raw)
+
+
+async def test_calls_before_the_import_are_carried_out_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Installed(monkeypatch)
+    found.beside.clear()
+    calls: list[str] = []
+    orders = [asyncio.ensure_future(answered(found.start(calls, "kite.add", n))) for n in (1, 2, 3)]
+    shown = asyncio.ensure_future(answered(found.start(calls, "kite.land", 4)))
+    await asyncio.sleep(0)
+    assert calls == [] and found.done == []
+    assert not found.dispatcher.outlives_client({"method": "kite.land"})
+    found.beside.set()
+    assert [(await order)["result"] for order in orders] == [1, 2, 3]
+    assert (await shown)["result"] == ["add", "add", "add"]
+    assert found.done == ["import kite", "make kite"]
+    assert isinstance(found.start(calls, "kite.add"), bytes)  # at once from now on
+    assert found.dispatcher.always == {"kite.add"}  # also where all places are taken
+    assert found.dispatcher.outlives_client({"method": "kite.land"})
+
+
+async def test_what_no_extension_has_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Installed(monkeypatch)
+    first = found.start([], "dragon.add")
+    assert isinstance(first, Coroutine)
+    assert (await answered(first))["error"]["code"] == -32601
+    later = found.start([], "dragon.land")
+    assert isinstance(later, bytes) and json.loads(later)["error"]["code"] == -32601
+    assert found.done == []
+    assert isinstance(found.start([], "daemon.here"), bytes)
+
+
+async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_after_its_import(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = Installed(monkeypatch)
+    assert (await answered(found.start([], "kite.dive")))["error"]["code"] == -32601
+    assert isinstance(found.start([], "kite.dive"), bytes)
+    assert found.done == ["import kite", "make kite"]
+
+
+async def test_a_broken_extension_is_an_error_of_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Installed(monkeypatch)
+    found.broken = True
+    assert (await answered(found.start([], "kite.add")))["error"]["code"] == -32603
+    assert (await answered(found.start([], "daemon.here")))["result"] == 0
+    found.broken = False  # it was repaired
+    assert (await answered(found.start([], "kite.add")))["result"] == 1
+
+
+async def test_a_table_of_one_server_leaves_the_common_one_as_it_is() -> None:
+    common: MethodTable[list[str]] = MethodTable((HERE,))
+    own = common.extended(())
+    own.add(ADDED)
+    assert (list(common), list(own)) == (["daemon.here"], ["daemon.here", "kite.add", "kite.land"])
+    with pytest.raises(ValueError, match="two methods are called kite"):
+        own.add(ADDED)
