@@ -52,6 +52,11 @@ class VehicleState(ABC):
     firmware: Firmware
     """Behaviour of the firmware, as data."""
     vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
+    mav_type: int = m.MAV_TYPE_QUADROTOR
+    looks: str = "quadrotor"
+    """Its kind, in words."""
+    flies: bool = True
+    """False: it drives, and has landed while it is disarmed only."""
     default_rates_hz: Mapping[str, float]
     sysid_param: str
     named_param_index: int | None
@@ -101,11 +106,11 @@ class VehicleState(ABC):
         self.signing = BoardSigning()
         self.tx = Transmitter(dialect, rng, self.faults, self.signing)
         # body and sensors
-        self.motion = body_of(conditions, radians(heading_deg), rng.child_seed())
+        self.motion: Body = self.make_body(conditions, radians(heading_deg), rng.child_seed())
         self.sensors = Sensors(self.motion, conditions, TICK_S, rng.child_seed())
         self.battery = Battery()
         # plan, control and lists
-        self.plan = Plan()
+        self.plan = self.make_plan()
         self.position_control = self.make_position_control(self.control_gains())
         self.lists, self.run = self.make_lists()
         # clock and home
@@ -128,6 +133,15 @@ class VehicleState(ABC):
     @abstractmethod
     def make_position_control(gains: ControlGains) -> PositionControl:
         """Return what follows its targets in OFFBOARD or GUIDED."""
+
+    @staticmethod
+    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Body:
+        """Return what moves, at rest on the ground."""
+        return body_of(conditions, yaw_rad, seed)
+
+    def make_plan(self) -> Plan:
+        """Return what makes legs of its orders."""
+        return Plan()
 
     @property
     @abstractmethod
