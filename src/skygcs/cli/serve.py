@@ -210,8 +210,8 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sitl = commands.add_parser(
         "sitl",
         help="run real autopilot firmware as simulators",
-        description="Run the autopilot binaries named by SKYGCS_PX4, SKYGCS_ARDUCOPTER, SKYGCS_ARDUPLANE and SKYGCS_ROVER "
-        "as simulated vehicles.",
+        description="Run the autopilot binaries named by SKYGCS_PX4, SKYGCS_ARDUCOPTER, SKYGCS_ARDUPLANE and "
+        "SKYGCS_ROVER as simulated vehicles.",
         epilog="Example: skygcs sitl --px4 2 --ardupilot 1",
     )
     sitl.add_argument("--px4", type=int, default=0, metavar="N", help="number of PX4 quadrotors (SIH)")

@@ -313,7 +313,7 @@ class SeparationMonitor:
         if self._loop.time() - at > POSITION_FRESH_S:
             return None
         here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_radius_m(self._loop.time()))
+        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(self._loop.time()))
 
     def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
         """``sent``: for an order that goes on by itself, so where others were sent and who is lost counts, too."""

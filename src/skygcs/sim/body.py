@@ -173,10 +173,6 @@ class Body:
         self.roll_rate_radps, self.pitch_rate_radps = other.roll_rate_radps, other.pitch_rate_radps
         self.yaw_rate_radps = other.yaw_rate_radps
 
-    def step(self, dt_s: float, setpoint: object, limits: object) -> None:
-        """Move on by ``dt_s``; each kind of body takes its own setpoints."""
-        raise NotImplementedError
-
     def touch(self) -> None:
         """Meet the ground with the speed that it has, and lie there."""
         if self.vel_u_mps < -IMPACT_MPS:

@@ -18,7 +18,6 @@ from skygcs.core.mavlink import mav_cmd
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
-from skygcs.sim.body import Body
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.copter_mission import CopterRun
@@ -158,7 +157,7 @@ class PlaneVehicle(CopterVehicle):
         return Params(plane_params(sysid), bytewise=False)
 
     @staticmethod
-    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Body:
+    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Wing:
         return Wing(yaw_rad)
 
     def make_plan(self) -> CoursePlan:

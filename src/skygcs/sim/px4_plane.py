@@ -15,7 +15,6 @@ from math import cos, radians, sin
 
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import PX4, Fact
-from skygcs.sim.body import Body
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.courses import CoursePlan, Turning
 from skygcs.sim.firmware_modes import Px4Mode
@@ -48,7 +47,7 @@ class Px4PlaneVehicle(Px4Vehicle):
         return Params(px4_plane_params(sysid), bytewise=True)
 
     @staticmethod
-    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Body:
+    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Wing:
         return Wing(yaw_rad)
 
     def make_plan(self) -> CoursePlan:

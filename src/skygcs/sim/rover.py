@@ -16,7 +16,6 @@ from typing import Any
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
-from skygcs.sim.body import Body
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.courses import CoursePlan, Turning
@@ -127,7 +126,7 @@ class RoverVehicle(CopterVehicle):
         return Params(rover_params(sysid), bytewise=False)
 
     @staticmethod
-    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Body:
+    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Rover:
         return Rover(yaw_rad)
 
     def make_plan(self) -> CoursePlan:

@@ -47,9 +47,10 @@ class Wing(Body):
 
     __slots__ = ()
 
-    def step(self, dt_s: float, setpoint: object, limits: object) -> None:
+    def step(
+        self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
+    ) -> None:
         """Move on by ``dt_s``; without a setpoint its motor stands still."""
-        assert isinstance(limits, Limits)
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
         speed, grounded = self.groundspeed_mps, self.on_ground
         # how fast, where to, how high
@@ -129,6 +130,8 @@ SMALLEST_CIRCLE_M = 0.9
 SIDE_MPS2 = 0.6 * GRAVITY_MPS2
 """ATC_TURN_MAX_G (libraries/APM_Control/AR_AttitudeControl.cpp)."""
 
+NOWHERE = (None, None, None)
+
 CREEP_MPS = 0.5
 STEER_GAIN_PER_S = 2.0
 STANDS_MPS = 0.01
@@ -139,13 +142,14 @@ class Rover(Body):
 
     __slots__ = ()
 
-    def step(self, dt_s: float, setpoint: object, limits: object) -> None:
+    def step(
+        self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
+    ) -> None:
         """Move on by ``dt_s``; without a place to go to it brakes, as in HOLD (Rover/mode_hold.cpp)."""
-        assert isinstance(limits, Limits) and not isinstance(setpoint, AttitudeSetpoint | AccelerationSetpoint)
         speed, most = self.groundspeed_mps, limits.accel_mps2 * dt_s
         wanted, turn = 0.0, 0.0
-        if isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is not None and setpoint.pos_enu_m[1] is not None:
-            east, north, _ = setpoint.pos_enu_m
+        east, north, _ = setpoint.pos_enu_m if isinstance(setpoint, Setpoint) else NOWHERE
+        if isinstance(setpoint, Setpoint) and east is not None and north is not None:
             de, dn = east - self.east_m, north - self.north_m
             left_m, error = hypot(de, dn), wrap_pi(atan2(de, dn) - self.yaw_rad)
             wanted = self._speed(setpoint, limits, left_m, error)

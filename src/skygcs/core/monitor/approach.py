@@ -137,6 +137,9 @@ LEAST_TURN_RADPS = 0.05
 MOST_TURN_RADPS = 1.0
 """A faster one is a mistake of a velocity near zero: 15 m/s and a bank of 57 degrees."""
 
+LONGEST_TURN_S = 6.0
+"""Between two velocities that show a turn: a circle of 60 m is half flown."""
+
 ARC_STEP_S = 1.0
 """Between the corners of an arc: at 0.25 rad/s the chord is 0.8 % short of it."""
 
@@ -191,7 +194,7 @@ def circle_conflict(name: str, footprint: Footprint, disc: Disc, others: Iterabl
 def turn_radps(older: Vector, newer: Vector, between_s: float) -> float:
     """The turn over the ground between two velocities (ENU), positive to the left; 0 if it is no turn that a wing
     flies."""
-    if between_s <= 0.0 or math.hypot(*older[:2]) < 1.0 or math.hypot(*newer[:2]) < 1.0:
+    if not 0.0 < between_s <= LONGEST_TURN_S or math.hypot(*older[:2]) < 1.0 or math.hypot(*newer[:2]) < 1.0:
         return 0.0
     cross, dot = older[0] * newer[1] - older[1] * newer[0], older[0] * newer[0] + older[1] * newer[1]
     rate = math.atan2(cross, dot) / between_s

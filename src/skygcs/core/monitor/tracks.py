@@ -34,7 +34,7 @@ TRACK_SILENT_S = 10.0
 """The monitor looks so far ahead; a vehicle whose position is older may be 150 m from where it was seen."""
 
 HISTORY_S = 2.0
-"""Velocities are kept for so long, to compare those of two vehicles at one time."""
+"""Velocities are kept for so long, to compare those of two vehicles at one time; two always, which show a turn."""
 
 MAX_HISTORY = 32
 """Positions kept of one vehicle; read at most four times a second."""
@@ -91,7 +91,7 @@ class Track:
     """It flew, and no position has come for `TRACK_SILENT_S`."""
     history: deque[Sample] = field(default_factory=lambda: deque(maxlen=MAX_HISTORY))
     circle_m: float = 0.0
-    """Radius of the circle by which it holds; 0: it stops."""
+    """How far from the middle of the circle it may be by which it holds; 0: it stops."""
     age_s: float = 0.0
     ball_m: float = 0.0
     """How far it may be from ``place_m``."""
@@ -296,13 +296,13 @@ def _read(track: Track, now: float) -> str | None:
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M):
         return "the position that it reports is not on earth"
     track.parked = not is_flying(vehicle, now)
-    track.circle_m = vehicle.hold_radius_m(now)
+    track.circle_m = vehicle.hold_reach_m(now)
     if at != track.at:
         east, north, up = position["vel_enu_mps"]
         track.at, track.reported_mps = at, (east, north, up)
         track.lat_deg, track.lon_deg, track.ecef_m = lat_deg, lon_deg, ecef(lat_deg, lon_deg, alt_m)
         track.history.append(Sample(at, track.reported_mps))
-        while track.history[0].at < at - HISTORY_S:
+        while len(track.history) > 2 and track.history[0].at < at - HISTORY_S:
             track.history.popleft()
     track.lost = not track.parked and now - at > TRACK_SILENT_S
     return f"no position for {TRACK_SILENT_S:g} s: it may be anywhere" if track.lost else None

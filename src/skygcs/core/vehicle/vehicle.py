@@ -14,6 +14,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.vehicle_class import (
+    HOLD_REACH,
     Q_MODES,
     Abilities,
     Program,
@@ -276,6 +277,10 @@ class Vehicle:
         if not able.circles or able.hold_radius is None:
             return 0.0
         return able.hold_radius.value_m(self.param(able.hold_radius.param))
+
+    def hold_reach_m(self, now: float) -> float:
+        """How far from the middle of the circle that it flies to hold it may be, m; 0 for what stops."""
+        return self.hold_radius_m(now) * HOLD_REACH
 
     @property
     def duplicate_elsewhere(self) -> str | None:
