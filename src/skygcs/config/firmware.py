@@ -20,7 +20,7 @@ class Program(NamedTuple):
     variable: str
     binary: str
     target: str
-    """Of `./waf`."""
+    """Target of `./waf`."""
     defaults: str
     """Its default parameters, below Tools/autotest."""
 

@@ -190,7 +190,7 @@ class HoldRadius:
 
 HOLD_REACH = 1.25
 """Radius that is kept clear, over the parameter's. ArduPlane 4.6.3 flew 93 m with 80 m at 22 m/s in its own simulator,
-PX4 1.16.1 79 to 82 m with 80 m at 15 m/s; both wait for wind."""
+PX4 1.16.1 79 to 82 m with 80 m at 15 m/s, both without wind."""
 
 PX4_HOLD = HoldRadius("NAV_LOITER_RAD", 80.0, 0.0)
 """navigator_params.c."""
