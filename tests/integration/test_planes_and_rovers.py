@@ -13,8 +13,12 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
+from skygcs.config.models import FleetConfig
+from skygcs.errors import RefusedError
+from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.vehicle import SimVehicle
 from support.flown import FIELD, Flown, flown
+from support.planned import MARGIN_M, load, timed
 
 pytestmark = pytest.mark.looptime
 
@@ -184,3 +188,57 @@ async def test_planes_and_rovers_fly_no_setpoints_no_plans_and_no_formations(tmp
         for name, kind in (("v1", "plane"), ("v2", "plane"), ("v3", "rover")):
             outcome = await gcs.outcome("control.set", targets=name, mode="position", force=True)
             assert not outcome["ok"] and f"it is a {kind}, and only copters hover" in outcome["message"], outcome
+
+
+async def test_a_plan_and_a_formation_name_the_vehicle_that_cannot_hover(tmp_path: Path) -> None:
+    def prepared(config: FleetConfig) -> FleetConfig:
+        return config.model_copy(update={"extensions": {"formation": FormationConfig()}})
+
+    async with flown(tmp_path, px4=1, takeoff=False, others={"rover": 1}, prepared=prepared) as gcs:
+        places = {name: (*gcs.place_of_home(name)[:2], 8.0) for name in ("v1", "v2")}
+        away = {name: (x, y + 12.0, up) for name, (x, y, up) in places.items()}
+        await load(gcs, timed(places, away))
+        findings = (await gcs("plan.check", margin_m=MARGIN_M))["findings"]
+        states = {f["vehicle"]: f for f in findings if f["check"] == "state"}
+        assert states["v1"]["severity"] != "refused", states
+        assert states["v2"]["severity"] == "refused" and "it is a rover, and only copters hover" in str(states["v2"])
+        sent = len([s for s in gcs.sent if s.name.startswith("SET_") or s.values.get("command") == 176])
+        with pytest.raises(RefusedError, match="v2: it is a rover, and only copters hover at setpoints"):
+            await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
+        assert len([s for s in gcs.sent if s.name.startswith("SET_") or s.values.get("command") == 176]) == sent
+
+
+async def test_a_rover_drives_its_mission_and_a_refused_arming_leaves_it_out_of_auto(tmp_path: Path) -> None:
+    def item(seq: int, east_m: float, north_m: float) -> str:
+        lat, lon = FIELD.to_geodetic(east_m, north_m)
+        return f"{seq}\t0\t3\t16\t0\t0\t0\t0\t{lat:.7f}\t{lon:.7f}\t0\t1"
+
+    async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
+        rover = gcs.sims[0]
+        places = [(20, 0), (20, 20), (0, 20)]
+        lines = ["QGC WPL 110", item(0, 0, 0), *(item(i, *place) for i, place in enumerate(places, 1))]
+        await gcs.done("missions.upload", plan="\n".join(lines), force=True)
+        rover.faults.refuse_arming = "Hardware safety switch"
+        assert not (await gcs.outcome("missions.start"))["ok"]
+        await gcs.until(lambda: mode_of(rover) == "MANUAL")
+        rover.faults.refuse_arming = ""
+        await gcs.done("missions.start")
+        assert mode_of(rover) == "AUTO"
+        for east_m, north_m in places:
+            await gcs.until(lambda e=east_m, n=north_m: away_m(rover, e, n) <= 2.1, 60.0)  # type: ignore[misc]
+        await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0, 30.0)
+        assert away_m(rover, 0, 20) < 3.0
+
+
+async def test_a_copter_is_not_sent_into_the_circle_of_a_plane(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, height_m=50.0, others={"px4_plane": 1}, takeoff=False) as gcs:
+        await gcs.done("vehicles.takeoff", "v2", height_m=50, wait_s=60.0)
+        await gcs.until(lambda: mode_of(gcs.sims[1]) == "LOITER", 90.0)
+        await gcs.done("vehicles.goto", "v2", enu_m=[0, 250, 50])
+        await gcs.done("vehicles.takeoff", "v1", height_m=20, wait_s=60.0)
+        await gcs.until(lambda: away_m(gcs.sims[1], 0, 250) < 85, 90.0)
+        refused = await gcs.outcome("vehicles.goto", "v1", enu_m=[0, 250, 50])
+        assert not refused["ok"] and "v2" in refused["message"], refused
+        refused = await gcs.outcome("vehicles.goto", "v1", enu_m=[60, 200, 48])
+        assert not refused["ok"] and "v2" in refused["message"], refused
+        await gcs.done("vehicles.goto", "v1", enu_m=[0, 60, 20])  # beside it, and below
