@@ -138,3 +138,24 @@ def test_a_rover_goes_holds_where_it_stops_and_returns(field: Field, figures: di
     figures["rtl s"] = field.wait(lambda: away_m(field, 0, 0) < 5, 120, "it is back")
     field.order("vehicles.disarm", name)
     field.wait(lambda: not field.truth(name).armed, 10, "it is disarmed")
+
+
+@pytest.mark.only("px4_vtol", "quadplane")
+def test_a_vtol_rises_on_its_rotors_holds_and_lands(field: Field, figures: dict[str, Any]) -> None:
+    name, px4 = field.one, field.px4
+    assert "only copters hover at setpoints" in refusal(field, "control.set", mode="position", force=True)
+    field.order("vehicles.takeoff", name, height_m=20, wait_s=120.0)
+    assert px4 or field.truth(name).mode == "GUIDED"
+    figures["takeoff s"] = field.wait(lambda: field.truth(name).alt_rel_m > 18, 60, "it is up")
+    assert away_m(field, 0, 0) < 8
+    field.wait(lambda: field.truth(name).speed_mps < 0.5, 30, "it stands in the air")
+    if not px4:  # on its rotors GUIDED would fly it on as a plane
+        assert "Q_GUIDED_MODE" in refusal(field, "vehicles.goto", enu_m=[0, 30, 20])
+    else:
+        field.order("vehicles.goto", name, enu_m=[0, 30, 20])
+        figures["goto s"] = field.wait(lambda: away_m(field, 0, 30) < 3, 60, "it is there")
+    message = field.order("vehicles.hold", name)[name]["message"]
+    assert message.startswith("holding in " + ("AUTO.LOITER" if px4 else "QLOITER")), message
+    field.order("vehicles.land", name)
+    assert field.truth(name).mode == ("LAND" if px4 else "QLAND")
+    figures["landing s"] = field.wait(lambda: not field.truth(name).armed, 120, "it has landed and disarmed")

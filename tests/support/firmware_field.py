@@ -57,8 +57,9 @@ TRACKING_ERROR_M = {"px4": 1.5, "ardupilot": 0.6}
 """Of plans in position, heights halved. The height of PX4's simulator wanders: 1.05 and 1.5 m were seen in minutes."""
 
 FIRST_SYSID = {"px4": 11, "ardupilot": 21, "px4_plane": 31, "ardupilot_plane": 41, "rover": 51}
+FIRST_SYSID |= {"px4_vtol": 61, "quadplane": 71}
 
-OTHERS = ("px4_plane", "ardupilot_plane", "rover")
+OTHERS = ("px4_plane", "px4_vtol", "ardupilot_plane", "quadplane", "rover")
 """Firmware of what is no copter: one vehicle, and scenarios that are marked for it."""
 FLOWN = ("px4", "ardupilot", *OTHERS)
 
@@ -587,5 +588,7 @@ fence = {{ x_m = [-40, 60], y_m = [-40, 60], up_m = [0, 60] }}
 
 def available() -> list[str]:
     """Firmwares that the environment names."""
-    variables = {"px4": PX4, "px4_plane": PX4} | {kind: program.variable for kind, program in PROGRAMS.items()}
+    variables = {"px4": PX4, "px4_plane": PX4, "px4_vtol": PX4} | {
+        kind: program.variable for kind, program in PROGRAMS.items()
+    }
     return [firmware for firmware in FLOWN if os.environ.get(variables[firmware])]

@@ -27,7 +27,8 @@ class Program(NamedTuple):
     @property
     def defaults_variable(self) -> str:
         """The variable that names the file of default parameters."""
-        return f"{self.variable}_DEFAULTS"
+        stem = Path(self.defaults).stem.upper()
+        return f"SKYGCS_{'QUADPLANE' if stem == 'QUADPLANE' else self.variable.removeprefix('SKYGCS_')}_DEFAULTS"
 
     @property
     def help(self) -> str:
@@ -41,6 +42,7 @@ class Program(NamedTuple):
 PROGRAMS = {
     "ardupilot": Program("SKYGCS_ARDUCOPTER", "arducopter", "copter", "default_params/copter.parm"),
     "ardupilot_plane": Program("SKYGCS_ARDUPLANE", "arduplane", "plane", "models/plane.parm"),
+    "quadplane": Program("SKYGCS_ARDUPLANE", "arduplane", "plane", "default_params/quadplane.parm"),
     "rover": Program("SKYGCS_ROVER", "ardurover", "rover", "default_params/rover.parm"),
 }
 """By the kinds of simulated vehicles (`sim.sitl.KINDS`) that they are the firmware of."""

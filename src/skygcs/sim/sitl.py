@@ -22,7 +22,7 @@ from skygcs.core.geo import Origin, geodetic_from_enu
 
 Autopilot = Literal["px4", "ardupilot"]
 
-Kind = Literal["px4", "px4_plane", "ardupilot", "ardupilot_plane", "rover"]
+Kind = Literal["px4", "px4_plane", "px4_vtol", "ardupilot", "ardupilot_plane", "quadplane", "rover"]
 
 
 class SitlKind(NamedTuple):
@@ -37,8 +37,10 @@ class SitlKind(NamedTuple):
 KINDS: Mapping[Kind, SitlKind] = {
     "px4": SitlKind("px4", "px", "PX4", "sihsim_quadx"),
     "px4_plane": SitlKind("px4", "pxplane", "PX4", "sihsim_airplane"),
+    "px4_vtol": SitlKind("px4", "pxvtol", "PX4", "sihsim_standard_vtol"),
     "ardupilot": SitlKind("ardupilot", "copter", "ArduCopter", "quad"),
     "ardupilot_plane": SitlKind("ardupilot", "plane", "ArduPlane", "plane"),
+    "quadplane": SitlKind("ardupilot", "quadplane", "ArduPlane", "quadplane"),
     "rover": SitlKind("ardupilot", "rover", "Rover", "rover"),
 }
 """In the order of their system ids."""

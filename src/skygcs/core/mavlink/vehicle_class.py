@@ -157,7 +157,7 @@ class TakeOff(StrEnum):
     CLIMB = "straight up, to the height that is asked for"
     CLIMB_OUT = "ahead, where its nose points, to the height that is asked for"
     OWN_HEIGHT = "ahead, where its nose points, to the height of a parameter"
-    MISSION = "by the take-off item of its mission"
+    BY_ROTORS = "straight up on its rotors, by a height above where it stands"
 
     @property
     def is_ahead(self) -> bool:
@@ -277,7 +277,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         hovers=True,
         circles=True,
         stop_mode="LOITER",
-        takeoff=TakeOff.MISSION,
+        takeoff=TakeOff.BY_ROTORS,
         landing=Landing.MODE,
         land_mode="QLAND",
         hold_radius=ARDUPLANE_HOLD,

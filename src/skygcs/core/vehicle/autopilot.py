@@ -45,7 +45,7 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
     PX4 plane        AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  as a m.       as a m.
     PX4 rover, boat  AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused       as a m.
     ArduPlane        LOITER           LOITER           DO_LAND_START    RETURN_TO_LAUNCH TAKEOFF, arm  GUIDED
-    QuadPlane        LOITER; hovering QLOITER          QLAND            the same;        refused       GUIDED; refused
+    QuadPlane        LOITER; hovering QLOITER          QLAND            the same;        as a m.       GUIDED; refused
                                                                         hovering QRTL                  while hovering
     Rover            HOLD             HOLD             refused          RETURN_TO_LAUNCH refused       GUIDED
     boat             LOITER           HOLD             refused          RETURN_TO_LAUNCH refused       GUIDED
@@ -61,6 +61,8 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
   TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
   mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle), and
   is taken back if the arming fails.
+- A QuadPlane takes off by NAV_TAKEOFF in GUIDED to a height above where it stands
+  (handle_command_MAV_CMD_NAV_TAKEOFF, QuadPlane::do_user_takeoff).
 - A PX4 plane takes off to where its nose points, whatever place NAV_TAKEOFF names (control_auto_takeoff).
 - ArduPlane has no NAV_LAND: DO_LAND_START goes to the landing of its mission, and is denied without one
   (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
@@ -162,12 +164,14 @@ def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan
     """``alt_amsl_m``: altitude of the ground the vehicle stands on. Raises RefusedError for a class without this order,
     and for an ArduPlane whose own height of take-off is another one."""
     how = vehicle.abilities.takeoff
-    if how in (TakeOff.NONE, TakeOff.MISSION):
+    if how is TakeOff.NONE:
         raise RefusedError(_why_not(vehicle, "take off"))
     if alt_amsl_m is None:
         raise NotReadyError("its position is not known yet, and a height counts from the ground it stands on")
     if how is TakeOff.OWN_HEIGHT:
         steps = _plane_takeoff(vehicle, height_m, alt_amsl_m)
+    elif how is TakeOff.BY_ROTORS:
+        steps = _quadplane_takeoff(vehicle, height_m, alt_amsl_m)
     else:
         climb = _copter_takeoff if vehicle.family == "ardupilot" else _px4_takeoff
         steps = climb(vehicle, height_m, alt_amsl_m)
@@ -285,8 +289,6 @@ def _why_not(vehicle: Vehicle, what: str) -> str:
         return f"skygcs does not know how a {shown} of {firmware} is to {what}; use a raw command"
     if vehicle.family == "generic":
         return f"skygcs knows only PX4 and ArduPilot, not how {firmware} is to {what}; use a raw command"
-    if able.takeoff is TakeOff.MISSION and what == "take off":
-        return f"a {kind} of {firmware} takes off by its mission (a take-off item): mission start"
     moves = "goto or mission start moves it" if able.goes else "mission start moves it"
     instead = {"take off": moves, "land": "hold or stop it", "return": "goto its home, or hold it" if able.goes else ""}
     hint = instead.get(what, "")
@@ -421,6 +423,16 @@ def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tup
     back = replace(mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
     rises = Step("takeoff", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(GLOBAL_POSITION_INT),)), expect=off)
     return (replace(mode, undo=back), _arm_step(), replace(rises, expect_s=RUN_S))
+
+
+def _quadplane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
+    rise = CommandSpec(mav_cmd.NAV_TAKEOFF, (*(0.0,) * 6, height_m))
+    return (
+        mode_step(vehicle, guided, skip_if_met=True),
+        _arm_step(skip_if_met=True),
+        Step("takeoff", rise, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S),
+    )
 
 
 SAME_HEIGHT_M = 0.5

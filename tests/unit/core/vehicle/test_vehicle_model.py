@@ -124,7 +124,6 @@ def on_the_ground(autopilot: int, kind: int, mode: int, **params: float) -> Show
 
 def test_no_class_but_what_has_one_takes_off_by_an_order() -> None:
     for kind, mode, why in (
-        (VTOL, 10, "a vtol of ArduPilot takes off by its mission"),
         (ROVER, 10, "a rover of ArduPilot does not take off; goto or mission start moves it"),
         (BOAT, 10, "a boat of ArduPilot does not take off; goto or mission start moves it"),
         (SUB, 3, "a sub of ArduPilot does not take off"),
@@ -154,6 +153,14 @@ def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> 
     assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
     undo = plan.steps[0].undo
     assert undo is not None and undo.command is not None and undo.command.params[1] == 5.0  # back in FBWA
+
+
+def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> None:
+    """GUIDED is mode 15; param7 becomes a relative height (convert_MAV_CMD_NAV_TAKEOFF_to_COMMAND_INT)."""
+    plan = orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 19, Q_ENABLE=1.0).vehicle, NOW, 12.0)
+    assert commands(plan) == [(176, 15.0), (400, 0.0), (mav.MAV_CMD_NAV_TAKEOFF, 0.0)]
+    last = plan.steps[2].command
+    assert last is not None and last.params[6] == 12.0 and last.message == "COMMAND_LONG"
 
 
 def test_a_px4_plane_takes_off_as_a_multirotor_does() -> None:
