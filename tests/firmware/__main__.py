@@ -6,20 +6,21 @@ import subprocess
 import sys
 from pathlib import Path
 
-from skygcs.config.firmware import ARDUCOPTER_HELP, PX4_HELP, find_arducopter, find_px4
+from skygcs.config.firmware import PROGRAMS, PX4_HELP, find_ardupilot, find_px4
 from skygcs.errors import ConfigError
 from support.firmware_field import available
 
 
 def main(words: list[str]) -> int:
     named = available()
-    for name, help_text in (("px4", PX4_HELP), ("ardupilot", ARDUCOPTER_HELP)):
+    helps = {"px4": PX4_HELP, **{kind: program.help for kind, program in PROGRAMS.items()}}
+    for name, help_text in helps.items():
         if name not in named:
             print(f"{name} is not flown: {help_text}")
     code = 0
     for name in named:
         try:
-            find_px4() if name == "px4" else find_arducopter()
+            find_ardupilot(name) if name in PROGRAMS else find_px4()
         except ConfigError as error:
             print(error)
             code = 1

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from support.firmware_field import Field, available
+from support.firmware_field import FLOWN, OTHERS, Field, available
 from support.firmware_report import Report, Row
 from support.process import ROOT
 
@@ -22,7 +22,7 @@ OUTPUT = ROOT / "build" / "firmware"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--firmware", choices=("px4", "ardupilot"), help="which firmware is flown")
+    parser.addoption("--firmware", choices=FLOWN, help="which firmware is flown")
     parser.addoption("--full", action="store_true", help="also the scenarios that take minutes")
 
 
@@ -30,6 +30,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     firmware = config.getoption("--firmware")
     for item in items:
         only = item.get_closest_marker("only")
+        if only is None and firmware in OTHERS:
+            item.add_marker(pytest.mark.skip(reason="for copters"))
         if only is not None and firmware not in only.args:
             item.add_marker(pytest.mark.skip(reason=f"for {', '.join(only.args)}"))
         if item.get_closest_marker("minutes") and not config.getoption("--full"):

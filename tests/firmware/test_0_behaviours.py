@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from firmware.conftest import ROW
-from skygcs.config.firmware import find_arducopter
+from skygcs.config.firmware import find_ardupilot
 from support.behaviour_checks import CHECKS, fly
 from support.behaviour_flights import get_ready, rules
 from support.behaviour_rig import FirmwareRig
@@ -76,7 +76,7 @@ def test_the_firmware_does_what_the_table_says(
     try:
         get_ready(rig)
         row.figures, problems = fly(name, rig, late_s=LATE_S)
-        if rig.firmware == "ardupilot" and b"ArduCopter V4.7" in find_arducopter().binary.read_bytes():
+        if rig.firmware == "ardupilot" and b"ArduCopter V4.7" in find_ardupilot("ardupilot").binary.read_bytes():
             problems = [problem for problem in problems if not problem.startswith(OF_4_7)]
         assert not problems, "; ".join(problems)
     finally:

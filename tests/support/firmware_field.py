@@ -19,6 +19,8 @@ from typing import Any
 
 from pymavlink import mavutil
 
+from skygcs.config.firmware import PROGRAMS, PX4
+from skygcs.sim.sitl import KINDS
 from support.process import ROOT, DaemonProcess, free_port
 from support.udp_relay import Truth, UdpRelay, metres
 
@@ -54,7 +56,12 @@ PARAMS = {
 TRACKING_ERROR_M = {"px4": 1.5, "ardupilot": 0.6}
 """Of plans in position, heights halved. The height of PX4's simulator wanders: 1.05 and 1.5 m were seen in minutes."""
 
-FIRST_SYSID = {"px4": 11, "ardupilot": 21}
+FIRST_SYSID = {"px4": 11, "ardupilot": 21, "px4_plane": 31, "ardupilot_plane": 41, "rover": 51}
+FIRST_SYSID |= {"px4_vtol": 61, "quadplane": 71}
+
+OTHERS = ("px4_plane", "px4_vtol", "ardupilot_plane", "quadplane", "rover")
+"""Firmware of what is no copter: one vehicle, and scenarios that are marked for it."""
+FLOWN = ("px4", "ardupilot", *OTHERS)
 
 
 class Watcher(threading.Thread):
@@ -167,10 +174,10 @@ class Field:
     def __init__(self, firmware: str, folder: Path) -> None:
         self.firmware = firmware
         self.folder = folder
-        self.px4 = firmware == "px4"
-        self.sysids = [FIRST_SYSID[firmware], FIRST_SYSID[firmware] + 1]
-        self.names = [f"{'px' if self.px4 else 'copter'}{sysid}" for sysid in self.sysids]
-        self.one, self.two = self.names
+        self.px4 = KINDS[firmware].autopilot == "px4"  # type: ignore[index]
+        self.sysids = [FIRST_SYSID[firmware] + i for i in range(1 if firmware in OTHERS else 2)]
+        self.names = [f"{KINDS[firmware].prefix}{sysid}" for sysid in self.sysids]  # type: ignore[index]
+        self.one, self.two = self.names[0], self.names[-1]
         self.daemon_port, self.gcs_port, self.bound_port = free_port(), free_port(), free_port()
         self.bound_tcp_port, self.program_port = free_port(socket.SOCK_STREAM), free_port()
         self.relay = UdpRelay(self.daemon_port)
@@ -185,7 +192,7 @@ class Field:
 
     def toml(self, *, link: str = "", control: str = "") -> str:
         autopilot = "px4" if self.px4 else "ardupilot"
-        expected = {"px4": "RTL_RETURN_ALT = 25", "ardupilot": "FENCE_MARGIN = 2"}[self.firmware]
+        expected = {"px4": "RTL_RETURN_ALT = 25", "ardupilot": "FENCE_MARGIN = 2"}.get(self.firmware, "")
         text = f"""
 record_max_mb = 500
 
@@ -238,7 +245,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
 """
         for name, sysid in zip(self.names, self.sysids, strict=True):
             text += f'\n[vehicles.{name}]\nsysid = {sysid}\nautopilot = "{autopilot}"\n'
-            text += f"separation = {{ tracking_error_m = {TRACKING_ERROR_M[self.firmware]} }}\n"
+            text += f"separation = {{ tracking_error_m = {TRACKING_ERROR_M.get(self.firmware, 2.0)} }}\n"
         return text
 
     # -- life
@@ -264,10 +271,10 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
 
     def kinds(self) -> list[str]:
         """How many vehicles of which firmware, as options of `skygcs sitl`."""
-        return [f"--{'px4' if self.px4 else 'ardupilot'}", "2"]
+        return [f"--{self.firmware.replace('_', '-')}", str(len(self.sysids))]
 
     def params(self) -> list[str]:
-        return list(PARAMS[self.firmware])
+        return list(PARAMS.get(self.firmware, ()))
 
     def said(self, text: str) -> bool:
         assert self.sitl is not None
@@ -301,7 +308,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
             head = f'[daemon]\nsocket = "{self.daemon.socket}"\nlog_dir = "{self.daemon.logs}"\n'
             self.daemon.file.write_text(head + toml)
         self.daemon.start()
-        self.wait(lambda: self.daemon.known() == 2 and self.connected(), 60, "the daemon knows both")
+        self.wait(lambda: self.daemon.known() == len(self.names) and self.connected(), 60, "the daemon knows both")
 
     def firmware_pids(self) -> list[int]:
         return [int(pid) for pid in re.findall(r"pid (\d+)", self.sitl_log.read_text())]
@@ -581,4 +588,7 @@ fence = {{ x_m = [-40, 60], y_m = [-40, 60], up_m = [0, 60] }}
 
 def available() -> list[str]:
     """Firmwares that the environment names."""
-    return [f for f, v in (("px4", "SKYGCS_PX4"), ("ardupilot", "SKYGCS_ARDUCOPTER")) if os.environ.get(v)]
+    variables = {"px4": PX4, "px4_plane": PX4, "px4_vtol": PX4} | {
+        kind: program.variable for kind, program in PROGRAMS.items()
+    }
+    return [firmware for firmware in FLOWN if os.environ.get(variables[firmware])]

@@ -374,6 +374,7 @@ async def flown(
     *,
     px4: int = 1,
     ardupilot: int = 0,
+    others: Mapping[str, int] | None = None,
     height_m: float = 10.0,
     delay_s: float = 0.0,
     control: Mapping[str, Any] | None = None,
@@ -389,7 +390,8 @@ async def flown(
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
     defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4,
-    any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further
+    any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, …; ``others``: how
+    many of further kinds, as the fleet file names them. ``links``: further
     ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground. ``in_air``:
     they were brought there by the test, without an order. ``setpoints_end``: see that none is sent after control has
     ended. ``prepared``: what the daemon runs of the fleet file. The wall clock goes with virtual time."""
@@ -410,6 +412,7 @@ async def flown(
             load_dialect("ardupilotmega"),
             px4=px4,
             ardupilot=ardupilot,
+            **(others or {}),
             first_sysid=1,
             home=FIELD,
             now=daemon.now(),

@@ -157,7 +157,7 @@ def test_no_firmware_outlives_a_killed_launcher(start: Start) -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ((), "--px4 and --ardupilot"),
+        ((), "--px4, --px4-plane"),
         (("--px4", "33"), "1 to 32"),
         (("--px4", "2", "--first-sysid", "250"), "--first-sysid"),
         (("--px4", "2", "--spacing", "1"), "at least 5 m apart"),

@@ -157,6 +157,9 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     sim.add_argument("--px4", type=int, default=1, metavar="N", help="number of PX4 quadrotors (default 1)")
     sim.add_argument("--ardupilot", type=int, default=1, metavar="N", help="number of ArduCopters (default 1)")
+    sim.add_argument("--px4-plane", type=int, default=0, metavar="N", help="number of PX4 planes (default 0)")
+    sim.add_argument("--ardupilot-plane", type=int, default=0, metavar="N", help="number of ArduPlanes (default 0)")
+    sim.add_argument("--rover", type=int, default=0, metavar="N", help="number of ArduPilot rovers (default 0)")
     sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
     # how the vehicles are reached
     where = sim.add_mutually_exclusive_group()
@@ -207,11 +210,17 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sitl = commands.add_parser(
         "sitl",
         help="run real autopilot firmware as simulators",
-        description="Run the autopilot binaries named by SKYGCS_PX4 and SKYGCS_ARDUCOPTER as simulated vehicles.",
+        description="Run the autopilot binaries named by SKYGCS_PX4, SKYGCS_ARDUCOPTER, SKYGCS_ARDUPLANE and "
+        "SKYGCS_ROVER as simulated vehicles.",
         epilog="Example: skygcs sitl --px4 2 --ardupilot 1",
     )
     sitl.add_argument("--px4", type=int, default=0, metavar="N", help="number of PX4 quadrotors (SIH)")
     sitl.add_argument("--ardupilot", type=int, default=0, metavar="N", help="number of ArduCopters")
+    sitl.add_argument("--px4-plane", type=int, default=0, metavar="N", help="number of PX4 planes (SIH)")
+    sitl.add_argument("--px4-vtol", type=int, default=0, metavar="N", help="number of PX4 VTOLs (SIH)")
+    sitl.add_argument("--ardupilot-plane", type=int, default=0, metavar="N", help="number of ArduPlanes")
+    sitl.add_argument("--quadplane", type=int, default=0, metavar="N", help="number of ArduPlanes with rotors")
+    sitl.add_argument("--rover", type=int, default=0, metavar="N", help="number of ArduPilot rovers")
     sitl.add_argument("--first-sysid", type=int, default=1, metavar="ID")
     sitl.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL[,HEADING]")
     sitl.add_argument(
@@ -318,13 +327,13 @@ def _demo(args: argparse.Namespace) -> int:
 
 def _sim(args: argparse.Namespace) -> int:
     from skygcs.cli.sim import parse_conditions, run_sim
+    from skygcs.sim.vehicle_group import KINDS
 
     udp = args.udp
     if udp is None and args.tcp is None and args.pty is None:
         udp = "127.0.0.1:14550"
     return run_sim(
-        px4=args.px4,
-        ardupilot=args.ardupilot,
+        counts={kind: getattr(args, kind) for kind in KINDS},
         first_sysid=args.first_sysid,
         udp=udp,
         tcp=args.tcp,
@@ -350,11 +359,11 @@ def _sim(args: argparse.Namespace) -> int:
 
 def _sitl(args: argparse.Namespace) -> int:
     from skygcs.cli.sitl import SitlOptions, parse_home, run_sitl
+    from skygcs.sim.sitl import KINDS
 
     return run_sitl(
         SitlOptions(
-            px4=args.px4,
-            ardupilot=args.ardupilot,
+            counts={kind: getattr(args, kind) for kind in KINDS},
             first_sysid=args.first_sysid,
             home=parse_home(args.home),
             spacing_m=args.spacing,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,8 +43,7 @@ program's."""
 
 def run_sim(
     *,
-    px4: int,
-    ardupilot: int,
+    counts: Mapping[str, int],
     first_sysid: int,
     udp: str | None = None,
     tcp: str | None = None,
@@ -61,6 +60,8 @@ def run_sim(
 ) -> int:
     """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
 
+    ``counts``: how many of each kind (`vehicle_group.KINDS`).
+
     ``udp`` HOST:PORT is sent to, from one socket or, with ``separate_ports``, from one for each vehicle.
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
@@ -70,7 +71,7 @@ def run_sim(
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
-    _check_options(px4 + ardupilot, speedup, (udp, tcp, pty), air, xbee)
+    _check_options(sum(counts.values()), speedup, (udp, tcp, pty), air, xbee)
     emulated_radio = None if air is None else parse_radio(air)
     mesh_config = None if xbee is None else parse_xbee(xbee)
     where, heading_deg = _parse_home(home)
@@ -78,8 +79,7 @@ def run_sim(
     try:  # make the vehicles
         vehicles = make_vehicles(
             dialect,
-            px4=px4,
-            ardupilot=ardupilot,
+            **counts,
             first_sysid=first_sysid,
             home=where,
             heading_deg=heading_deg,
@@ -108,7 +108,7 @@ def _check_options(
 ) -> None:
     """Raises LinkError for options that exclude each other; ``ports``: --udp, --tcp, --pty."""
     if count == 0:
-        raise LinkError("no vehicles: --px4 and --ardupilot are both 0")
+        raise LinkError("no vehicles: --px4, --ardupilot, --px4-plane, --ardupilot-plane and --rover are all 0")
     if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
         raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
     if sum(port is not None for port in ports) != 1:
@@ -234,8 +234,8 @@ def _parse_address(option: str, text: str) -> tuple[str, int]:
 
 
 def describe(vehicle: SimVehicle) -> str:
-    firmware = "PX4" if vehicle.autopilot == m.MAV_AUTOPILOT_PX4 else "ArduCopter"
-    return f"vehicle {vehicle.sysid}: {firmware} quadrotor"
+    firmware = "PX4" if vehicle.autopilot == m.MAV_AUTOPILOT_PX4 else vehicle.firmware.name
+    return f"vehicle {vehicle.sysid}: {firmware} {vehicle.looks}"
 
 
 async def _serve(ports: Sequence[SimPort], clock: SimClock, speedup: float) -> int:

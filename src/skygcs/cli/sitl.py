@@ -18,7 +18,7 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -26,19 +26,21 @@ from typing import IO, Any
 from skygcs.child_process import start_process
 from skygcs.cli.process import EXIT_FAILED, EXIT_OK, run_loop
 from skygcs.config.dialects import load_dialect
-from skygcs.config.firmware import ArduCopter, Px4, find_arducopter, find_px4
+from skygcs.config.firmware import PROGRAMS, ArduPilot, Px4, find_ardupilot, find_px4
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.param_file import parse
 from skygcs.errors import ConfigError, LinkError
 from skygcs.sim.sitl import (
+    KINDS,
     Autopilot,
     Home,
     Instance,
+    Kind,
     Launch,
     Ports,
     Readiness,
-    copter_launch,
+    ardupilot_launch,
     fleet_text,
     homes,
     last_lines,
@@ -74,8 +76,8 @@ PR_SET_PDEATHSIG = 1
 class SitlOptions:
     """Options of the command line; see `skygcs sitl --help`."""
 
-    px4: int
-    ardupilot: int
+    counts: Mapping[Kind, int]
+    """How many of each kind."""
     first_sysid: int
     home: Home
     spacing_m: float
@@ -89,21 +91,23 @@ class SitlOptions:
 
 def run_sitl(options: SitlOptions) -> int:
     """Run until SIGINT or SIGTERM; 1 if an instance died. Raises ConfigError or LinkError, one line for a person."""
-    count = options.px4 + options.ardupilot
+    count = sum(options.counts.values())
     if not 1 <= count <= MOST_INSTANCES:
-        raise LinkError(f"--px4 and --ardupilot: {count} vehicles; 1 to {MOST_INSTANCES} can be started")
+        words = ", ".join(f"--{kind.replace('_', '-')}" for kind in KINDS)
+        raise LinkError(f"{words}: {count} vehicles; 1 to {MOST_INSTANCES} can be started")
     if not (options.first_sysid >= 1 and options.first_sysid + count - 1 <= 250):
         raise LinkError(f"--first-sysid {options.first_sysid}: {count} vehicles need system ids from 1 to 250")
     if not 0.1 <= options.speedup <= 20:
         raise LinkError(f"--speedup {options.speedup:g}: must be 0.1 to 20")
-    px4 = find_px4() if options.px4 else None
-    copter = find_arducopter() if options.ardupilot else None
+    wanted = [kind for kind in KINDS if options.counts.get(kind)]
+    px4 = find_px4() if any(KINDS[kind].autopilot == "px4" for kind in wanted) else None
+    programs = {kind: find_ardupilot(kind) for kind in wanted if kind in PROGRAMS}
     params = _params(options)
     try:
         places = homes(options.home, count, options.spacing_m)
     except ValueError as error:
         raise LinkError(str(error)) from None
-    return run_loop(_Sitl(options, px4, copter, places, params).serve())
+    return run_loop(_Sitl(options, px4, programs, places, params).serve())
 
 
 def parse_home(text: str) -> Home:
@@ -209,13 +213,13 @@ class _Sitl:
         self,
         options: SitlOptions,
         px4: Px4 | None,
-        copter: ArduCopter | None,
+        programs: Mapping[Kind, ArduPilot],
         places: Sequence[Home],
         params: dict[Autopilot, dict[str, str]],
     ) -> None:
         self._options = options
         self._px4 = px4
-        self._copter = copter
+        self._programs = programs
         self._places = places
         self._params = params
         self._temporary = options.folder is None
@@ -267,12 +271,13 @@ class _Sitl:
 
     def _prepare(self, ports: Ports) -> None:
         options = self._options
-        for index, home in enumerate(self._places):
-            kind: Autopilot = "px4" if index < options.px4 else "ardupilot"
+        kinds = [kind for kind in KINDS for _ in range(options.counts.get(kind, 0))]
+        for index, (kind, home) in enumerate(zip(kinds, self._places, strict=True)):
+            family = KINDS[kind].autopilot
             locks: list[IO[bytes]] = []
-            number = _px4_number(locks) if kind == "px4" else index - options.px4
+            number = _px4_number(locks) if family == "px4" else index
             sysid, own = options.first_sysid + index, (_free_port(), _free_port(), _free_port())
-            instance = Instance(kind, sysid, number, home, *own, self._params[kind])
+            instance = Instance(kind, sysid, number, home, *own, self._params[family])
             folder = self._folder / instance.name
             launch = self._launch(instance, folder, ports)
             try:
@@ -284,7 +289,7 @@ class _Sitl:
             except OSError as error:
                 raise LinkError(f"{folder}: {error.strerror or error}") from None
             self._processes[instance.sysid] = _Process(
-                instance, folder, launch, time.monotonic(), Readiness(kind), locks=locks
+                instance, folder, launch, time.monotonic(), Readiness(family), locks=locks
             )
 
     def _launch(self, instance: Instance, folder: Path, ports: Ports) -> Launch:
@@ -299,11 +304,11 @@ class _Sitl:
                 ports=ports,
                 speedup=speedup,
             )
-        assert self._copter is not None
-        return copter_launch(
+        program = self._programs[instance.kind]
+        return ardupilot_launch(
             instance,
-            binary=str(self._copter.binary),
-            defaults=str(self._copter.defaults),
+            binary=str(program.binary),
+            defaults=str(program.defaults),
             folder=str(folder),
             ports=ports,
             rc_port=_free_port(),
@@ -342,9 +347,8 @@ class _Sitl:
         except OSError as error:
             raise LinkError(f"{launch.argv[0]}: {error.strerror or error}") from None
         self._watching.append(asyncio.create_task(self._watch(process), name=f"sitl {instance.name}"))
-        firmware = "PX4" if instance.autopilot == "px4" else "ArduCopter"
         print(
-            f"{instance.name}: {firmware}, system id {instance.sysid}, pid {process.child.pid}, "
+            f"{instance.name}: {KINDS[instance.kind].firmware}, system id {instance.sysid}, pid {process.child.pid}, "
             f"at {instance.home.lat_deg:.7f},{instance.home.lon_deg:.7f},{instance.home.alt_amsl_m:g}, "
             f"in {process.folder}",
             flush=True,

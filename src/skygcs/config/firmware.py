@@ -1,4 +1,5 @@
-"""Where the user's autopilot binaries are: `SKYGCS_ARDUCOPTER` and `SKYGCS_PX4`. skygcs brings none."""
+"""Where the user's autopilot binaries are: `SKYGCS_ARDUCOPTER`, `SKYGCS_ARDUPLANE`, `SKYGCS_ROVER` and `SKYGCS_PX4`.
+skygcs brings none."""
 
 from __future__ import annotations
 
@@ -6,17 +7,46 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from skygcs.errors import ConfigError
 
-ARDUCOPTER = "SKYGCS_ARDUCOPTER"
-ARDUCOPTER_DEFAULTS = "SKYGCS_ARDUCOPTER_DEFAULTS"
 PX4 = "SKYGCS_PX4"
 
-ARDUCOPTER_HELP = (
-    "build it in a clone of ArduPilot (./waf configure --board sitl && ./waf copter) and set "
-    f"{ARDUCOPTER}=…/ardupilot/build/sitl/bin/arducopter"
-)
+
+class Program(NamedTuple):
+    """One of ArduPilot's programs: the variable that names its binary, and what it is called in a clone."""
+
+    variable: str
+    binary: str
+    target: str
+    """Target of `./waf`."""
+    defaults: str
+    """Its default parameters, below Tools/autotest."""
+
+    @property
+    def defaults_variable(self) -> str:
+        """The variable that names the file of default parameters."""
+        stem = Path(self.defaults).stem.upper()
+        return f"SKYGCS_{'QUADPLANE' if stem == 'QUADPLANE' else self.variable.removeprefix('SKYGCS_')}_DEFAULTS"
+
+    @property
+    def help(self) -> str:
+        """How to get it, and what to set."""
+        return (
+            f"build it in a clone of ArduPilot (./waf configure --board sitl && ./waf {self.target}) and set "
+            f"{self.variable}=…/ardupilot/build/sitl/bin/{self.binary}"
+        )
+
+
+PROGRAMS = {
+    "ardupilot": Program("SKYGCS_ARDUCOPTER", "arducopter", "copter", "default_params/copter.parm"),
+    "ardupilot_plane": Program("SKYGCS_ARDUPLANE", "arduplane", "plane", "models/plane.parm"),
+    "quadplane": Program("SKYGCS_ARDUPLANE", "arduplane", "plane", "default_params/quadplane.parm"),
+    "rover": Program("SKYGCS_ROVER", "ardurover", "rover", "default_params/rover.parm"),
+}
+"""By the kinds of simulated vehicles (`sim.sitl.KINDS`) that they are the firmware of."""
+
 PX4_HELP = (
     "build it in a clone of PX4-Autopilot (make px4_sitl_default) and set "
     f"{PX4}=…/PX4-Autopilot/build/px4_sitl_default, or install PX4's package and set {PX4}=/opt/px4"
@@ -24,8 +54,8 @@ PX4_HELP = (
 
 
 @dataclass(frozen=True, slots=True)
-class ArduCopter:
-    """The binary, and ArduPilot's own default parameters of a simulated quadrotor, without which it has no frame."""
+class ArduPilot:
+    """A binary, and ArduPilot's own default parameters of its simulated vehicle, without which it has no frame."""
 
     binary: Path
     defaults: Path
@@ -39,21 +69,24 @@ class Px4:
     etc: Path
 
 
-def find_arducopter(environment: Mapping[str, str] = os.environ) -> ArduCopter:
-    """Raises ConfigError, which says what to set, if it is not named or not there."""
-    binary = _named(environment, ARDUCOPTER, ARDUCOPTER_HELP)
+def find_ardupilot(kind: str, environment: Mapping[str, str] = os.environ) -> ArduPilot:
+    """The program of a kind of `PROGRAMS`. Raises ConfigError, which says what to set, if it is not named or not
+    there."""
+    program = PROGRAMS[kind]
+    binary = _named(environment, program.variable, program.help)
     if binary.is_dir():
-        binary = binary / "arducopter"
-    _check_executable(binary, ARDUCOPTER)
-    named = environment.get(ARDUCOPTER_DEFAULTS)
-    places = [Path(named).expanduser()] if named else [binary.with_name("copter.parm")]
+        binary = binary / program.binary
+    _check_executable(binary, program.variable)
+    named = environment.get(program.defaults_variable)
+    file = Path(program.defaults)
+    places = [Path(named).expanduser()] if named else [binary.with_name(file.name)]
     if not named and len(binary.parents) > 3:  # ardupilot/build/sitl/bin/arducopter
-        places.append(binary.parents[3] / "Tools" / "autotest" / "default_params" / "copter.parm")
+        places.append(binary.parents[3] / "Tools" / "autotest" / file)
     for place in places:
         if place.is_file():
-            return ArduCopter(binary, place.resolve())
+            return ArduPilot(binary, place.resolve())
     tried = " nor ".join(str(place) for place in places)
-    reason = f"its default parameters are not at {tried}: set {ARDUCOPTER_DEFAULTS} to ArduPilot's {places[-1].name}"
+    reason = f"its default parameters are not at {tried}: set {program.defaults_variable} to ArduPilot's {file.name}"
     raise ConfigError(str(binary), [reason])
 
 

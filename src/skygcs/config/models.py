@@ -273,6 +273,10 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
     type: Literal["simulated"] = "simulated"
     px4: Annotated[int, Field(ge=0, le=250)] = 0
     ardupilot: Annotated[int, Field(ge=0, le=250)] = 0
+    px4_plane: Annotated[int, Field(ge=0, le=250)] = 0
+    ardupilot_plane: Annotated[int, Field(ge=0, le=250)] = 0
+    rover: Annotated[int, Field(ge=0, le=250)] = 0
+    """How many vehicles of each kind: copters of both firmwares, planes of both, ArduPilot's rover, in this order."""
     first_sysid: Sysid = 1
     lat_deg: Annotated[float, Field(gt=-90, lt=90)] = 43.7806
     lon_deg: Annotated[float, Field(ge=-180, le=180)] = -79.4653

@@ -14,7 +14,6 @@ from typing import Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
@@ -205,7 +204,7 @@ class Preflight:
             expected_autopilot=self._config.autopilot,
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
-            copter=self.vehicle.kind is VehicleClass.COPTER,
+            copter=self.vehicle.abilities.setpoints,
             sticks=sticks_of(self.vehicle, self._loop.time()),
             outside=self._metadata.outside(known.values()) if answers else None,
             judged=len(known),
@@ -235,7 +234,7 @@ class Preflight:
                         self._absent.add(name)
 
         async with asyncio.TaskGroup() as group:
-            copter = self.vehicle.kind is VehicleClass.COPTER
+            copter = self.vehicle.abilities.setpoints
             for names in needed_params(self.vehicle.family, wanted, copter=copter):
                 group.create_task(ask(names), name=f"preflight of {self.vehicle.name}: {names[0]}")
         return answers

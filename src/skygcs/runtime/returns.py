@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departing
 from skygcs.core.monitor.tracks import is_flying
@@ -312,8 +311,8 @@ def _is_placed(vehicle: Vehicle, now: float) -> bool:
     """True if its way home is known: it flies, is heard, and reports where it and its home are."""
     position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
     placed = position is not None and position["lat_deg"] is not None and home is not None
-    copter = vehicle.kind is VehicleClass.COPTER  # others cannot stay where they are
-    return placed and copter and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
+    stays = vehicle.abilities_now(now).hovers and not vehicle.abilities_now(now).circles
+    return placed and stays and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
 
 
 def _frame(vehicle: Vehicle) -> EnuFrame:

@@ -4,6 +4,7 @@ the holds that it asks for, and checks orders before they are sent."""
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -21,6 +22,7 @@ from skygcs.core.monitor.order_check import (
     FRESH_S,
     Mover,
     Other,
+    climb_out_conflict,
     goto_conflict,
     setpoint_conflict,
     takeoff_conflict,
@@ -206,7 +208,11 @@ class SeparationMonitor:
         mover = self._mover(vehicle)
         if mover is None:
             return None
-        return self._refusal(takeoff_conflict(mover, height_m, self._others(frozenset()), self._loop.time()))
+        others, now = self._others(frozenset()), self._loop.time()
+        attitude = vehicle.telemetry("attitude")
+        if vehicle.abilities.takeoff.is_ahead and attitude is not None:
+            return self._refusal(climb_out_conflict(mover, height_m, math.radians(attitude["yaw_deg"]), others, now))
+        return self._refusal(takeoff_conflict(mover, height_m, others, now))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -279,7 +285,7 @@ class SeparationMonitor:
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
         if home is not None:
             base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
-        return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame)
+        return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, mover.circle_m)
 
     def _present_way(self, actor: VehicleActor, track: Track) -> Way:
         """Where a vehicle is, and the way to where skygcs has sent it."""
@@ -290,7 +296,7 @@ class SeparationMonitor:
             points.append(frame.from_geodetic(*destination))
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
-        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m, doing)
+        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + track.circle_m, doing)
 
     def footprint(self, actor: VehicleActor) -> Footprint:
         """The space that a vehicle needs."""
@@ -307,7 +313,7 @@ class SeparationMonitor:
         if self._loop.time() - at > POSITION_FRESH_S:
             return None
         here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here)
+        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(self._loop.time()))
 
     def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
         """``sent``: for an order that goes on by itself, so where others were sent and who is lost counts, too."""

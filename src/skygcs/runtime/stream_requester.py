@@ -262,17 +262,17 @@ class StreamRequester:
 
     def _identify_program(self) -> None:
         """Ask an ArduPilot which of its programs it is, and an ArduPlane whether it lifts by rotors: its MAV_TYPE shows
-        neither (`mavlink.vehicle_class`)."""
-        vehicle = self._vehicle
-        if vehicle.family != "ardupilot":
-            return
-        if vehicle.program is None and not self._commands.in_flight(mav_cmd.DO_SEND_BANNER):
+        neither (`mavlink.vehicle_class`). Ask what cannot stop how wide its circles are."""
+        vehicle, ardupilot = self._vehicle, self._vehicle.family == "ardupilot"
+        if ardupilot and vehicle.program is None and not self._commands.in_flight(mav_cmd.DO_SEND_BANNER):
             self._commands.transmit("COMMAND_LONG", {"command": mav_cmd.DO_SEND_BANNER}, Priority.PROTOCOL)
-        if vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL) and "PARAM_REQUEST_READ" in self._dialect.by_name:
-            for name in ("Q_ENABLE", "Q_GUIDED_MODE"):
-                if vehicle.param(name) is None:
-                    values = {"param_id": name, "param_index": -1}
-                    self._commands.transmit("PARAM_REQUEST_READ", values, Priority.PROTOCOL)
+        if "PARAM_REQUEST_READ" not in self._dialect.by_name:
+            return
+        wings = ardupilot and vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL)
+        for name in (*vehicle.abilities.asked_params, *(("Q_ENABLE", "Q_GUIDED_MODE") if wings else ())):
+            if vehicle.param(name) is None:
+                values = {"param_id": name, "param_index": -1}
+                self._commands.transmit("PARAM_REQUEST_READ", values, Priority.PROTOCOL)
 
     def _read_intervals(self, now: float) -> None:
         """Give the controller the newest MESSAGE_INTERVAL."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import IntEnum
 from functools import partial
 from math import hypot, isfinite, radians
 from typing import Any
@@ -41,6 +42,9 @@ FORCE = 21196
 
 LEAST_CONE_SLOPE = 0.5
 """RTL_MIN_CONE_SLOPE (ArduCopter/config.h)."""
+
+MOST_LEAN_CDEG = 3000
+"""Without ANGLE_MAX, which is a copter's."""
 
 PREARM_EVERY_S = 30.0
 """Failing pre-arm checks are reported this often."""
@@ -77,6 +81,25 @@ class CopterVehicle(SimVehicle):
     """True if a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
     attitude_timeout_s: float | None = COPTER.attitude_timeout_s.simulated
     """None: GUID_TIMEOUT (3 s), as from 4.1 on; before, GUIDED_ATTITUDE_TIMEOUT_MS: 1 s."""
+    mode_names: type[IntEnum] = CopterMode
+    """Modes of the program; AUTO, GUIDED and RTL are among them in all of ArduPilot's."""
+    first_mode: int = CopterMode.STABILIZE
+    boot_texts: tuple[str, ...] = BOOT_TEXTS
+    reaction_modes: Mapping[Reaction, IntEnum] = _REACTION_MODES
+    landing_modes: frozenset[int] = frozenset({CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL})
+    """Modes in which it disarms once it has landed."""
+    not_supported: frozenset[int] = frozenset()
+    """Commands of ArduCopter that the program has not."""
+
+    @property
+    def auto_mode(self) -> int:
+        """The mode that flies its mission."""
+        return self.mode_names["AUTO"].value
+
+    @property
+    def guided_mode(self) -> int:
+        """The mode in which it goes where it is sent."""
+        return self.mode_names["GUIDED"].value
 
     @staticmethod
     def factory_params(sysid: int) -> Params:
@@ -156,7 +179,7 @@ class CopterVehicle(SimVehicle):
                 return "Fence enabled, need position estimate"
         if not p["ARMING_CHECK"]:
             return None
-        if self.motion.lean_deg > p["ANGLE_MAX"] / 100:
+        if self.motion.lean_deg > (p.get("ANGLE_MAX") or MOST_LEAN_CDEG) / 100:
             return "Leaning"
         low, critical, _ = self.battery_levels()
         return "Battery 1 low capacity failsafe" if low or critical else None
@@ -191,13 +214,17 @@ class CopterVehicle(SimVehicle):
         return present, enabled, not present or self.fence_breach == m.FENCE_BREACH_NONE
 
     def make_lists(self) -> tuple[CopterLists, CopterRun]:
-        self.run = run = CopterRun(self)
+        self.run = run = self.make_run()
         return CopterLists(lambda: run.changed(self), self.guided_waypoint), run
+
+    def make_run(self) -> CopterRun:
+        """Return what flies its missions."""
+        return CopterRun(self)
 
     # -- life
 
     def on_boot(self, now: float) -> None:
-        self.mode: int = CopterMode.STABILIZE
+        self.mode: int = self.first_mode
         self.files = FileServer()
         self.failsafe = False
         self.speed_mps = 0.0
@@ -209,7 +236,7 @@ class CopterVehicle(SimVehicle):
         self._report_banner(now)
 
     def _report_banner(self, now: float) -> None:
-        for i, text in enumerate(BOOT_TEXTS):
+        for i, text in enumerate(self.boot_texts):
             self.later(now + 0.3 + 0.4 * i, partial(self.tx.say, m.MAV_SEVERITY_INFO, text))
 
     def on_ready(self, now: float) -> None:
@@ -226,14 +253,14 @@ class CopterVehicle(SimVehicle):
         if not self.armed and now >= self._prearm_at:
             self._prearm_at = now + PREARM_EVERY_S
             self._report_prearm()
-        if self.taking_off and self.plan.arrived and self.mode != CopterMode.AUTO:
+        if self.taking_off and self.plan.arrived and self.mode != self.auto_mode:
             self.taking_off = False
-        if self.mode == CopterMode.AUTO and self.armed:
+        if self.mode == self.auto_mode and self.armed:
             self.run.step(self, now)
         self.guided.watch(self, now, self.attitude_timeout_s)
         failsafe.watch(self, now)
         name, more_s = self.firmware.idle_disarm.simulated
-        delay = self.params[name] + more_s
+        delay = self.params[name] + more_s if name else 0.0
         if self.armed and self.landed and not self.taking_off and delay > 0:
             since = max(self.armed_at, self.landed_at)
             if now - since >= delay:
@@ -276,15 +303,15 @@ class CopterVehicle(SimVehicle):
         if self.landed or reaction is Reaction.STOP:
             self.switch_off()
             return
-        mode = _REACTION_MODES[reaction]
+        mode, last = self.reaction_modes[reaction], self.reaction_modes[Reaction.LAND]
         if self.firmware.modes.simulated[mode].position and not self.position_ok:
-            mode = CopterMode.LAND
-        if self.mode == CopterMode.LAND and self.failsafe:
+            mode = last
+        if self.mode == last and self.failsafe:
             return  # a landing that a failsafe has begun goes on
         self.enter(mode, now)
         leg = self.plan.leg
         pause_s = self.firmware.failsafe_land_pause_s.simulated
-        if mode == CopterMode.LAND and isinstance(leg, Land | Descend) and pause_s > 0.0:
+        if mode == last and isinstance(leg, Land | Descend) and pause_s > 0.0:
             self.plan.fly(replace(leg, not_before=now + pause_s))
         self.failsafe = True
 
@@ -292,7 +319,7 @@ class CopterVehicle(SimVehicle):
         return  # ArduCopter says nothing
 
     def on_landed(self, now: float) -> None:
-        lands = self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) or self.run.landing
+        lands = self.mode in self.landing_modes or self.run.landing
         if lands and self.armed:
             self.switch_off()
 
@@ -307,9 +334,9 @@ class CopterVehicle(SimVehicle):
         if number not in self.firmware.modes.simulated:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
             return False
-        mode = CopterMode(number)
+        mode = self.mode_names(number)
         reason = self.faults.refuse_mode
-        if not reason and self.armed and mode == CopterMode.AUTO and mode != self.mode:
+        if not reason and self.armed and mode == self.auto_mode and mode != self.mode:
             reason = self.run.why_not_auto(self)
         rule = self.firmware.modes.simulated[mode]
         if not reason and self.armed and mode != self.mode and rule.position and not self.position_ok:
@@ -322,17 +349,21 @@ class CopterVehicle(SimVehicle):
         self.enter(mode, now)
         return True
 
-    def enter(self, mode: CopterMode, now: float) -> None:
+    def enter(self, mode: IntEnum, now: float) -> None:
         """Be in this mode and begin what it does."""
         if mode == self.mode:
             return
-        if self.mode == CopterMode.AUTO:
+        if self.mode == self.auto_mode:
             self.run.leave()
         self.mode = mode
         self.failsafe = False
         self.taking_off = False
         self.guided.forget()
         self.send_soon("HEARTBEAT")  # a mode change is reported at once
+        self.begin(mode, now)
+
+    def begin(self, mode: IntEnum, now: float) -> None:
+        """Begin what this mode does."""
         motion = self.estimated
         if mode == CopterMode.LAND:
             speed = self.params["LAND_SPEED"] / 100
@@ -342,7 +373,7 @@ class CopterVehicle(SimVehicle):
             self.fly_home()
         elif mode == CopterMode.AUTO and self.armed:
             self.run.begin(self, now)
-        elif self.landed or not copter_sticks.begin(self, mode):
+        elif self.landed or not copter_sticks.begin(self, CopterMode(mode)):
             self.hold_here()
 
     def fly_home(self) -> None:
@@ -396,6 +427,8 @@ class CopterVehicle(SimVehicle):
     # -- commands
 
     def command(self, c: Command, now: float) -> int | None:
+        if c.id in self.not_supported:
+            return m.MAV_RESULT_UNSUPPORTED
         match c.id:
             case m.MAV_CMD_COMPONENT_ARM_DISARM:
                 return self._command_arm(c, now)
@@ -408,7 +441,7 @@ class CopterVehicle(SimVehicle):
             case m.MAV_CMD_NAV_LAND:
                 return self._accepted_if(self.try_mode(CopterMode.LAND, now))
             case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return self._accepted_if(self.try_mode(CopterMode.RTL, now))
+                return self._accepted_if(self.try_mode(self.mode_names["RTL"], now))
             case m.MAV_CMD_DO_REPOSITION:
                 return self._command_reposition(c, now)
             case m.MAV_CMD_DO_CHANGE_SPEED:
@@ -476,7 +509,7 @@ class CopterVehicle(SimVehicle):
         if c.frame is None:  # mav_frame_for_command_long knows no frame of it
             return m.MAV_RESULT_UNSUPPORTED
         change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-        if self.mode != CopterMode.GUIDED and not change_mode:
+        if self.mode != self.guided_mode and not change_mode:
             return m.MAV_RESULT_DENIED
         up = up_of(self, c.frame, c.p7)
         if up is None or not is_position(c.lat_deg, c.lon_deg):
@@ -484,12 +517,16 @@ class CopterVehicle(SimVehicle):
         east, north = self.where.to_local(c.lat_deg, c.lon_deg)
         if not self.inside_fence(east, north, up):
             return m.MAV_RESULT_FAILED
-        if self.mode != CopterMode.GUIDED and not self.try_mode(CopterMode.GUIDED, now):
+        if self.mode != self.guided_mode and not self.try_mode(self.guided_mode, now):
             return m.MAV_RESULT_FAILED
         if not self.landed:
             self.taking_off = False
-            self.guided.go_to(self, east, north, up)
+            self.go_to(east, north, up)
         return m.MAV_RESULT_ACCEPTED
+
+    def go_to(self, east_m: float, north_m: float, up_m: float) -> None:
+        """Go to this place and hold there."""
+        self.guided.go_to(self, east_m, north_m, up_m)
 
     def inside_fence(self, east_m: float, north_m: float, up_m: float) -> bool:
         """True if GUIDED takes a target there; without a fence, everywhere."""
@@ -498,14 +535,14 @@ class CopterVehicle(SimVehicle):
     def guided_waypoint(self, item: MissionItem, now: float) -> bool:
         """ModeAuto::do_guided: a waypoint outside a mission is a target, in GUIDED only; whether it is taken."""
         up = up_of(self, item.frame, item.z or 0.0)
-        if self.mode != CopterMode.GUIDED or up is None or item.position is None:
+        if self.mode != self.guided_mode or up is None or item.position is None:
             return False
         east, north = self.where.to_local(*item.position)
         if not self.inside_fence(east, north, up):
             return False
         if not self.landed:
             self.taking_off = False
-            self.guided.go_to(self, east, north, up)
+            self.go_to(east, north, up)
         return True
 
     def _command_yaw(self, c: Command) -> int:

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER
 from skygcs.sim.command_message import Command
-from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.mission_run import MissionRun, MissionVehicle
 
 
@@ -15,6 +14,9 @@ class CopterOrders(Protocol):
     """Orders that a mission has an ArduCopter do."""
 
     speed_mps: float
+
+    @property
+    def auto_mode(self) -> int: ...
 
     def fly_home(self) -> None: ...
 
@@ -43,7 +45,7 @@ class CopterRun(MissionRun):
 
     def start(self, now: float) -> int:
         """MAV_CMD_MISSION_START: AUTO, which a disarmed vehicle always enters."""
-        return m.MAV_RESULT_ACCEPTED if self._copter.try_mode(CopterMode.AUTO, now) else m.MAV_RESULT_FAILED
+        return m.MAV_RESULT_ACCEPTED if self._copter.try_mode(self._copter.auto_mode, now) else m.MAV_RESULT_FAILED
 
     def on_set_current_command(self, v: MissionVehicle, c: Command, now: float) -> int:
         """MAV_CMD_DO_SET_MISSION_CURRENT."""
@@ -57,10 +59,9 @@ class CopterRun(MissionRun):
         seq = self.seq_on_wire if mission and self.state != m.MISSION_STATE_NOT_STARTED else 0
         return {"seq": seq, "total": len(mission), "mission_state": self.state, "mission_mode": self.mode_of(v)}
 
-    @staticmethod
-    def mode_of(v: MissionVehicle) -> int:
+    def mode_of(self, v: MissionVehicle) -> int:
         """MISSION_CURRENT.mission_mode: 1 in AUTO, else 2."""
-        return 1 if v.mode == CopterMode.AUTO else 2
+        return 1 if v.mode == self._copter.auto_mode else 2
 
     def on_set_current(self, v: MissionVehicle, seq_on_wire: int, now: float) -> None:
         if self.set_current(v, seq_on_wire, now):

@@ -71,7 +71,8 @@ def _watch_gcs(v: VehicleState, now: float) -> None:
     reactions = firmware.gcs.simulated
     reaction = reactions.of(v.params[reactions.param])
     before, rule, options = alarms.gcs.raised, v.mode_rule, v.params.get("FS_OPTIONS")
-    ignored = options is None and int(v.params["COM_DLL_EXCEPT"]) & PX4_GOES_ON.get(Px4Mode(rule.number), 0) != 0
+    px4 = v.autopilot == m.MAV_AUTOPILOT_PX4
+    ignored = px4 and int(v.params["COM_DLL_EXCEPT"]) & PX4_GOES_ON.get(Px4Mode(rule.number), 0) != 0
     lost = alarms.gcs_lost(now, inf if ignored else v.params[firmware.gcs_timeout.simulated])
     if lost and reaction is not Reaction.NONE and v.armed:
         if options is None:

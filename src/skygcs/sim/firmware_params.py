@@ -112,3 +112,52 @@ def copter_params(sysid: int) -> list[Param]:
     return [Param(*p) for p in (*_COPTER, *_table(qgc_params.COPTER))] + [
         Param("SYSID_THISMAV", sysid, m.MAV_PARAM_TYPE_INT16)
     ]
+
+
+_COPTER_ONLY = (
+    *("ATC_", "ANGLE_", "AUTO_", "AVOID_", "DISARM_", "FS_", "GUID_", "LAND_", "MOT_", "PILOT_", "PSC_", "RTL_"),
+    *("WPNAV_", "VISO_", "FRAME_TYPE", "PHLD_", "ACRO_", "LOIT_", "CIRCLE_", "TUNE", "SIMPLE", "SUPER_", "THROW_"),
+)
+
+_ROVER = _table("""
+    ATC_ACCEL_MAX=1.0:f ATC_DECEL_MAX=0.0:f ATC_TURN_MAX_G=0.6:f CRUISE_SPEED=2.0:f CRUISE_THROTTLE=50:b FS_ACTION=2:b
+    FS_EKF_ACTION=1:b FS_GCS_ENABLE=0:b FS_GCS_TIMEOUT=5.0:f FS_OPTIONS=0:i FS_TIMEOUT=1.5:f INITIAL_MODE=0:b
+    LOIT_RADIUS=2.0:f LOIT_TYPE=0:b RTL_SPEED=0.0:f TURN_RADIUS=0.9:f WP_RADIUS=2.0:f WP_SPEED=2.0:f
+""")
+"""Rover/Parameters.cpp, AR_WPNav.cpp, AR_AttitudeControl.cpp: the defaults of 4.6."""
+
+_PLANE = _table("""
+    AIRSPEED_CRUISE=12.0:f AIRSPEED_MAX=22:h AIRSPEED_MIN=9:h FS_GCS_ENABL=0:b FS_LONG_ACTN=0:b FS_LONG_TIMEOUT=5.0:f
+    FS_SHORT_ACTN=0:b FS_SHORT_TIMEOUT=1.5:f LAND_DISARMDELAY=20:b Q_ENABLE=0:b ROLL_LIMIT_DEG=45.0:f
+    RTL_ALTITUDE=100.0:f RTL_AUTOLAND=0:b RTL_RADIUS=0:h TECS_CLMB_MAX=5.0:f TECS_SINK_MAX=5.0:f TKOFF_ALT=50.0:f
+    TKOFF_DIST=200.0:f WP_LOITER_RAD=60:h WP_RADIUS=90:h
+""")
+"""ArduPlane/Parameters.cpp and config.h, mode_takeoff.cpp, AP_TECS.cpp: the defaults of 4.6."""
+
+_PX4_PLANE = _table("""
+    FW_AIRSPD_MAX=20.0:f FW_AIRSPD_MIN=10.0:f FW_AIRSPD_TRIM=15.0:f FW_R_LIM=50.0:f FW_T_CLMB_R_SP=3.0:f
+    FW_T_SINK_R_SP=2.0:f NAV_LOITER_RAD=80.0:f RWTO_TKOFF=1:i
+    COM_DISARM_PRFLT=-1.0:f MAV_TYPE=1:i MIS_TAKEOFF_ALT=25.0:f NAV_ACC_RAD=10.0:f RTL_DESCEND_ALT=100.0:f
+    RTL_LAND_DELAY=-1.0:f RTL_RETURN_ALT=100.0:f RTL_TYPE=1:i SYS_AUTOSTART=10041:i
+""")
+"""fw_path_navigation_params.c, performance_model_params.c, navigator_params.c, and what init.d/rc.fw_defaults sets."""
+
+
+def _of_ardupilot(sysid: int, own: tuple[tuple[str, float, int], ...]) -> list[Param]:
+    """Parameters that all of ArduPilot's programs share, and those of one of them."""
+    names = {name for name, _, _ in own}
+    shared = [p for p in copter_params(sysid) if not p.name.startswith(_COPTER_ONLY) and p.name not in names]
+    return shared + [Param(*p) for p in own]
+
+
+def rover_params(sysid: int) -> list[Param]:
+    return _of_ardupilot(sysid, _ROVER)
+
+
+def plane_params(sysid: int) -> list[Param]:
+    return _of_ardupilot(sysid, _PLANE)
+
+
+def px4_plane_params(sysid: int) -> list[Param]:
+    names = {name for name, _, _ in _PX4_PLANE}
+    return [p for p in px4_params(sysid) if p.name not in names] + [Param(*p) for p in _PX4_PLANE]

@@ -10,6 +10,10 @@ from skygcs.sim.position_control import PositionTarget
 from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle_state import VehicleState
 
+ROLLS_MPS = 5.0
+"""Faster along the ground than this is no landing yet (PX4: LNDFW_VEL_XY_MAX; ArduPlane takes its GPS speed likewise,
+is_flying.cpp)."""
+
 FLYING_ABOVE_M = 0.15
 """Higher than this is taken off."""
 
@@ -17,7 +21,9 @@ FLYING_ABOVE_M = 0.15
 def step(v: VehicleState, now: float, dt_s: float) -> None:
     """Move on by one tick of ``dt_s`` that ends at ``now``."""
     motion = v.motion
-    if v.landed and not v.armed and motion.on_ground:  # most of a fleet most of the time
+    if (
+        v.landed and not v.armed and motion.on_ground and motion.groundspeed_mps == 0.0
+    ):  # most of a fleet most of the time
         v.battery.step(dt_s, flying=False)
         v.sensors.step()
         return
@@ -39,7 +45,9 @@ def step(v: VehicleState, now: float, dt_s: float) -> None:
 def _watch_ground(v: VehicleState, now: float) -> None:
     """Taken off when it is clear of the ground, landed when it has lain there for a while. Disarmed it is landed for
     both firmwares, wherever it is (MulticopterLandDetector::_get_landed_state; Copter::update_land_detector)."""
-    if not v.armed:
+    if not v.flies:
+        v.landed = not v.armed
+    elif not v.armed:
         if not v.landed:
             v.landed, v.landed_at = True, now
             v.on_landed(now)
@@ -49,7 +57,11 @@ def _watch_ground(v: VehicleState, now: float) -> None:
             v.flown_since_arming = True
             v.touched_at = None
             v.on_takeoff(now)
-    elif not v.motion.on_ground or (v.armed and v.motion.crashed and v.firmware.crash.simulated[3] > 0.0):
+    elif (
+        not v.motion.on_ground
+        or v.motion.groundspeed_mps > ROLLS_MPS
+        or (v.armed and v.motion.crashed and v.firmware.crash.simulated[3] > 0.0)
+    ):
         v.touched_at = None  # ArduCopter's land detector takes no landing with such an error of the attitude
     elif v.touched_at is None:
         v.touched_at = now

@@ -106,6 +106,20 @@ class Setpoint:
     yaw_rate_radps: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class CourseSetpoint(Setpoint):
+    """Where to go, for what goes only where its nose points. Without a place over the ground: straight on by
+    ``yaw_rad``."""
+
+    circle_m: float = 0.0
+    """Radius of a circle about the place, positive clockwise; 0: straight to it."""
+    stops: bool = False
+    """To a stop within ``reached_m``; else past it."""
+    reached_m: float = 0.0
+    lands: bool = False
+    """Down to the ground there."""
+
+
 def approach_speed(distance_m: float, accel_mps2: float, top_mps: float, jerk_mps3: float = inf) -> float:
     """The speed from which one can still stop at the target with ``accel_mps2``, which itself changes with
     ``jerk_mps3``; proportional when close."""

@@ -6,10 +6,11 @@ A take-off is [GoTo], a return is [GoTo (climb), GoTo (home), Wait, Land], a got
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import assert_never
 
 from skygcs.sim.body import AttitudeSetpoint, Body
-from skygcs.sim.kinematics import Limits, Setpoint
+from skygcs.sim.kinematics import CourseSetpoint, Limits, Setpoint
 from skygcs.sim.position_control import NO_AXES, PositionTarget
 
 
@@ -65,7 +66,53 @@ class Descend:
     not_before: float = 0.0
 
 
-Leg = GoTo | Follow | Wait | Land | Descend
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Towards a place, as what cannot fly sideways: finished within ``reached_m`` of it over the ground, and then past
+    it; round it with ``circle_m`` (positive clockwise), and then finished on the circle within `CIRCLE_UP_M` of its
+    height; or to a stop there."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+    reached_m: float = 0.0
+    circle_m: float = 0.0
+    stops: bool = False
+
+
+@dataclass(slots=True)
+class Stay:
+    """Round a place, or standing at it, for so long."""
+
+    course: Course
+    seconds: float
+    since: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ClimbOut:
+    """Off the ground straight ahead, with level wings, until this high."""
+
+    heading_rad: float
+    up_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Glide:
+    """Down to a place on the ground, and along the ground to a stop."""
+
+    east_m: float
+    north_m: float
+
+
+CIRCLE_UP_M = 10.0
+"""ArduPlane: ModeRTL::navigate and AUTO's loiters ask for 10 m (commands_logic.cpp); NAV_ACC_RAD of a PX4 plane is
+10 m."""
+
+CLIMBED_OUT_M = 2.0
+"""So near its height a climb-out has ended: ModeTakeoff::update, 200 cm."""
+
+Leg = GoTo | Follow | Wait | Land | Descend | Course | Stay | ClimbOut | Glide
 
 
 class Plan:
@@ -83,7 +130,7 @@ class Plan:
 
     @property
     def landing(self) -> bool:
-        return isinstance(self.leg, Land | Descend)
+        return isinstance(self.leg, Land | Descend | Glide)
 
     def fly(self, *legs: Leg) -> None:
         """Forget what was planned and fly these."""
@@ -116,6 +163,16 @@ def _finished(leg: Leg, motion: Body, now: float) -> bool:
             return now - since >= seconds
         case Land() | Descend():
             return motion.on_ground
+        case Course():
+            return _reached(leg, motion)
+        case Stay():
+            if leg.since is None and _reached(leg.course, motion):
+                leg.since = now
+            return leg.since is not None and now - leg.since >= leg.seconds
+        case ClimbOut():
+            return motion.up_m >= leg.up_m - CLIMBED_OUT_M
+        case Glide():
+            return motion.on_ground and motion.groundspeed_mps == 0.0
         case _:
             assert_never(leg)
 
@@ -138,8 +195,28 @@ def _steer(
             ), limits
         case Descend(speed_mps, not_before):
             return AttitudeSetpoint(None, climb_mps=0.0 if now < not_before else -speed_mps), limits
+        case Course():
+            return _course(leg), limits
+        case Stay(course):
+            return _course(course), limits
+        case ClimbOut(heading_rad, up_m):
+            return CourseSetpoint((None, None, up_m), yaw_rad=heading_rad), limits
+        case Glide(east_m, north_m):
+            return CourseSetpoint((east_m, north_m, None), lands=True), limits
         case _:
             assert_never(leg)
+
+
+def _course(leg: Course) -> CourseSetpoint:
+    place = (leg.east_m, leg.north_m, leg.up_m)
+    return CourseSetpoint(place, circle_m=leg.circle_m, stops=leg.stops, reached_m=leg.reached_m)
+
+
+def _reached(leg: Course, motion: Body) -> bool:
+    away_m = hypot(leg.east_m - motion.east_m, leg.north_m - motion.north_m)
+    if leg.circle_m:
+        return away_m <= abs(leg.circle_m) + leg.reached_m and abs(leg.up_m - motion.up_m) <= CIRCLE_UP_M
+    return away_m <= leg.reached_m
 
 
 def _landing_speed(leg: Land, motion: Body, limits: Limits, now: float) -> float:

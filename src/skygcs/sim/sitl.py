@@ -22,6 +22,29 @@ from skygcs.core.geo import Origin, geodetic_from_enu
 
 Autopilot = Literal["px4", "ardupilot"]
 
+Kind = Literal["px4", "px4_plane", "px4_vtol", "ardupilot", "ardupilot_plane", "quadplane", "rover"]
+
+
+class SitlKind(NamedTuple):
+    """Vehicles that a firmware simulates: their family, their name in fleets, their firmware and their model in it."""
+
+    autopilot: Autopilot
+    prefix: str
+    firmware: str
+    model: str
+
+
+KINDS: Mapping[Kind, SitlKind] = {
+    "px4": SitlKind("px4", "px", "PX4", "sihsim_quadx"),
+    "px4_plane": SitlKind("px4", "pxplane", "PX4", "sihsim_airplane"),
+    "px4_vtol": SitlKind("px4", "pxvtol", "PX4", "sihsim_standard_vtol"),
+    "ardupilot": SitlKind("ardupilot", "copter", "ArduCopter", "quad"),
+    "ardupilot_plane": SitlKind("ardupilot", "plane", "ArduPlane", "plane"),
+    "quadplane": SitlKind("ardupilot", "quadplane", "ArduPlane", "quadplane"),
+    "rover": SitlKind("ardupilot", "rover", "Rover", "rover"),
+}
+"""In the order of their system ids."""
+
 MIN_SPACING_M = 5.0
 """Between homes: PX4's SIH keeps its home in a 32-bit float, a grid of 0.4 m, and GPS errors are a metre or two."""
 
@@ -71,7 +94,7 @@ class Instance:
     launcher's, ``own_second_port`` for the ground station's second one (PX4 only: ArduPilot takes any). ``number`` is
     the firmware's instance number."""
 
-    autopilot: Autopilot
+    kind: Kind
     sysid: int
     number: int
     home: Home
@@ -81,8 +104,12 @@ class Instance:
     params: Mapping[str, str] = field(default_factory=dict)
 
     @property
+    def autopilot(self) -> Autopilot:
+        return KINDS[self.kind].autopilot
+
+    @property
     def name(self) -> str:
-        return f"{'px' if self.autopilot == 'px4' else 'copter'}{self.sysid}"
+        return f"{KINDS[self.kind].prefix}{self.sysid}"
 
 
 class Ports(NamedTuple):
@@ -143,7 +170,7 @@ def px4_launch(
         '. "${R}etc/init.d-posix/px4-rc.simulator"',
     ]
     environment = {
-        "PX4_SIM_MODEL": "sihsim_quadx",
+        "PX4_SIM_MODEL": KINDS[instance.kind].model,
         "PX4_HOME_LAT": f"{instance.home.lat_deg:.8f}",
         "PX4_HOME_LON": f"{instance.home.lon_deg:.8f}",
         "PX4_HOME_ALT": f"{instance.home.alt_amsl_m:.2f}",
@@ -160,7 +187,7 @@ def px4_launch(
     )
 
 
-def copter_launch(
+def ardupilot_launch(
     instance: Instance,
     *,
     binary: str,
@@ -170,8 +197,8 @@ def copter_launch(
     rc_port: int,
     speedup: float = 1.0,
 ) -> Launch:
-    """ArduCopter's SITL. ``defaults`` is the firmware's own file (copter.parm); ``rc_port`` is where it listens for a
-    transmitter, which is nobody's."""
+    """ArduPilot's SITL of a program. ``defaults`` is the firmware's own file (copter.parm); ``rc_port`` is where it
+    listens for a transmitter, which is nobody's."""
     # parameters: ids, streams and those of the instance
     own = {"SYSID_THISMAV": str(instance.sysid), "MAV_SYSID": str(instance.sysid)}
     streams = {f"{port}_{group}": "1" for port in ("SR1", "MAV2") for group in COPTER_STREAMS}
@@ -180,7 +207,7 @@ def copter_launch(
     home = instance.home
     place = f"{home.lat_deg:.8f},{home.lon_deg:.8f},{home.alt_amsl_m:.2f},{home.heading_deg:g}"
     options: list[tuple[str, str]] = [
-        ("--model", "quad"),
+        ("--model", KINDS[instance.kind].model),
         ("--speedup", f"{speedup:g}"),
         ("--slave", "0"),
         ("--defaults", f"{defaults},{folder}/skygcs.parm"),

@@ -54,7 +54,7 @@ _ESTIMATOR_WITHOUT_POSITION = (
 
 def heartbeat(v: VehicleState, now: float) -> Fields:
     return {
-        "type": m.MAV_TYPE_QUADROTOR,
+        "type": v.mav_type,
         "autopilot": v.autopilot,
         "base_mode": v.base_mode,
         "custom_mode": v.mode,

@@ -23,7 +23,7 @@ from skygcs.sim.external_vision import ExternalVision
 from skygcs.sim.failsafe_timers import Failsafes
 from skygcs.sim.faults import Faults
 from skygcs.sim.firmware_modes import ModeRule
-from skygcs.sim.kinematics import Home, Limits, LocalFrame, stopping_distance
+from skygcs.sim.kinematics import Home, Limits, LocalFrame, Motion, stopping_distance
 from skygcs.sim.legs import GoTo, Land, Plan
 from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun
@@ -32,11 +32,13 @@ from skygcs.sim.onboard_signing import BoardSigning
 from skygcs.sim.param_table import Param, Params
 from skygcs.sim.position_control import ControlGains, PositionControl
 from skygcs.sim.px4_shell import Px4Shell
+from skygcs.sim.quad import Quad
 from skygcs.sim.rng import Rng
 from skygcs.sim.rtk import RtkReceiver
 from skygcs.sim.sensors import Sensors
 from skygcs.sim.stream_schedule import Streams
 from skygcs.sim.transmitter import Transmitter
+from skygcs.sim.wings_and_wheels import Rover, Wing
 
 TICK_S = 0.02
 """50 Hz: the fastest stream a ground station asks a radio link for, and 2 cm of flight at 1 m/s."""
@@ -52,6 +54,11 @@ class VehicleState(ABC):
     firmware: Firmware
     """Behaviour of the firmware, as data."""
     vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
+    mav_type: int = m.MAV_TYPE_QUADROTOR
+    looks: str = "quadrotor"
+    """Its kind, in words."""
+    flies: bool = True
+    """False: it drives, and has landed while it is disarmed only."""
     default_rates_hz: Mapping[str, float]
     sysid_param: str
     named_param_index: int | None
@@ -101,11 +108,11 @@ class VehicleState(ABC):
         self.signing = BoardSigning()
         self.tx = Transmitter(dialect, rng, self.faults, self.signing)
         # body and sensors
-        self.motion = body_of(conditions, radians(heading_deg), rng.child_seed())
+        self.motion = self.make_body(conditions, radians(heading_deg), rng.child_seed())
         self.sensors = Sensors(self.motion, conditions, TICK_S, rng.child_seed())
         self.battery = Battery()
         # plan, control and lists
-        self.plan = Plan()
+        self.plan = self.make_plan()
         self.position_control = self.make_position_control(self.control_gains())
         self.lists, self.run = self.make_lists()
         # clock and home
@@ -128,6 +135,15 @@ class VehicleState(ABC):
     @abstractmethod
     def make_position_control(gains: ControlGains) -> PositionControl:
         """Return what follows its targets in OFFBOARD or GUIDED."""
+
+    @staticmethod
+    def make_body(conditions: Conditions, yaw_rad: float, seed: int) -> Motion | Quad | Wing | Rover:
+        """Return what moves, at rest on the ground."""
+        return body_of(conditions, yaw_rad, seed)
+
+    def make_plan(self) -> Plan:
+        """Return what makes legs of its orders."""
+        return Plan()
 
     @property
     @abstractmethod

@@ -38,11 +38,11 @@ def test_what_is_none_is_refused_with_what_was_given(text: str) -> None:
 
 def test_it_needs_a_pty_and_a_node_for_each_vehicle() -> None:
     with pytest.raises(LinkError, match="--pty"):
-        run_sim(px4=1, ardupilot=0, first_sysid=1, udp="127.0.0.1:14550", air="64")
+        run_sim(counts={"px4": 1}, first_sysid=1, udp="127.0.0.1:14550", air="64")
     with pytest.raises(LinkError, match="no rate of 60000 baud"):
-        run_sim(px4=1, ardupilot=0, first_sysid=1, pty="/nonexistent/tty", air="64,baud=60000")
+        run_sim(counts={"px4": 1}, first_sysid=1, pty="/nonexistent/tty", air="64,baud=60000")
     with pytest.raises(LinkError, match="4 vehicles and the ground are 5"):
-        run_sim(px4=4, ardupilot=0, first_sysid=1, pty="/nonexistent/tty", air="64,nodes=3")
+        run_sim(counts={"px4": 4}, first_sysid=1, pty="/nonexistent/tty", air="64,nodes=3")
 
 
 async def test_the_port_is_the_grounds_radio_and_takes_no_more_than_a_serial_line_passes_on(tmp_path: Path) -> None:

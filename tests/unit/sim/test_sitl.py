@@ -12,7 +12,7 @@ from skygcs.sim.sitl import (
     Instance,
     Ports,
     Readiness,
-    copter_launch,
+    ardupilot_launch,
     fleet_text,
     homes,
     last_lines,
@@ -65,7 +65,7 @@ def test_a_px4_logs_as_the_user_says() -> None:
 
 
 def test_copter_gets_both_links_and_its_parameters() -> None:
-    launch = copter_launch(
+    launch = ardupilot_launch(
         COPTER,
         binary="/a/arducopter",
         defaults="/a/copter.parm",
@@ -92,7 +92,7 @@ def test_a_second_link_is_a_port_of_its_own_on_each_autopilot() -> None:
         ports=Ports(50001, 50002, second=50004),
     )
     assert px4.files["startup/px4-rc.mavlink"].splitlines()[-1] == "mavlink start -u 40003 -r 5760 -o 50004"
-    copter = copter_launch(COPTER, binary="b", defaults="d", folder="f", ports=Ports(1, 2, 50004), rc_port=3)
+    copter = ardupilot_launch(COPTER, binary="b", defaults="d", folder="f", ports=Ports(1, 2, 50004), rc_port=3)
     assert copter.argv[copter.argv.index("--serial2") + 1] == "udpclient:127.0.0.1:50004"
     fleet = tomllib.loads(fleet_text([PX4, COPTER], port=50001, second_port=50004))
     assert fleet["links"]["sitl_second"]["port"] == 50004

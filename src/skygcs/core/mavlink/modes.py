@@ -265,7 +265,7 @@ def _ardupilot_table(vehicle_type: int) -> dict[int, str]:
         return _TRACKER
     if vehicle_type == 7:
         return _BLIMP
-    return _COPTER
+    return _COPTER if vehicle_type in COPTER_TYPES else {}
 
 
 def _number_in(table: dict[int, str], name: str) -> int:
@@ -281,6 +281,11 @@ def _group_values(name: str) -> str:
 
 
 def _unknown(name: str, known: tuple[str, ...]) -> str:
+    if not known:
+        return (
+            f"skygcs does not know the modes of this type of vehicle, so not {name!r} either; a raw command "
+            "(DO_SET_MODE) sets one by its number"
+        )
     near = near_names(name.upper(), known, n=3, cutoff=0.5)
     if near:
         return f"no mode {name!r}; did you mean {', '.join(near)}?"

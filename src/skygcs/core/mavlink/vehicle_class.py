@@ -1,4 +1,4 @@
-"""The class of a vehicle, by what its heartbeat, its boot banner and its parameters show.
+"""The class of a vehicle, by what its heartbeat, its boot banner and its parameters show, and what each class can do.
 
     firmware    evidence, the first that is there counts          class
     ---------   -----------------------------------------------   --------------------------------------------------
@@ -13,13 +13,30 @@
 
 The MAV_TYPE alone does not do for ArduPilot: a QuadPlane shows a fixed wing (1) unless Q_MAV_TYPE says otherwise, and
 with Q_MAV_TYPE = 2 it shows a quadrotor (QuadPlane::get_mav_type), whose mode 17 is BRAKE while its own is QSTABILIZE.
+
+Abilities of the classes (`abilities_of`): the one declaration from which orders, checks and margins are derived.
+
+    ability     copter   plane          vtol                rover, boat   sub     blimp   tracker   other
+    ---------   ------   ------------   -----------------   -----------   -----   -----   -------   -----
+    flies       yes      yes            yes                 no            no      yes     no        taken to
+    hovers      yes      no             on its rotors       no            no      yes     no        no
+    circles     no       always         on its wing         no            no      no      no        taken to
+    setpoints   yes      no             no                  no            no      no      no        no
+
+What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
+modes and commands of each order are fields too; `autopilot` makes plans of them and says why.
+
+Read from ArduPilot 4.6 (ArduPlane/mode.h, GCS_Mavlink.cpp: handle_command_int_packet; Rover/mode.h, GCS_Mavlink.cpp)
+and PX4 1.16 (navigator: loiter.cpp, takeoff.cpp, land.cpp; fw_pos_control: control_auto_takeoff).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, COPTER_TYPES, PLANE_TYPES
+from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, COPTER_TYPES, PLANE_TYPES, Family
 
 
 class VehicleClass(StrEnum):
@@ -128,3 +145,190 @@ def _program_class(vehicle_type: int) -> VehicleClass:
     """The class of types that one ArduPilot program shows: a boat is a Rover's, a VTOL an ArduPlane's."""
     kind = _TYPES.get(vehicle_type, VehicleClass.OTHER)
     return {VehicleClass.BOAT: VehicleClass.ROVER, VehicleClass.VTOL: VehicleClass.PLANE}.get(kind, kind)
+
+
+# -- abilities
+
+
+class TakeOff(StrEnum):
+    """How a vehicle leaves the ground."""
+
+    NONE = "none"
+    CLIMB = "straight up, to the height that is asked for"
+    CLIMB_OUT = "ahead, where its nose points, to the height that is asked for"
+    OWN_HEIGHT = "ahead, where its nose points, to the height of a parameter"
+    BY_ROTORS = "straight up on its rotors, by a height above where it stands"
+
+    @property
+    def is_ahead(self) -> bool:
+        """True for a plane's: along the ground and up ahead."""
+        return self in (TakeOff.CLIMB_OUT, TakeOff.OWN_HEIGHT)
+
+
+class Landing(StrEnum):
+    """How a vehicle comes down."""
+
+    NONE = "none"
+    HERE = "NAV_LAND"
+    MISSION = "the landing of its mission (DO_LAND_START)"
+    MODE = "a mode of its own"
+
+
+@dataclass(frozen=True, slots=True)
+class HoldRadius:
+    """Radius of the circle that is flown as a hold: a parameter, whose sign is the direction, and its default (m)."""
+
+    param: str
+    default_m: float
+    least_m: float = 1.0
+    """A value that is not above it counts as the default (ArduPlane: Plane::update_loiter)."""
+
+    def value_m(self, known: float | None) -> float:
+        """The radius by the parameter's value, m; without a usable one the default."""
+        return self.default_m if known is None or abs(known) <= self.least_m else abs(known)
+
+
+HOLD_REACH = 1.25
+"""Radius that is kept clear, over the parameter's. ArduPlane 4.6.3 flew 93 m with 80 m at 22 m/s in its own simulator,
+PX4 1.16.1 79 to 82 m with 80 m at 15 m/s, both without wind."""
+
+PX4_HOLD = HoldRadius("NAV_LOITER_RAD", 80.0, 0.0)
+"""navigator_params.c."""
+ARDUPLANE_HOLD = HoldRadius("WP_LOITER_RAD", 60.0)
+"""ArduPlane/config.h: LOITER_RADIUS_DEFAULT."""
+
+TAKEOFF_HEIGHT = "TKOFF_ALT"
+"""Height (m) above where it stands to which ArduPlane's TAKEOFF mode climbs (mode_takeoff.cpp)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Abilities:
+    """Abilities of one class with one firmware."""
+
+    flies: bool = True
+    """It is carried by the air: it falls without its motors, and a place to go to needs a height."""
+    hovers: bool = False
+    """It can stand still in the air."""
+    circles: bool = False
+    """It cannot stop, at least at times: it holds by a circle."""
+    setpoints: bool = False
+    """It follows positions, velocities and attitudes as skygcs streams them, and so flies plans and formations."""
+    goes: bool = True
+    """It goes to a place by one order."""
+    returns: bool = True
+    return_mode: str = ""
+    """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
+    stop_mode: str = ""
+    """Mode that stops it, or circles, and ignores setpoints; "": skygcs knows none."""
+    hold_mode: str = ""
+    """Mode in which it holds; "": that which stops it."""
+    takeoff: TakeOff = TakeOff.NONE
+    landing: Landing = Landing.NONE
+    land_mode: str = ""
+    """Mode of `Landing.MODE`."""
+    hold_radius: HoldRadius | None = None
+    """Radius of the hold of what circles."""
+    brake_mps2: float = 0.0
+    """Deceleration on which the monitor counts when it orders a hold, m/s²; 0: it counts on none."""
+
+    @property
+    def asked_params(self) -> tuple[str, ...]:
+        """Parameters without which an order or a margin is not known."""
+        circle = () if self.hold_radius is None else (self.hold_radius.param,)
+        return (*circle, *((TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()))
+
+    @property
+    def lands(self) -> bool:
+        """False for what has no landing."""
+        return self.landing is not Landing.NONE
+
+
+_C = VehicleClass
+_ON_THE_GROUND = Abilities(flies=False)
+
+_PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE)
+_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE)
+
+TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
+    ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),
+    ("px4", _C.PLANE): replace(_PX4, circles=True, takeoff=TakeOff.CLIMB_OUT, hold_radius=PX4_HOLD),
+    ("px4", _C.VTOL): replace(_PX4, hovers=True, circles=True, takeoff=TakeOff.CLIMB, hold_radius=PX4_HOLD),
+    ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
+    ("px4", _C.BOAT): _PX4_DRIVES,
+    ("px4", _C.SUB): replace(_PX4_DRIVES, returns=False),
+    ("px4", _C.OTHER): replace(_PX4, landing=Landing.NONE, goes=False, circles=True),
+    ("ardupilot", _C.COPTER): Abilities(
+        hovers=True,
+        setpoints=True,
+        stop_mode="BRAKE",
+        hold_mode="GUIDED",
+        takeoff=TakeOff.CLIMB,
+        landing=Landing.HERE,
+        brake_mps2=2.0,
+    ),
+    ("ardupilot", _C.PLANE): Abilities(
+        circles=True,
+        stop_mode="LOITER",
+        takeoff=TakeOff.OWN_HEIGHT,
+        landing=Landing.MISSION,
+        hold_radius=ARDUPLANE_HOLD,
+    ),
+    ("ardupilot", _C.VTOL): Abilities(
+        hovers=True,
+        circles=True,
+        stop_mode="LOITER",
+        takeoff=TakeOff.BY_ROTORS,
+        landing=Landing.MODE,
+        land_mode="QLAND",
+        hold_radius=ARDUPLANE_HOLD,
+    ),
+    ("ardupilot", _C.ROVER): replace(_ON_THE_GROUND, stop_mode="HOLD", brake_mps2=1.0),
+    ("ardupilot", _C.BOAT): replace(_ON_THE_GROUND, stop_mode="HOLD", hold_mode="LOITER"),
+    ("ardupilot", _C.SUB): replace(_ON_THE_GROUND, stop_mode="POSHOLD", landing=Landing.HERE, returns=False),
+    ("ardupilot", _C.BLIMP): Abilities(
+        hovers=True, stop_mode="LOITER", goes=False, landing=Landing.MODE, land_mode="LAND", return_mode="RTL"
+    ),
+    ("ardupilot", _C.TRACKER): replace(_ON_THE_GROUND, stop_mode="STOP", goes=False, returns=False),
+    ("ardupilot", _C.OTHER): Abilities(goes=False, circles=True),
+}
+"""A pair that is not here (an autopilot that skygcs does not know, a class that a firmware has not) has the abilities
+of a thing that flies, cannot stop, and of which no order is known but those that all firmware shares: arm, disarm,
+return, reboot, home, parameters, and on PX4, whose modes all its vehicles share, hold."""
+
+ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
+    ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
+    ("ardupilot", _C.VTOL): replace(
+        TABLE["ardupilot", _C.VTOL], circles=False, stop_mode="QLOITER", return_mode="QRTL"
+    ),
+}
+"""A VTOL while it is known to be carried by its rotors."""
+
+UNKNOWN = Abilities(goes=False, circles=True)
+UNKNOWN_COPTER = Abilities(hovers=True, goes=False, landing=Landing.HERE)
+"""A copter of an autopilot that skygcs does not know: NAV_LAND is MAVLink's own landing."""
+
+
+def abilities_of(family: Family, kind: VehicleClass, *, hovers: bool = False) -> Abilities:
+    """The abilities of a class with a firmware. ``hovers``: it is a VTOL that is known to be on its rotors now."""
+    key = (family, kind)
+    if family == "generic" and kind is VehicleClass.COPTER:
+        return UNKNOWN_COPTER
+    return (ON_ROTORS if hovers else TABLE).get(key, UNKNOWN)
+
+
+def cannot_hover(family: Family, kind: VehicleClass) -> str | None:
+    """Why vehicles of this class fly no setpoints, and so no plan and no formation, as a sentence for a person; None:
+    they do."""
+    if family == "generic":
+        return "skygcs knows the setpoints of PX4 and ArduPilot only"
+    able = abilities_of(family, kind)
+    if able.setpoints:
+        return None
+    named = f"a {kind}" if kind is not VehicleClass.OTHER else "of a class that skygcs does not know"
+    return f"it is {named}, and only copters hover at setpoints; {instead_of_setpoints(able)}"
+
+
+def instead_of_setpoints(able: Abilities) -> str:
+    """Return what moves a vehicle that follows no setpoints, for a person."""
+    words = ["goto"] * able.goes + ["hold"] * bool(able.stop_mode) + ["rtl"] * able.returns
+    return f"orders ({', '.join(words)}) and missions move it" if words else "its missions move it"

@@ -3,13 +3,26 @@
 All offsets and velocities are relative (of the second vehicle against the first) and in the metric of the margin: true
 east, north, up, the vertical part divided by the downwash ratio. In it the distance of two vehicles that fly straight
 on is the square root of a parabola of time, so nothing is sampled.
+
+What cannot stop holds by a circle:
+
+    it is                                       it may be anywhere
+    -----------------------------------------   -----------------------------------------------------------------
+    sent to a place                             within its radius of the place, at the height of the place
+    circling, about a place that is not known   within two radii of where it is: each circle through that is there
+    turning now                                 on the arc that it flies (`arc`), for as long as the monitor looks ahead
+
+The radius is that of the parameter that the autopilot holds by (NAV_LOITER_RAD, WP_LOITER_RAD), or the firmware's
+default where the parameter is not known. Wind carries a circle nowhere: both firmwares fly it over the ground.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
+
+from skygcs.core.separation import Footprint, pair_margin, separation_m
 
 Vector = tuple[float, float, float]
 
@@ -114,3 +127,86 @@ def _velocity_at(pieces: Sequence[Piece], at_s: float) -> Vector:
             return piece.velocity_mps
         at_s -= piece.duration_s
     return REST
+
+
+# -- circles
+
+LEAST_TURN_RADPS = 0.05
+"""A slower turn is flown as straight on: a circle of 300 m at 15 m/s."""
+
+MOST_TURN_RADPS = 1.0
+"""A faster one is a mistake of a velocity near zero: 15 m/s and a bank of 57 degrees."""
+
+LONGEST_TURN_S = 6.0
+"""Between two velocities that show a turn: a circle of 60 m is half flown."""
+
+ARC_STEP_S = 1.0
+"""Between the corners of an arc: at 0.25 rad/s the chord is 0.8 % short of it."""
+
+
+class Disc(NamedTuple):
+    """Everything over the ground within a radius of a point, at one height (m, one frame)."""
+
+    middle_m: Vector
+    radius_m: float
+
+
+def gap_m(a: Disc, b: Disc, ratio: float) -> float:
+    """How far apart two discs are in the metric of the margin."""
+    (x, y, z), (u, v, w) = a.middle_m, b.middle_m
+    apart_m = math.hypot(u - x, v - y) - a.radius_m - b.radius_m
+    return separation_m(max(0.0, apart_m), 0.0, w - z, ratio)
+
+
+class Holder(NamedTuple):
+    """A vehicle in the way of a circle, and where it may be."""
+
+    name: str
+    footprint: Footprint
+    disc: Disc
+
+
+def circle_conflict(name: str, footprint: Footprint, disc: Disc, others: Iterable[Holder]) -> str | None:
+    """With which other vehicle the space conflicts in which this one will hold, in words; None: with none. Only pairs
+    of which one circles are compared: the others are the way's."""
+    worst: tuple[float, str] | None = None
+    for other in others:
+        if disc.radius_m == 0.0 and other.disc.radius_m == 0.0:
+            continue
+        margin = pair_margin(footprint, other.footprint)
+        away_m = gap_m(disc, other.disc, margin.downwash_ratio)
+        if away_m >= margin.total_m or (worst is not None and away_m >= worst[0]):
+            continue
+        circles = (
+            f"{name} would circle there with {disc.radius_m:.0f} m" if disc.radius_m else f"{name} would stay there"
+        )
+        theirs = f", which circles within {other.disc.radius_m:.0f} m" if other.disc.radius_m else ""
+        worst = (
+            away_m,
+            (
+                f"{circles}, {away_m:.1f} m from {other.name}{theirs}; they need {margin.total_m:.1f} m, "
+                f"heights divided by {margin.downwash_ratio:g}"
+            ),
+        )
+    return None if worst is None else worst[1]
+
+
+def turn_radps(older: Vector, newer: Vector, between_s: float) -> float:
+    """The turn over the ground between two velocities (ENU), positive to the left; 0 if it is no turn that a wing
+    flies."""
+    if not 0.0 < between_s <= LONGEST_TURN_S or math.hypot(*older[:2]) < 1.0 or math.hypot(*newer[:2]) < 1.0:
+        return 0.0
+    cross, dot = older[0] * newer[1] - older[1] * newer[0], older[0] * newer[0] + older[1] * newer[1]
+    rate = math.atan2(cross, dot) / between_s
+    return rate if LEAST_TURN_RADPS <= abs(rate) <= MOST_TURN_RADPS else 0.0
+
+
+def arc(velocity_mps: Vector, turn: float, horizon_s: float) -> tuple[Piece, ...]:
+    """The path of a vehicle that goes on turning so: chords of `ARC_STEP_S`, each in the middle of its direction."""
+    east, north, up = velocity_mps
+    pieces = []
+    for i in range(math.ceil(horizon_s / ARC_STEP_S)):
+        angle = turn * ARC_STEP_S * (i + 0.5)
+        cos, sin = math.cos(angle), math.sin(angle)
+        pieces.append(Piece(ARC_STEP_S, (east * cos - north * sin, east * sin + north * cos, up)))
+    return tuple(pieces)

@@ -24,7 +24,7 @@ from typing import Any
 
 from skygcs.core.monitor.approach import Approach, Piece, Vector, closest_approach, closest_on_paths
 from skygcs.core.monitor.tracks import Track, path_of
-from skygcs.core.monitor.yielding import BRAKE_MPS2, REACT_S, scaled, scaled_pieces
+from skygcs.core.monitor.yielding import REACT_S, scaled, scaled_pieces
 from skygcs.core.separation import Margin, pair_margin, separation_m
 
 HORIZON_S = 10.0
@@ -214,7 +214,7 @@ def _conflict(
 def action_s(a: Track, b: Track) -> float:
     """How long before the margin is lost a hold has to be ordered: the reaction, and the braking of the faster one."""
     speed = max(math.hypot(*a.velocity_mps), math.hypot(*b.velocity_mps))
-    return max(LEAST_ACTION_S, REACT_S + 0.5 + speed / BRAKE_MPS2 * 1.5)
+    return max(LEAST_ACTION_S, REACT_S + 0.5 + speed / min(a.brake_mps2, b.brake_mps2) * 1.5)
 
 
 def believed_velocity(a: Vector, b: Vector, ratio: float) -> Vector:

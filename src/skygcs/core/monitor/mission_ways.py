@@ -48,14 +48,16 @@ def mission_way(
     here: Place,
     home: Place,
     frame: EnuFrame,
+    circle_m: float = 0.0,
 ) -> Way:
-    """The way of a vehicle from where it is along a mission. Places are geodetic; the way is in ``frame``."""
+    """The way of a vehicle from where it is along a mission. Places are geodetic; the way is in ``frame``.
+    ``circle_m``: radius of the circle of what cannot stop, which rounds each corner and ends with it; 0: it stops."""
     rest = run.items[run.first - 1 :]
     legs, widest_m = _legs(rest, here, home, frame)
     if run.first > 1 and any(item.command in JUMPS for item in rest):
         every, widest_m = _legs(run.items, here, home, frame)
         legs += every
-    return Way(key, name, footprint, tuple(legs), widest_m, "on its mission")
+    return Way(key, name, footprint, tuple(legs), max(widest_m, circle_m), "on its mission")
 
 
 def _legs(items: Sequence[MissionItem], here: Place, home: Place, frame: EnuFrame) -> tuple[list[Leg], float]:

@@ -8,12 +8,12 @@ to fly there and stay. That is a model: speeds differ, and the monitor goes on w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, Origin, ecef
-from skygcs.core.monitor.approach import Piece, Vector, closest_on_paths
+from skygcs.core.monitor.approach import Disc, Holder, Piece, Vector, circle_conflict, closest_on_paths
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
 from skygcs.core.monitor.yielding import scaled, scaled_pieces
@@ -23,6 +23,9 @@ GOTO_MPS = 5.0
 """PX4's MPC_XY_CRUISE; ArduCopter's WPNAV_SPEED is 5 to 10 m/s by version."""
 
 CLIMB_MPS = 2.0
+
+CLIMB_SLOPE = 0.2
+"""Height over distance of a plane's climb: 11 degrees, between PX4's least pitch (10) and ArduPlane's (15)."""
 
 AHEAD_S = 3.0
 """Time for which a streamed velocity is carried on: the next setpoints may be others."""
@@ -48,6 +51,8 @@ class Mover:
     name: str
     footprint: Footprint
     here: Place
+    circle_m: float = 0.0
+    """Radius of the circle by which it holds; 0: it stops."""
 
 
 class Other(NamedTuple):
@@ -74,14 +79,27 @@ class _Path(NamedTuple):
 
 def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) -> str | None:
     """With which vehicle the straight way to a place conflicts, in words; None: with none."""
-    frame = _frame(mover)
-    return _conflict(mover, frame, _straight(frame.from_geodetic(*to), GOTO_MPS, HORIZON_S), others, now)
+    frame, others = _frame(mover), list(others)
+    end = frame.from_geodetic(*to)
+    way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
+    return way or circle_conflict(
+        mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
+    )
 
 
 def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now: float) -> str | None:
     """The same of the way up. Vehicles that stand too near already count: it may be carried sideways as it rises."""
     path = _straight((0.0, 0.0, height_m), CLIMB_MPS, HORIZON_S)._replace(strict=True)
     return _conflict(mover, _frame(mover), path, others, now)
+
+
+def climb_out_conflict(
+    mover: Mover, height_m: float, heading_rad: float, others: Iterable[Other], now: float
+) -> str | None:
+    """The same of the way of a plane that takes off ahead, and of the circle at its end. ``heading_rad``: compass."""
+    along_m = height_m / CLIMB_SLOPE
+    end = (along_m * math.sin(heading_rad), along_m * math.cos(heading_rad), height_m)
+    return goto_conflict(mover, _frame(mover).to_geodetic(*end), others, now)
 
 
 def setpoint_conflict(
@@ -98,6 +116,20 @@ def setpoint_conflict(
 
 def _frame(mover: Mover) -> EnuFrame:
     return EnuFrame(Origin(*mover.here))
+
+
+def _holders(mover: Mover, frame: EnuFrame, others: Iterable[Other]) -> Iterator[Holder]:
+    """Where the others hold, or will."""
+    for other in others:
+        track = other.track
+        if track.key == mover.key:
+            continue
+        radius_m = 0.0 if track.parked else track.circle_m
+        if other.destination is not None:
+            disc = Disc(frame.from_geodetic(*other.destination), radius_m)
+        else:
+            disc = Disc(frame.from_ecef(track.ecef_m), 2.0 * radius_m)
+        yield Holder(track.name, track.footprint, disc)
 
 
 def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:
@@ -163,7 +195,8 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
 
 def _text(mover: Mover, track: Track, separation: float, radius_m: float, age_s: float) -> str:
     ratio = pair_margin(mover.footprint, track.footprint).downwash_ratio
-    where = "parked" if track.parked else "lost in the air" if track.lost else "in the air"
+    moves = "in the air" if track.vehicle.abilities.flies else "under way"
+    where = "parked" if track.parked else "lost in the air" if track.lost else moves
     old = f", whose position is {age_s:.1f} s old" if age_s > OLD_S else ""
     return (
         f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, Origin, ecef
-from skygcs.core.monitor.approach import REST, Piece, Vector
+from skygcs.core.monitor.approach import REST, Piece, Vector, arc, turn_radps
 from skygcs.core.quantile import median_low
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.flight_evidence import contradiction
@@ -34,7 +34,7 @@ TRACK_SILENT_S = 10.0
 """The monitor looks so far ahead; a vehicle whose position is older may be 150 m from where it was seen."""
 
 HISTORY_S = 2.0
-"""Velocities are kept for so long, to compare those of two vehicles at one time."""
+"""Velocities are kept for so long, to compare those of two vehicles at one time; two always, which show a turn."""
 
 MAX_HISTORY = 32
 """Positions kept of one vehicle; read at most four times a second."""
@@ -54,6 +54,12 @@ PLAN_STEP_S = 0.5
 
 OFF_PLAN_M = 2.0
 """A vehicle farther than this from its trajectory is not seen to follow it."""
+
+USUAL_BRAKE_MPS2 = 2.0
+"""PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
+
+ARC_S = 10.0
+"""An arc is drawn as far as the monitor looks ahead."""
 
 Place = tuple[float, float, float]
 """lat_deg, lon_deg, alt_amsl_m."""
@@ -84,6 +90,8 @@ class Track:
     lost: bool = False
     """It flew, and no position has come for `TRACK_SILENT_S`."""
     history: deque[Sample] = field(default_factory=lambda: deque(maxlen=MAX_HISTORY))
+    circle_m: float = 0.0
+    """How far from the middle of the circle it may be by which it holds; 0: it stops."""
     age_s: float = 0.0
     ball_m: float = 0.0
     """How far it may be from ``place_m``."""
@@ -107,6 +115,18 @@ class Track:
     @property
     def name(self) -> str:
         return self.vehicle.name
+
+    @property
+    def brake_mps2(self) -> float:
+        """Its deceleration when it is ordered to hold; of what is not counted on to stop the usual one."""
+        return self.vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
+
+    def turn_radps(self) -> float:
+        """How fast it turns over the ground, positive to the left; 0 for what can stop, and goes where it is sent."""
+        if not self.circle_m or len(self.history) < 2:
+            return 0.0
+        older, newer = self.history[0], self.history[-1]
+        return turn_radps(older.vel_enu_mps, newer.vel_enu_mps, newer.at - older.at)
 
     def velocity_at(self, at: float) -> Vector:
         """Its velocity at an earlier time, between the two reports around it; the oldest one known if it is older."""
@@ -212,10 +232,14 @@ def carry_on(track: Track, reported_m: Vector, now: float) -> None:
 
 
 def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
-    """How it will fly if this is its velocity, and whether that ends at its goal: only if it is seen to fly there."""
+    """How it will fly if this is its velocity, and whether that is another way than straight on: to its goal, if it is
+    seen to fly there, or on the circle of what cannot stop. That does not end at its goal, either."""
     goal_m = track.goal_m
     straight_on = (Piece(math.inf, velocity),)
     speed_mps = math.hypot(*velocity)
+    if track.circle_m:
+        turn = track.turn_radps()
+        return (arc(velocity, turn, ARC_S), True) if turn else (straight_on, False)
     if goal_m is None or speed_mps < LEAST_SPEED_MPS:
         return straight_on, False
     here = track.place_m
@@ -245,9 +269,12 @@ def planned_path(track: Track, points: Sequence[Vector]) -> tuple[Piece, ...]:
 
 
 def is_flying(vehicle: Vehicle, now: float) -> bool:
-    """True if it is to be taken for flying; in doubt it is, if it is armed."""
+    """True if it is to be taken for flying; in doubt it is, if it is armed. What drives is under way while it is
+    armed."""
     if not vehicle.armed:
         return contradiction(vehicle, now) is not None
+    if not vehicle.abilities.flies:
+        return True
     if vehicle.in_air(now) is not False:
         return True
     position = vehicle.telemetry("position")
@@ -269,12 +296,13 @@ def _read(track: Track, now: float) -> str | None:
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M):
         return "the position that it reports is not on earth"
     track.parked = not is_flying(vehicle, now)
+    track.circle_m = vehicle.hold_reach_m(now)
     if at != track.at:
         east, north, up = position["vel_enu_mps"]
         track.at, track.reported_mps = at, (east, north, up)
         track.lat_deg, track.lon_deg, track.ecef_m = lat_deg, lon_deg, ecef(lat_deg, lon_deg, alt_m)
         track.history.append(Sample(at, track.reported_mps))
-        while track.history[0].at < at - HISTORY_S:
+        while len(track.history) > 2 and track.history[0].at < at - HISTORY_S:
             track.history.popleft()
     track.lost = not track.parked and now - at > TRACK_SILENT_S
     return f"no position for {TRACK_SILENT_S:g} s: it may be anywhere" if track.lost else None

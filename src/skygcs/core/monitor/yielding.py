@@ -10,16 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.monitor.approach import Piece, Vector, closest_on_paths
 from skygcs.core.monitor.tracks import Track
 from skygcs.core.vehicle.vehicle import Vehicle
 
 REACT_S = 1.5
 """From the decision to the first braking: a round of a busy radio each way, and the change of mode."""
-
-BRAKE_MPS2 = 2.0
-"""Deceleration of a hold: PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
 
 YIELDER_SILENT_S = 2.0
 """A vehicle that was not heard for so long is not counted on: the order may not reach it."""
@@ -52,8 +48,8 @@ def why_not_yield(track: Track, now: float) -> str | None:
         return "two vehicles have its system id"
     if vehicle.failsafe:
         return "its failsafe is active"
-    if vehicle.kind is not VehicleClass.COPTER:
-        return "it cannot stop in the air"
+    if not vehicle.abilities.brake_mps2:
+        return f"a {vehicle.kind} cannot be counted on to stop"
     if vehicle.mode in COMING_HOME:
         return f"it is in {vehicle.mode}"
     if vehicle.mode not in YIELDING_MODES:
@@ -68,10 +64,10 @@ def is_ranked_above(a: Vehicle, b: Vehicle, priority_a: int, priority_b: int) ->
     return (-priority_a, a.name, a.key) < (-priority_b, b.name, b.key)
 
 
-def stopping(velocity_mps: Vector) -> tuple[Piece, Piece]:
+def stopping(velocity_mps: Vector, brake_mps2: float) -> tuple[Piece, Piece]:
     """The path of a vehicle that is ordered to hold: on for `REACT_S`, then half as fast until it stands."""
     u, v, w = velocity_mps
-    return Piece(REACT_S, velocity_mps), Piece(math.hypot(u, v, w) / BRAKE_MPS2, (u / 2, v / 2, w / 2))
+    return Piece(REACT_S, velocity_mps), Piece(math.hypot(u, v, w) / brake_mps2, (u / 2, v / 2, w / 2))
 
 
 def who_holds(
@@ -88,7 +84,7 @@ def who_holds(
         ratio,
     )
     goes_on = [scaled_pieces(track.path, ratio) for track in (upper, lower)]
-    stops = [scaled_pieces(stopping(track.velocity_mps), ratio) for track in (upper, lower)]
+    stops = [scaled_pieces(stopping(track.velocity_mps, track.brake_mps2), ratio) for track in (upper, lower)]
 
     def least_m(first: Sequence[Piece], second: Sequence[Piece]) -> float:
         return closest_on_paths(offset, first, second, radius_m, horizon_s).separation_m

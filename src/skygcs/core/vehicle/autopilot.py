@@ -36,23 +36,34 @@ The messages of each order to a multirotor, and why:
   AUTO.LOITER: the target of an ArduCopter is requested after the acknowledgement (`order_plan.TargetProof`).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
 
-Other classes (`mavlink.vehicle_class`); refused: with the reason, see `_why_not`:
+Other classes have the modes and commands that `mavlink.vehicle_class` declares for them; refused: with the reason, see
+`_why_not`:
 
-    class            hold             stop             land             rtl              take-off   goto
-    ---------------  ---------------  ---------------  ---------------  ---------------  ---------  ------------
-    PX4 VTOL         as a multirotor  as a multirotor  as a multirotor  as a multirotor  as a m.    as a m.
-    PX4 plane        AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  refused    as a m.
-    PX4 rover, boat  AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused    as a m.
-    ArduPlane        LOITER           LOITER           DO_LAND_START    RETURN_TO_LAUNCH refused    GUIDED
-    QuadPlane        LOITER; hovering QLOITER          QLAND            the same;        refused    GUIDED; refused
-                                                                        hovering QRTL               while hovering
-    Rover            HOLD             HOLD             refused          RETURN_TO_LAUNCH refused    GUIDED
-    boat             LOITER           HOLD             refused          RETURN_TO_LAUNCH refused    GUIDED
-    ArduSub          POSHOLD          POSHOLD          NAV_LAND         refused          refused    GUIDED
-    Blimp            LOITER           LOITER           LAND             RTL              refused    refused
-    AntennaTracker   STOP             STOP             refused          refused          refused    refused
+    class            hold             stop             land             rtl              take-off      goto
+    ---------------  ---------------  ---------------  ---------------  ---------------  ------------  ------------
+    PX4 VTOL         as a multirotor  as a multirotor  as a multirotor  as a multirotor  as a m.       as a m.
+    PX4 plane        AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  as a m.       as a m.
+    PX4 rover, boat  AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused       as a m.
+    ArduPlane        LOITER           LOITER           DO_LAND_START    RETURN_TO_LAUNCH TAKEOFF, arm  GUIDED
+    QuadPlane        LOITER; hovering QLOITER          QLAND            the same;        as a m.       GUIDED; refused
+                                                                        hovering QRTL                  while hovering
+    Rover            HOLD             HOLD             refused          RETURN_TO_LAUNCH refused       GUIDED
+    boat             LOITER           HOLD             refused          RETURN_TO_LAUNCH refused       GUIDED
+    ArduSub          POSHOLD          POSHOLD          NAV_LAND         refused          refused       GUIDED
+    Blimp            LOITER           LOITER           LAND             RTL              refused       refused
+    AntennaTracker   STOP             STOP             refused          refused          refused       refused
+    other, of PX4    AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused       refused
+    other            refused          refused          refused          RETURN_TO_LAUNCH refused       refused
 
-- A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it.
+- A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it; one of
+  a class that is not known gets NAV_LAND, which does nothing where it is not known.
+- ArduPlane has no command that takes off to a height (NAV_TAKEOFF is a QuadPlane's): its TAKEOFF mode climbs to
+  TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
+  mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle), and
+  is taken back if the arming fails.
+- A QuadPlane takes off by NAV_TAKEOFF in GUIDED to a height above where it stands
+  (handle_command_MAV_CMD_NAV_TAKEOFF, QuadPlane::do_user_takeoff).
+- A PX4 plane takes off to where its nose points, whatever place NAV_TAKEOFF names (control_auto_takeoff).
 - ArduPlane has no NAV_LAND: DO_LAND_START goes to the landing of its mission, and is denied without one
   (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
   QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms).
@@ -69,9 +80,19 @@ from dataclasses import dataclass, replace
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, POSITION_TARGET_GLOBAL_INT
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, Landing, TakeOff, VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
-from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.order_plan import (
+    LIFT_OFF_S,
+    RUN_S,
+    ArmedIs,
+    HasPosition,
+    LiftedOff,
+    ModeIn,
+    Plan,
+    Step,
+    TargetProof,
+)
 from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
@@ -140,14 +161,20 @@ def disarm(*, force: bool = False) -> Plan:
 
 
 def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:
-    """``alt_amsl_m``: altitude of the ground the vehicle stands on."""
-    if vehicle.kind in LIFT_OFF.get(vehicle.family, frozenset()):
-        if alt_amsl_m is None:
-            raise NotReadyError("its position is not known yet, and a height counts from the ground it stands on")
+    """``alt_amsl_m``: altitude of the ground the vehicle stands on. Raises RefusedError for a class without this order,
+    and for an ArduPlane whose own height of take-off is another one."""
+    how = vehicle.abilities.takeoff
+    if how is TakeOff.NONE:
+        raise RefusedError(_why_not(vehicle, "take off"))
+    if alt_amsl_m is None:
+        raise NotReadyError("its position is not known yet, and a height counts from the ground it stands on")
+    if how is TakeOff.OWN_HEIGHT:
+        steps = _plane_takeoff(vehicle, height_m, alt_amsl_m)
+    elif how is TakeOff.BY_ROTORS:
+        steps = _quadplane_takeoff(vehicle, height_m, alt_amsl_m)
+    else:
         climb = _copter_takeoff if vehicle.family == "ardupilot" else _px4_takeoff
         steps = climb(vehicle, height_m, alt_amsl_m)
-    else:
-        raise RefusedError(_why_not(vehicle, "take off"))
     return Plan("takeoff", steps, f"taking off to {rounded(height_m)} m")
 
 
@@ -162,35 +189,29 @@ def takes_off_from(family: str, mode: str) -> str | None:
     return TAKEOFF_MODES.get(family) if mode in not_armable else None
 
 
-LIFT_OFF = {
-    "px4": frozenset({VehicleClass.COPTER, VehicleClass.VTOL}),
-    "ardupilot": frozenset({VehicleClass.COPTER}),
-}
-"""Classes of which skygcs knows the take-off. A QuadPlane's is that of its mission."""
-
-NO_LANDING = frozenset({VehicleClass.ROVER, VehicleClass.BOAT, VehicleClass.TRACKER})
-NO_RETURN = frozenset({VehicleClass.SUB, VehicleClass.TRACKER})
-NO_GOTO = frozenset({VehicleClass.BLIMP, VehicleClass.TRACKER})
-
-
 def can_land(vehicle: Vehicle) -> bool:
-    """False for a class that has no landing."""
-    px4_sub = vehicle.family == "px4" and vehicle.kind is VehicleClass.SUB
-    return vehicle.kind not in NO_LANDING and not px4_sub
+    """False for a class that is known to have no landing; of an unknown one NAV_LAND is worth an attempt."""
+    return vehicle.abilities.lands or vehicle.kind is VehicleClass.OTHER
 
 
 def land(vehicle: Vehicle, now: float) -> Plan:
     """Land where it is. Raises RefusedError for a class that cannot."""
-    kind = vehicle.kind
-    if not can_land(vehicle):
+    able = vehicle.abilities
+    if able.landing is Landing.NONE:
         raise RefusedError(_why_not(vehicle, "land"))
-    if vehicle.family == "ardupilot" and kind is VehicleClass.PLANE:
+    if able.landing is Landing.MISSION:
         start = CommandSpec(mav_cmd.DO_LAND_START)
         step = Step("land", start, expect=_any_mode(vehicle, ("AUTO",)), refused=NO_LANDING_IN_MISSION)
         return Plan("land", (step,), "landing by its mission", despite_duplicate=True)
-    own_mode = {VehicleClass.VTOL: "QLAND", VehicleClass.BLIMP: "LAND"}.get(kind)
-    if vehicle.family == "ardupilot" and own_mode is not None:
-        return Plan("land", (_named_mode(vehicle, own_mode),), f"landing in {own_mode}", despite_duplicate=True)
+    if able.landing is Landing.MODE:
+        return Plan(
+            "land", (_named_mode(vehicle, able.land_mode),), f"landing in {able.land_mode}", despite_duplicate=True
+        )
+    return land_by_command(vehicle)
+
+
+def land_by_command(vehicle: Vehicle) -> Plan:
+    """NAV_LAND, whatever its class is."""
     wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "SURFACE")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
     step = Step("land", CommandSpec(mav_cmd.NAV_LAND, (0.0,) * 7), expect=expect)
@@ -202,11 +223,12 @@ NO_LANDING_IN_MISSION = "ArduPlane lands by its mission, and that has no DO_LAND
 
 def rtl(vehicle: Vehicle, now: float) -> Plan:
     """Return to its home. Raises RefusedError for a class that cannot."""
-    if vehicle.kind in NO_RETURN:
+    able = vehicle.abilities_now(now)
+    if not able.returns:
         raise RefusedError(_why_not(vehicle, "return"))
-    own_mode = {VehicleClass.VTOL: "QRTL" if vehicle.hovers(now) else None, VehicleClass.BLIMP: "RTL"}.get(vehicle.kind)
-    if vehicle.family == "ardupilot" and own_mode is not None:
-        return Plan("rtl", (_named_mode(vehicle, own_mode),), f"returning in {own_mode}", despite_duplicate=True)
+    if able.return_mode:
+        step = _named_mode(vehicle, able.return_mode)
+        return Plan("rtl", (step,), f"returning in {able.return_mode}", despite_duplicate=True)
     wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
     step = Step("rtl", CommandSpec(mav_cmd.NAV_RETURN_TO_LAUNCH), expect=expect)
@@ -216,14 +238,15 @@ def rtl(vehicle: Vehicle, now: float) -> Plan:
 def hold(vehicle: Vehicle, now: float) -> Plan:
     """Stop and hold, in a mode in which the failsafe for a lost ground station still acts. Raises RefusedError if the
     firmware has no such mode."""
-    if vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.BOAT:
-        step = _named_mode(vehicle, "LOITER", refused="it needs a position to keep; stop switches its motors off")
-        return Plan("hold", (step,), "holding in LOITER", despite_duplicate=True)
+    mode = vehicle.abilities.hold_mode
+    if mode and vehicle.kind is not VehicleClass.COPTER:
+        step = _named_mode(vehicle, mode, refused="it needs a position to keep; stop switches its motors off")
+        return Plan("hold", (step,), f"holding in {mode}", despite_duplicate=True)
     braked = brake(vehicle, now)
-    if not (vehicle.kind is VehicleClass.COPTER and vehicle.family == "ardupilot"):
+    if not mode:
         return braked
     (first,) = braked.steps
-    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, mode)
     stays = mode_step(vehicle, guided, or_disarmed=True)
     unheard = ("SET_MODE", {"base_mode": modes.CUSTOM_MODE_ENABLED, "custom_mode": guided})
     steps = (
@@ -237,26 +260,11 @@ NO_HOLD = "it needs a position to hold, and it does nothing else instead: land i
 BRAKE_NOTE = "its failsafe for a lost ground station does nothing in BRAKE while FS_OPTIONS has bit 4 (16)"
 IN_BRAKE = "it holds in BRAKE"
 
-STOP_MODES: Mapping[tuple[str, VehicleClass], str] = {
-    ("ardupilot", VehicleClass.COPTER): "BRAKE",
-    ("ardupilot", VehicleClass.PLANE): "LOITER",
-    ("ardupilot", VehicleClass.ROVER): "HOLD",
-    ("ardupilot", VehicleClass.BOAT): "HOLD",
-    ("ardupilot", VehicleClass.SUB): "POSHOLD",
-    ("ardupilot", VehicleClass.BLIMP): "LOITER",
-    ("ardupilot", VehicleClass.TRACKER): "STOP",
-}
-"""The mode that stops and ignores setpoints. Of a PX4 it is AUTO.LOITER, of a QuadPlane it depends on its flight."""
-
 
 def brake(vehicle: Vehicle, now: float) -> Plan:
     """Stop, hold and ignore setpoints; a fixed wing circles. Raises RefusedError if the firmware has no such mode."""
-    if vehicle.family == "px4":
-        wanted = "AUTO.LOITER"
-    elif vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.VTOL:
-        wanted = "QLOITER" if vehicle.hovers(now) else "LOITER"
-    else:
-        wanted = STOP_MODES.get((vehicle.family, vehicle.kind), "")
+    able = vehicle.abilities_now(now)
+    wanted = able.stop_mode
     if not wanted:
         raise RefusedError(_why_not(vehicle, "hold its position"))
     number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, wanted)
@@ -266,27 +274,31 @@ def brake(vehicle: Vehicle, now: float) -> Plan:
         # AUTO.LOITER is also the mode of a goto: then only the acknowledgement shows that the goto has ended.
         expect = None if vehicle.custom_mode == number else step.expect
         step = Step("pause", pause, expect=expect, instead=(step,))
-    circles = vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL) and not vehicle.hovers(now)
-    done = f"circling in {wanted}" if circles else f"holding in {wanted}"
+    radius_m = vehicle.hold_radius_m(now)
+    done = f"holding in {wanted}"
+    if able.circles and radius_m:
+        done = f"circling in {wanted}, {rounded(radius_m)} m about where it was"
     return Plan("hold", (step,), done, despite_duplicate=True)
 
 
 def _why_not(vehicle: Vehicle, what: str) -> str:
-    """The refusal of an order that its class has not, or that skygcs does not know of it."""
-    firmware, kind = firmware_name(vehicle), vehicle.kind
+    """The refusal of an order that its class has not, or that skygcs does not know of it, and what to do instead."""
+    firmware, kind, able = firmware_name(vehicle), vehicle.kind, vehicle.abilities
     if kind is VehicleClass.OTHER:
         shown = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
         return f"skygcs does not know how a {shown} of {firmware} is to {what}; use a raw command"
     if vehicle.family == "generic":
         return f"skygcs knows only PX4 and ArduPilot, not how {firmware} is to {what}; use a raw command"
-    if what == "take off" and kind in (VehicleClass.PLANE, VehicleClass.VTOL):
-        return f"a {kind} of {firmware} takes off by its mission (a take-off item): mission start"
-    return f"a {kind} of {firmware} does not {what}" + {"land": "; hold or stop it"}.get(what, "")
+    moves = "goto or mission start moves it" if able.goes else "mission start moves it"
+    instead = {"take off": moves, "land": "hold or stop it", "return": "goto its home, or hold it" if able.goes else ""}
+    hint = instead.get(what, "")
+    return f"a {kind} of {firmware} does not {what}" + (f"; {hint}" if hint else "")
 
 
 def goto(vehicle: Vehicle, to: Destination) -> Plan:
+    """Go to a place and hold there. Raises RefusedError for a class that cannot."""
     done = f"going to {to.lat_deg:.7f}, {to.lon_deg:.7f}, {to.height_m:.1f} m"
-    if vehicle.kind in NO_GOTO:
+    if not vehicle.abilities.goes:
         raise RefusedError(_why_not(vehicle, "go to a place"))
     if vehicle.family == "px4":
         yaw = NAN if to.yaw_deg is None else math.radians(to.yaw_deg)
@@ -295,8 +307,6 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
         )
         expect = _any_mode(vehicle, ("AUTO.LOITER",), or_disarmed=False)
         return Plan("goto", (Step("goto", spec, expect=expect),), done)
-    if vehicle.family != "ardupilot":
-        raise RefusedError(_why_not(vehicle, "go to a place"))
     guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
     location = _location(FRAME_GLOBAL_RELATIVE_ALT, to, to.height_m)
     reposition = Step(
@@ -304,7 +314,7 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
         CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
         expect=ModeIn(frozenset({guided})),
         instead=_guided_target(vehicle, guided, to),
-        proof=_target_proof(guided, to, location) if vehicle.kind is VehicleClass.COPTER else None,
+        proof=_target_proof(guided, to, location) if vehicle.abilities.setpoints else None,
     )
     if to.yaw_deg is None:
         return Plan("goto", (reposition,), done)
@@ -380,7 +390,8 @@ def _location(frame: int, to: Destination, alt_m: float) -> Location:
 
 
 def _px4_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
-    steps = (_arm_step(skip_if_met=True), _climb_step(from_amsl_m, ClimbTo(height_m)))
+    rise_s = RUN_S if vehicle.abilities.takeoff is TakeOff.CLIMB_OUT else LIFT_OFF_S
+    steps = (_arm_step(skip_if_met=True), _climb_step(from_amsl_m, ClimbTo(height_m), rise_s))
     if vehicle.armed:
         return steps
     return (mode_step(vehicle, modes.px4_custom_mode(TAKEOFF_MODES["px4"]), skip_if_met=True), *steps)
@@ -396,9 +407,41 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tu
     )
 
 
-def _climb_step(from_amsl_m: float, climb: ClimbTo) -> Step:
+def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    own_m = vehicle.param(TAKEOFF_HEIGHT)
+    if own_m is None:
+        raise NotReadyError(f"its {TAKEOFF_HEIGHT}, the height to which it takes off, is not known yet")
+    if abs(own_m - height_m) > SAME_HEIGHT_M:
+        raise RefusedError(
+            f"a plane of ArduPilot takes off to its {TAKEOFF_HEIGHT} ({rounded(own_m)} m), not to "
+            f"{rounded(height_m)} m: order that height, or set the parameter"
+        )
+    mode = _named_mode(vehicle, "TAKEOFF")
+    off = LiftedOff(from_amsl_m)
+    if vehicle.armed:
+        return (replace(mode, expect=off, expect_s=RUN_S),)
+    back = replace(mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
+    rises = Step("takeoff", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(GLOBAL_POSITION_INT),)), expect=off)
+    return (replace(mode, undo=back), _arm_step(), replace(rises, expect_s=RUN_S))
+
+
+def _quadplane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
+    rise = CommandSpec(mav_cmd.NAV_TAKEOFF, (*(0.0,) * 6, height_m))
+    return (
+        mode_step(vehicle, guided, skip_if_met=True),
+        _arm_step(skip_if_met=True),
+        Step("takeoff", rise, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S),
+    )
+
+
+SAME_HEIGHT_M = 0.5
+"""Heights of a take-off this near are one."""
+
+
+def _climb_step(from_amsl_m: float, climb: ClimbTo, expect_s: float = LIFT_OFF_S) -> Step:
     anyhow = CommandSpec(mav_cmd.NAV_TAKEOFF)
-    return Step("takeoff", anyhow, late=climb, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S)
+    return Step("takeoff", anyhow, late=climb, expect=LiftedOff(from_amsl_m), expect_s=expect_s)
 
 
 def _target_proof(guided: int, to: Destination, location: Location | None = None) -> TargetProof:

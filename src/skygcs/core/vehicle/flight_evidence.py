@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.vehicle.state import AIRBORNE
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -26,15 +25,14 @@ SPEED_MPS = 3.0
 
 THROTTLE_PERCENT = 10
 
-LIFTS = (VehicleClass.COPTER, VehicleClass.VTOL)
-"""Classes whose motors stand still on the ground while they are disarmed."""
-
 RECENTLY_ARMED_S = 3.0
 """Three heartbeats: by then the landed state has followed as well."""
 
 
 def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
-    """Telemetry that shows the vehicle flying, whatever its armed bit; None if there is none."""
+    """Telemetry that shows the vehicle flying, whatever its armed bit; None if there is none, or it flies never."""
+    if not vehicle.abilities.flies:
+        return None
     state, at = vehicle.landed_state()
     if state in AIRBORNE and now - at <= FRESH_S:
         return f"it reports itself {'in the air' if state == 'in_air' else 'in ' + state}"
@@ -49,7 +47,7 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
         if speed > SPEED_MPS:
             return f"it moves at {speed:.1f} m/s"
     vfr, vfr_at = vehicle.timed_telemetry("vfr")
-    turning = vfr is not None and vehicle.kind in LIFTS and vfr["throttle_percent"] >= THROTTLE_PERCENT
+    turning = vfr is not None and vehicle.abilities.hovers and vfr["throttle_percent"] >= THROTTLE_PERCENT
     if vfr is not None and turning and vfr_at is not None and now - vfr_at <= FRESH_S:
         return f"its throttle is at {vfr['throttle_percent']} %"
     return None

@@ -13,7 +13,7 @@ from typing import Any
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, check, encode
-from skygcs.core.mavlink.vehicle_class import VehicleClass, class_type
+from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, VehicleClass, class_type
 from skygcs.core.params.param_roles import ParamRole
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
@@ -34,6 +34,8 @@ NOW = 100.0
 PLACE = {"lat": 472000000, "lon": 85000000, "alt": 420_000, "relative_alt": 20_000}
 WHERE = {"lat_deg": 47.2, "lon_deg": 8.5, "height_m": 20.0}
 REACH_M = 500.0
+TAKEOFF_M = 50.0
+"""Default of the height to which an ArduPlane takes off."""
 
 PX4, ARDUPILOT = modes.AUTOPILOT_PX4, modes.AUTOPILOT_ARDUPILOT
 
@@ -67,6 +69,7 @@ EXAMPLES = (
     Example("ArduPilot", ARDUPILOT, _C.SUB, "GUIDED"),
     Example("ArduPilot", ARDUPILOT, _C.BLIMP, "AUTO"),
     Example("ArduPilot", ARDUPILOT, _C.TRACKER, "AUTO"),
+    Example("PX4", PX4, _C.OTHER, "AUTO.LOITER"),
 )
 
 Planner = Callable[[Vehicle, float], Plan]
@@ -86,7 +89,7 @@ IN_THE_AIR: Mapping[str, Planner] = {
 }
 ON_THE_GROUND: Mapping[str, Planner] = {
     "arm": orders.arm,
-    "takeoff": lambda vehicle, now: orders.takeoff(vehicle, now, 5.0),
+    "takeoff": lambda vehicle, now: orders.takeoff(vehicle, now, TAKEOFF_M),
     "mission start": mission_orders.start,
 }
 STICKS = "modes by sticks"
@@ -182,12 +185,13 @@ def _vehicle(example: Example, dialect: Dialect, *, on_ground: bool) -> Vehicle:
         ("EXTENDED_SYS_STATE", {"landed_state": 1 if on_ground else 2}),
         ("GLOBAL_POSITION_INT", PLACE | height),
         ("SYS_STATUS", {}),
+        ("PARAM_VALUE", {"param_id": TAKEOFF_HEIGHT.encode(), "param_value": TAKEOFF_M, "param_type": 9}),
     ):
         vehicle.on_frame(_frame(dialect, name, values), NOW)
     return vehicle
 
 
-def _frame(dialect: Dialect, name: str, values: Mapping[str, int]) -> Frame:
+def _frame(dialect: Dialect, name: str, values: Mapping[str, Any]) -> Frame:
     frame, _ = check(encode(dialect.by_name[name], values, sysid=1, compid=1, seq=0), dialect.messages)
     assert frame is not None
     return frame

@@ -223,8 +223,8 @@ def _current_step(vehicle: Vehicle, item: int) -> Step:
 def _go(vehicle: Vehicle) -> tuple[Step, ...]:
     """Enter the mission mode, from the ground or in the air.
 
-    A PX4 that is armed in AUTO.MISSION flies off: the mode comes first and is taken back if the arming fails. An
-    ArduCopter arms in GUIDED and waits for MISSION_START.
+    What is armed in its mission's mode moves off (PX4, ArduPlane, Rover): the mode comes first and is taken back if the
+    arming fails. An ArduCopter arms in GUIDED and waits for MISSION_START.
     """
     number = _mission_mode(vehicle)
     mode = autopilot.mode_step(vehicle, number)
@@ -238,7 +238,8 @@ def _go(vehicle: Vehicle) -> tuple[Step, ...]:
         guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
         begin = Step("start", CommandSpec(mav_cmd.MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
         return (guided, arm, begin)
-    return (mode, arm)
+    back = replace(autopilot.mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
+    return (replace(mode, undo=back), arm)
 
 
 def _mission_mode(vehicle: Vehicle) -> int:

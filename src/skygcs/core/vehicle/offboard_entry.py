@@ -14,7 +14,7 @@ from __future__ import annotations
 from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits
 from skygcs.core.control.pi import within
 from skygcs.core.mavlink import modes
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.vehicle import autopilot, orders
 from skygcs.core.vehicle.order_plan import ParamKnown, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -123,12 +123,9 @@ def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
     if vehicle.duplicate:
         return f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
     try:
+        if (why := cannot_hover(vehicle.family, vehicle.kind)) is not None:
+            raise RefusedError(why)
         guided_mode(vehicle)
-        if vehicle.kind is not VehicleClass.COPTER:
-            raise RefusedError(
-                f"its type is {vehicle.enum_name('MAV_TYPE', vehicle.type).lower().replace('_', ' ')}; "
-                "skygcs controls multirotors and helicopters only"
-            )
         orders.require_going(vehicle, now)
     except RefusedError as error:
         return str(error)
@@ -148,7 +145,7 @@ def attitude_refusal(vehicle: Vehicle) -> str | None:
             return None
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
         return f"PX4 takes the thrust of attitude setpoints for multirotors only, and its type is {kind}; set MAV_TYPE"
-    if vehicle.family != "ardupilot" or vehicle.kind is not VehicleClass.COPTER:
+    if vehicle.family != "ardupilot" or not vehicle.abilities.setpoints:
         return "skygcs knows the attitude setpoints of PX4 and ArduCopter only"
     options = vehicle.param("GUID_OPTIONS")
     if options is None:

@@ -69,6 +69,9 @@ class ModeIn:
 LIFT_OFF_S = 8.0
 """PX4 spools up for one to three seconds, ArduCopter for two; the landed state comes every two seconds."""
 
+RUN_S = 40.0
+"""A plane runs along the ground first, or waits for the hand that throws it."""
+
 CLIMBED_M = 0.5
 
 

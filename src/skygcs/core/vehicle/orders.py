@@ -39,9 +39,6 @@ MAX_ENU_M = 100_000.0
 
 MAX_HEIGHT_M = 20_000.0
 
-GROUND_TYPES = frozenset({10, 11, 12, 46})
-"""Rovers, boats, submarines, legged vehicles: a goto does not need them in the air."""
-
 COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
 """Parts of so many command names that they are no basis for a suggestion."""
 
@@ -165,7 +162,7 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
     here, home_amsl_m = require_going(vehicle, now)
     lat_deg, lon_deg, height_m = where.get("lat_deg"), where.get("lon_deg"), where.get("height_m")
     enu_m, yaw_deg = where.get("enu_m"), where.get("yaw_deg")
-    ground = vehicle.type in GROUND_TYPES
+    ground = not vehicle.abilities.flies
     if enu_m is not None:
         if lat_deg is not None or lon_deg is not None or height_m is not None:
             raise RefusedError("give either enu_m or lat_deg, lon_deg and height_m")
@@ -363,8 +360,8 @@ def require_going(vehicle: Vehicle, now: float) -> tuple[tuple[float, float, flo
     """
     require_connected(vehicle, now)
     if not vehicle.armed:
-        raise RefusedError("it is disarmed; take off first")
-    if vehicle.type not in GROUND_TYPES and _on_ground(vehicle, now):
+        raise RefusedError("it is disarmed; " + ("take off first" if vehicle.abilities.flies else "arm it first"))
+    if vehicle.abilities.flies and _on_ground(vehicle, now):
         raise RefusedError("it is on the ground; take off first")
     here = _fresh_position(vehicle, now)
     home_amsl_m = vehicle.home_alt_amsl_m()

@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from skygcs.core.mavlink import modes
-from skygcs.core.mavlink.vehicle_class import VehicleClass, class_type
+from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of, class_type
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
@@ -75,9 +75,6 @@ _PX4: Mapping[str, Without] = {
     "TERMINATION": Without.KILLS,
 }
 
-_ON_WHEELS = (VehicleClass.ROVER, VehicleClass.BOAT, VehicleClass.SUB)
-"""Classes that do not fall: in a PX4's modes for sticks they coast."""
-
 WEARS_NO_FORCE = frozenset({Without.FALLS, Without.KILLS})
 """Refused in the air without sticks, whoever insists."""
 
@@ -88,8 +85,8 @@ def without_sticks(model: VehicleModel, custom_mode: int) -> Without | None:
     if model.family != "px4":
         return _ARDUPILOT.get(model.kind, {}).get(name)
     effect = _PX4.get(name)
-    falls_not = model.kind in _ON_WHEELS and effect is not None and effect is not Without.KILLS
-    return Without.COASTS if falls_not else effect
+    falls_not = not abilities_of(model.family, model.kind).flies and effect is not None and effect is not Without.KILLS
+    return Without.COASTS if falls_not else effect  # a PX4 that does not fly
 
 
 def needs_sticks(model: VehicleModel, vehicle: Vehicle, name: str) -> bool:

@@ -38,7 +38,8 @@ def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
         hint = f"{autopilot.firmware_name(vehicle)} did not say why; stop it with land"
         plan = replace(plan, steps=tuple(replace(step, refused=hint) for step in plan.steps))
     elif action == "land":
-        plan = autopilot.land(vehicle, now)
+        known = vehicle.abilities.lands
+        plan = autopilot.land(vehicle, now) if known else autopilot.land_by_command(vehicle)
     else:
         plan = replace(autopilot.disarm(force=True), done="motors stopped")
     return replace(plan, order="stop", emergency=True, persist_s=PERSIST_S)

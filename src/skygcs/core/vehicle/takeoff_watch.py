@@ -1,7 +1,7 @@
 """Watch whether a take-off that was ordered here goes as it was ordered. Pure.
 
-    climbs      the mode is the one the take-off set (PX4 AUTO.TAKEOFF, ArduCopter GUIDED)
-    reached     at its height and level; a PX4 has then gone to AUTO.LOITER by itself
+    climbs      the mode is the one the take-off set (PX4 AUTO.TAKEOFF, ArduCopter GUIDED, ArduPlane TAKEOFF)
+    reached     at its height and level; a PX4 has then gone to AUTO.LOITER by itself; a plane need not be level
     wrong       above its height, or level in the air below it: it flies to another height than was ordered, an alarm
     disturbed   any other mode, disarmed, on the ground again, lost, its own failsafe, AUTO.LOITER below the height, or
                 longer than it can take: a pilot, another station or the autopilot decided otherwise
@@ -28,12 +28,20 @@ OVER_SHARE = 0.05
 """So much above its height, and this share of it, is no overshoot of a controller, nor drift of a barometer on the
 way up."""
 
+PLANE_SHORT_M = 3.0
+PLANE_OVER_M = 20.0
+"""A plane ends its climb before its height (ArduPlane: 2 m, mode_takeoff.cpp) or beyond it (PX4: 10 m above it,
+kClearanceAltitudeBuffer), and goes up and down while it turns into its circle."""
+
 LEVEL_MPS = 0.4
 """Slower than this it has arrived: both firmwares climb with 1 m/s and more and slow down at the end."""
 
 SETTLE_S = 5.0
 """So long may a PX4 be in AUTO.LOITER and below its height, on the last part of its climb; and any vehicle in the air
 without climbing by `RISE_M`."""
+
+PLANE_SETTLE_S = 20.0
+"""The same of a plane, which gathers speed at a constant height first."""
 
 RISE_M = 0.2
 
@@ -71,6 +79,8 @@ class TakeoffWatch:
         self._was_in_air = False
         self._highest_m = -math.inf
         self._rose_at = math.inf
+        self._runs = vehicle.abilities.takeoff.is_ahead
+        """It is a plane's: along the ground, and up ahead."""
 
     def look(self, now: float) -> Verdict | WrongHeight | str:
         """ "climbs", "reached", the wrong height it leads to, or what disturbed it."""
@@ -83,10 +93,11 @@ class TakeoffWatch:
             return "climbs"
         # where it is, and whether that is where it should end
         up_m = position["alt_amsl_m"] - self._from_amsl_m
-        if up_m > self._height_m + OVER_M + OVER_SHARE * self._height_m:
+        over_m = PLANE_OVER_M if self._runs else OVER_M
+        if up_m > self._height_m + over_m + OVER_SHARE * self._height_m:
             return WrongHeight(up_m, self._height_m)
-        high = up_m >= self._height_m - min(SHORT_M, SHARE * self._height_m)
-        level = abs(position["vel_enu_mps"][2]) <= LEVEL_MPS
+        high = up_m >= self._height_m - min(PLANE_SHORT_M if self._runs else SHORT_M, SHARE * self._height_m)
+        level = self._runs or abs(position["vel_enu_mps"][2]) <= LEVEL_MPS
         if high:
             loiters = vehicle.family != "px4" or vehicle.mode == "AUTO.LOITER"
             return "reached" if level and loiters else "climbs"
@@ -110,7 +121,8 @@ class TakeoffWatch:
         self._was_in_air = self._was_in_air or in_air is True
         if self._was_in_air and in_air is False:
             return "it is on the ground again"
-        if vehicle.mode not in (("AUTO.TAKEOFF", "AUTO.LOITER") if vehicle.family == "px4" else ("GUIDED",)):
+        own = ("TAKEOFF",) if self._runs else ("GUIDED",)
+        if vehicle.mode not in (("AUTO.TAKEOFF", "AUTO.LOITER") if vehicle.family == "px4" else own):
             return f"its mode became {vehicle.mode}"
         return "it did not reach its height in time" if now > self._until else None
 
@@ -124,7 +136,8 @@ class TakeoffWatch:
             self._loiter_since = math.inf
         if up_m > self._highest_m + RISE_M or not self._was_in_air or math.isinf(self._rose_at):
             self._highest_m, self._rose_at = max(up_m, self._highest_m), now
-        return WrongHeight(up_m, self._height_m) if now - self._rose_at > SETTLE_S else "climbs"
+        sinks = now - self._rose_at > (PLANE_SETTLE_S if self._runs else SETTLE_S)
+        return WrongHeight(up_m, self._height_m) if sinks else "climbs"
 
 
 def reports_takeoff(vehicle: Vehicle, now: float) -> bool:

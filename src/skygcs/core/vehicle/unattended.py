@@ -34,7 +34,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.vehicle.vehicle import Vehicle
 
 OURS = "this station's setpoints"
@@ -220,7 +219,7 @@ class UnattendedWatch:
 
 def follows_setpoints(vehicle: Vehicle) -> bool:
     """True if its last heartbeat shows a mode in which a multirotor follows setpoints."""
-    if vehicle.family == "ardupilot" and vehicle.kind is not VehicleClass.COPTER:
+    if not vehicle.abilities.setpoints:
         return False
     return vehicle.mode in FOLLOWING.get(vehicle.family, ())
 

@@ -14,9 +14,12 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.vehicle_class import (
+    HOLD_REACH,
     Q_MODES,
+    Abilities,
     Program,
     VehicleClass,
+    abilities_of,
     mode_type,
     program_of_banner,
     vehicle_class,
@@ -260,6 +263,26 @@ class Vehicle:
         return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, self.param("Q_ENABLE"))
 
     @property
+    def abilities(self) -> Abilities:
+        """Abilities of its class, however it flies now."""
+        return abilities_of(self.family, self.kind)
+
+    def abilities_now(self, now: float) -> Abilities:
+        """Abilities of its class now: a VTOL on its rotors stops, on its wing it does not."""
+        return abilities_of(self.family, self.kind, hovers=self.hovers(now))
+
+    def hold_radius_m(self, now: float) -> float:
+        """Radius of the circle that it flies to hold, m; 0 for what stops."""
+        able = self.abilities_now(now)
+        if not able.circles or able.hold_radius is None:
+            return 0.0
+        return able.hold_radius.value_m(self.param(able.hold_radius.param))
+
+    def hold_reach_m(self, now: float) -> float:
+        """How far from the middle of the circle that it flies to hold it may be, m; 0 for what stops."""
+        return self.hold_radius_m(now) * HOLD_REACH
+
+    @property
     def duplicate_elsewhere(self) -> str | None:
         """Where another vehicle sends with these ids on another channel; None: nowhere."""
         return self.duplicates.get(self.key)
@@ -288,7 +311,10 @@ class Vehicle:
         return ("undefined", -math.inf) if slot is None or slot.frame is None else (self._landed, slot.at)
 
     def landed(self, now: float) -> str:
-        """on_ground, in_air, takeoff, landing, or "undefined" if that is not known."""
+        """on_ground, in_air, takeoff, landing, or "undefined" if that is not known. What does not fly is on_ground: a
+        Rover shows the status of a flying vehicle in each mode but HOLD (GCS_MAVLINK_Rover::vehicle_system_status)."""
+        if self._heard_at is not None and not self.abilities.flies:
+            return "on_ground"
         slot = self.slots.get(self._landed_id)
         if (
             slot is not None

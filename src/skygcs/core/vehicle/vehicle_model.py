@@ -21,7 +21,7 @@ from enum import StrEnum
 from typing import Any
 
 from skygcs.core.mavlink.modes import Family
-from skygcs.core.mavlink.vehicle_class import Program, VehicleClass
+from skygcs.core.mavlink.vehicle_class import Program, VehicleClass, abilities_of
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -75,7 +75,10 @@ class VehicleModel:
 
     @property
     def may_fly(self) -> bool:
-        """True unless it is known to be disarmed, or to stand on the ground."""
+        """True unless it is known to be disarmed, or to stand on the ground; what drives is under way while it is
+        armed."""
+        if not abilities_of(self.family, self.kind).flies:
+            return self.not_disarmed is not None
         return self.not_disarmed is not None and self.flying is not False
 
 

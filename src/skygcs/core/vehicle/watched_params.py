@@ -21,9 +21,12 @@ WATCHED = frozenset(
         "MOT_THST_HOVER",
         "MPC_THR_HOVER",
         "NAV_DLL_ACT",
+        "NAV_LOITER_RAD",
         "Q_ENABLE",
         "Q_GUIDED_MODE",
         "THR_MDL_FAC",
+        "TKOFF_ALT",
+        "WP_LOITER_RAD",
     }
 )
 """Others are not kept: a vehicle has a thousand parameters."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from skygcs.config.tables import Problem
 from skygcs.core.geo import EnuFrame, Origin, world_from_enu
+from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.tracks import PLAN_STEP_S, Place, Track, is_flying
 from skygcs.core.plan.formations import CURRENT, WantedFormation, middle_of
@@ -133,6 +134,9 @@ class Formation(Extension[FormationConfig]):
             raise RefusedError(f"{len(actors)} vehicles: a formation has {MOST_MEMBERS} members at most")
         if lead is not None and lead in actors:
             raise RefusedError(f"{lead.name} leads, so it is no follower: leave it out of the targets")
+        for actor in actors:
+            if (why := cannot_hover(actor.vehicle.family, actor.vehicle.kind)) is not None:
+                raise RefusedError(f"{actor.name}: {why}")
         flight = self.flight
         if (
             flight is not None

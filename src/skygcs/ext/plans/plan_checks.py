@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import EnuFrame
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.order_check import FORGET
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.margins import DEFAULT, MarginRule
@@ -181,9 +181,7 @@ def state_finding(actor: VehicleActor, names: list[str], now: float) -> Finding:
         why = "two vehicles have its system id"
     elif vehicle.failsafe:
         why = "its own failsafe is active"
-    elif vehicle.kind is not VehicleClass.COPTER:
-        why = "it is no multirotor or helicopter"
-    else:
+    elif (why := cannot_hover(vehicle.family, vehicle.kind)) is None:
         try:
             offboard_entry.guided_mode(vehicle)
         except RefusedError as error:

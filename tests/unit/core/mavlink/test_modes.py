@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from skygcs.core.mavlink import modes
 from support.table import each
@@ -74,6 +75,18 @@ def test_arducopter_modes_agree_with_pymavlinks_table_and_the_dialects_enum() ->
 def test_other_ardupilot_vehicles_agree_with_pymavlinks_tables(kind: int, table: dict[int, str]) -> None:
     for number, name in table.items():
         assert modes.ardupilot_mode_name(kind, number) == name
+
+
+def test_every_type_has_the_table_that_pymavlink_has_for_it_and_no_other_types_get_a_copters() -> None:
+    """Wings, and the multirotor without a number of motors, are ours alone."""
+    ours_alone = {*range(22, 26), 16, 17, 28, 43, 47}
+    for kind in mavlink.enums["MAV_TYPE"]:
+        theirs = mavutil.mode_mapping_bynumber(kind)
+        if theirs is not None:
+            assert {n: modes.ardupilot_mode_name(kind, n) for n in theirs} == theirs, kind
+        elif kind not in ours_alone:
+            assert modes.mode_names(modes.AUTOPILOT_ARDUPILOT, kind) == (), kind
+            assert modes.ardupilot_mode_name(kind, 4) == "UNKNOWN(4)"
 
 
 @each(("kind", "enum"), [(1, "PLANE_MODE"), (10, "ROVER_MODE"), (12, "SUB_MODE"), (5, "TRACKER_MODE")])

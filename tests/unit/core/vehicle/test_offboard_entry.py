@@ -90,7 +90,7 @@ def test_who_may_not_be_taken_over_is_told_why() -> None:
     ground.on_frame(voice.landed(1), NOW)
     ground.on_frame(voice.position(), NOW)
     assert "on the ground" in str(offboard_entry.entry_refusal(ground, NOW))
-    assert "fixed wing" in str(offboard_entry.entry_refusal(flying(ARDUPILOT, 15, kind=1)[0], NOW))
+    assert "it is a plane" in str(offboard_entry.entry_refusal(flying(ARDUPILOT, 15, kind=1)[0], NOW))
 
 
 @each(("options", "said"), [(0, "set bit 3 (GUID_OPTIONS to 8)"), (5, "GUID_OPTIONS to 13"), (8, None), (13, None)])

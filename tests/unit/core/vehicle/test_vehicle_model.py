@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
+from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.vehicle import orders, stop
+from skygcs.core.vehicle import offboard_entry, orders, stop
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
-from skygcs.errors import RefusedError
+from skygcs.errors import NotReadyError, RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
 NOW = 100.0
@@ -111,16 +113,109 @@ def test_each_class_gets_its_own_hold_stop_landing_and_return_and_no_copters() -
             assert text == want or (not want[0].isdigit() and want in text), (vehicle.kind, vehicle.mode, got)
 
 
-def test_no_class_but_a_multirotor_takes_off_by_a_copters_order() -> None:
+def on_the_ground(autopilot: int, kind: int, mode: int, **params: float) -> Shown:
+    """Armed by nobody, and standing."""
+    shown = Shown(autopilot, kind, mode, **params)
+    shown.hear(mav.MAVLink_heartbeat_message(kind, autopilot, 0x01, mode, 3, 3))
+    shown.hear(mav.MAVLink_extended_sys_state_message(0, 1))
+    shown.vehicle.on_frame(shown.voice.position(alt_amsl_m=HOME[2], rel_m=0.0), NOW)
+    return shown
+
+
+def test_no_class_but_what_has_one_takes_off_by_an_order() -> None:
     for kind, mode, why in (
-        (PLANE, 10, "by its mission"),
-        (VTOL, 10, "by its mission"),
-        (ROVER, 10, "does not take off"),
+        (ROVER, 10, "a rover of ArduPilot does not take off; goto or mission start moves it"),
+        (BOAT, 10, "a boat of ArduPilot does not take off; goto or mission start moves it"),
+        (SUB, 3, "a sub of ArduPilot does not take off"),
+        (0, 4, "does not know how a generic of ArduPilot is to take off; use a raw command"),
     ):
-        shown = Shown(ARDUPILOT, kind, mode)
-        shown.hear(mav.MAVLink_extended_sys_state_message(0, 1))
+        with pytest.raises(RefusedError, match=re.escape(why)):
+            orders.takeoff(on_the_ground(ARDUPILOT, kind, mode).vehicle, NOW, 5.0)
+
+
+def commands(plan: Plan) -> list[tuple[int, float]]:
+    """The commands of a plan, with their second parameter, which is the mode of DO_SET_MODE."""
+    found = []
+    for step in plan.steps:
+        assert step.command is not None
+        found.append((step.command.command, step.command.params[1] if len(step.command.params) > 1 else 0.0))
+    return found
+
+
+def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> None:
+    """TAKEOFF is mode 13 (ArduPlane/mode.h), TKOFF_ALT its height (mode_takeoff.cpp)."""
+    with pytest.raises(NotReadyError, match="TKOFF_ALT"):
+        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5).vehicle, NOW, 50.0)
+    plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle
+    with pytest.raises(RefusedError, match=re.escape("takes off to its TKOFF_ALT (50 m), not to 30 m")):
+        orders.takeoff(plane, NOW, 30.0)
+    plan = orders.takeoff(plane, NOW, 50.0)
+    assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
+    undo = plan.steps[0].undo
+    assert undo is not None and undo.command is not None and undo.command.params[1] == 5.0  # back in FBWA
+
+
+def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> None:
+    """GUIDED is mode 15; param7 becomes a relative height (convert_MAV_CMD_NAV_TAKEOFF_to_COMMAND_INT)."""
+    plan = orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 19, Q_ENABLE=1.0).vehicle, NOW, 12.0)
+    assert commands(plan) == [(176, 15.0), (400, 0.0), (mav.MAV_CMD_NAV_TAKEOFF, 0.0)]
+    last = plan.steps[2].command
+    assert last is not None and last.params[6] == 12.0 and last.message == "COMMAND_LONG"
+
+
+def test_a_px4_plane_takes_off_as_a_multirotor_does() -> None:
+    plan = orders.takeoff(on_the_ground(PX4, PLANE, 3 << 16).vehicle, NOW, 40.0)
+    assert [step.name for step in plan.steps] == ["mode AUTO.LOITER", "arm", "takeoff"]
+
+
+def test_a_rover_is_never_in_the_air_whatever_status_it_shows() -> None:
+    """Rover shows MAV_STATE_ACTIVE in each mode but HOLD, and no landed state (GCS_MAVLINK_Rover)."""
+    rover = Shown(ARDUPILOT, ROVER, 15)
+    assert rover.vehicle.armed and rover.vehicle.in_air(NOW) is False
+    assert orders.disarm(rover.vehicle, NOW).order == "disarm"
+    assert orders.set_home(rover.vehicle, NOW).order == "home"
+    where = {"lat_deg": HOME[0], "lon_deg": HOME[1] + 0.001, "height_m": 0.0}
+    assert orders.goto(rover.vehicle, NOW, limit_m=500.0, **where).order == "goto"  # type: ignore[misc]
+    assert model_of(rover.vehicle, NOW).may_fly  # its modes for sticks need sticks while it is armed
+
+
+def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None:
+    """MAV_TYPE 8, a free balloon, of which no ArduPilot has modes: pymavlink has none either."""
+    balloon = Shown(ARDUPILOT, 8, 4).vehicle
+    assert mavutil.mode_mapping_bynumber(8) is None and balloon.mode == "UNKNOWN(4)"
+    for order, why in (
+        (lambda: orders.hold(balloon, NOW), "hold its position"),
+        (lambda: orders.land(balloon, NOW), "land"),
+        (lambda: orders.set_mode(balloon, NOW, "GUIDED"), "DO_SET_MODE"),
+    ):
         with pytest.raises(RefusedError, match=why):
-            orders.takeoff(shown.vehicle, NOW, 5.0)
+            order()
+    where = {"lat_deg": HOME[0], "lon_deg": HOME[1], "height_m": 20.0}
+    with pytest.raises(RefusedError, match="free balloon of ArduPilot is to go to a place; use a raw command"):
+        orders.goto(balloon, NOW, limit_m=500.0, **where)  # type: ignore[arg-type]
+    assert said(lambda: orders.rtl(balloon, NOW)) == "20"
+    assert said(lambda: stop.stop(balloon, NOW, "land")) == "21"  # worth an attempt
+    on_px4 = Shown(PX4, 8, 4 << 16 | 4 << 24).vehicle
+    assert said(lambda: orders.hold(on_px4, NOW)) == "192"
+
+
+def test_only_copters_fly_setpoints_and_the_refusal_names_the_class() -> None:
+    for autopilot, kind, mode in ((ARDUPILOT, PLANE, 15), (PX4, VTOL, 4 << 16), (ARDUPILOT, ROVER, 15), (PX4, 8, 0)):
+        vehicle = Shown(autopilot, kind, mode).vehicle
+        why = offboard_entry.entry_refusal(vehicle, NOW)
+        assert why is not None and "only copters hover at setpoints" in why
+        assert vehicle.kind is VehicleClass.OTHER or f"a {vehicle.kind}," in why
+    assert offboard_entry.entry_refusal(Shown(ARDUPILOT, QUADROTOR, 4).vehicle, NOW) is None
+
+
+def test_what_cannot_stop_says_how_wide_it_circles() -> None:
+    assert orders.hold(Shown(ARDUPILOT, PLANE, 10).vehicle, NOW).done == "circling in LOITER, 60 m about where it was"
+    narrow = Shown(ARDUPILOT, PLANE, 10, WP_LOITER_RAD=-40.0).vehicle  # to the left
+    assert narrow.hold_radius_m(NOW) == 40.0
+    assert Shown(ARDUPILOT, PLANE, 10, WP_LOITER_RAD=1.0).vehicle.hold_radius_m(NOW) == 60.0  # Plane::update_loiter
+    assert Shown(PX4, PLANE, 4 << 16 | 4 << 24).vehicle.hold_radius_m(NOW) == 80.0
+    assert Shown(ARDUPILOT, PLANE, 19).vehicle.hold_radius_m(NOW) == 0.0  # on its rotors
+    assert Shown(ARDUPILOT, QUADROTOR, 4).vehicle.hold_radius_m(NOW) == 0.0
 
 
 def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
