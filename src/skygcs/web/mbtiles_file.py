@@ -54,6 +54,9 @@ class MbtilesFile:
             raise TileFileError(path, str(error)) from None
         try:
             self.info = self._opened()
+        except TileRefusedError as error:
+            self.close()
+            raise TileFileError(path, f"its first tile or a value of its metadata is {error}") from None
         except BaseException:
             self.close()
             raise
@@ -77,11 +80,7 @@ class MbtilesFile:
         if not least:
             raise TileFileError(self._path, "has no tiles")
         least_zoom, most_zoom = zooms_of(self._path, least[0][0], self._ask(_MOST)[0][0])
-        first = self._ask(_FIRST, least_zoom)
-        try:
-            _, tile_px = picture_type(_blob(first))
-        except TileRefusedError as error:
-            raise TileFileError(self._path, f"its first tile is {error}") from None
+        _, tile_px = picture_type(_blob(self._ask(_FIRST, least_zoom)))
         bounds = bounds_of(str(told.get("bounds", "")).split(","))
         return TileSetInfo(least_zoom, most_zoom, tile_px, bounds, attribution_of(told.get("attribution")))
 

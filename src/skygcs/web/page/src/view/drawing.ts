@@ -81,6 +81,12 @@ export function scaleBoxes(camera: Camera): Box[] {
   ];
 }
 
+/** Where `drawAttribution` draws, about: a letter is some 6 pixels wide. */
+export function attributionBox(camera: Camera, text: string): Box[] {
+  const { widthPx, heightPx } = camera;
+  return text === "" ? [] : [{ left: widthPx - 16 - 6 * text.length, top: heightPx - 22, right: widthPx, bottom: heightPx }];
+}
+
 /** Scale bar, north, and where the axes point, on the lower left; above the side view if there is one. */
 export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Frame | null): void {
   const length = niceLengthM(camera.pxPerM, SCALE_PX);

@@ -433,6 +433,7 @@ export class FleetView {
       this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx, [
         ...this.buttons(),
         ...draw.scaleBoxes(camera),
+        ...draw.attributionBox(camera, this.options.map ? this.map.attribution : ""),
       ]);
     }
     const led = shown.flatMap((body, i) => {
