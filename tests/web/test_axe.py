@@ -52,9 +52,9 @@ def screens(page: Page, *, phone: bool) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
-@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844), (844, 390)])
 def test_axe_finds_nothing(station: WebStation, open_page: OpenPage, theme: str, width: int, height: int) -> None:
-    phone = width < 500
+    phone = width < 1000
     page = open_page(station, width=width, height=height, theme=theme, touch=phone)
     until(page, "skygcs.store.state.vehicles.get('v1')?.position?.enu_m != null")
     page.evaluate(IN_TROUBLE)

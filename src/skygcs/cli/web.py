@@ -52,6 +52,9 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     web.add_argument("--tls-key", type=Path, metavar="FILE")
     web.add_argument("--map", type=Path, metavar="IMAGE", help="an image beneath the fleet view, with two --map-point")
     web.add_argument("--map-point", action="append", default=[], metavar="X,Y,LAT,LON", help="pixel and place of it")
+    web.add_argument(
+        "--tiles", type=Path, metavar="FILE", help="map tiles beneath the fleet view: .mbtiles or .pmtiles"
+    )
     web.add_argument("--replay", type=Path, metavar="FILE", help="play a tlog instead; nothing can be ordered then")
     web.add_argument("--supervised", action="store_true", help=argparse.SUPPRESS)  # by a daemon
     web.add_argument("-v", "--verbose", action="store_true", help="log more")
@@ -108,6 +111,7 @@ def _options(args: argparse.Namespace) -> WebOptions:
         tls_cert=args.tls_cert,
         tls_key=args.tls_key,
         map_image=None if args.map is None else read_map(args.map, parse_points(args.map_point)),
+        tiles=args.tiles,
         replay=args.replay,
         supervised=args.supervised,
         print_address=not args.supervised,

@@ -41,6 +41,8 @@ class WebConfig(Model):
     tls_cert: Path | None = None
     tls_key: Path | None = None
     map: WebMapConfig | None = None
+    tiles: Path | None = None
+    """Raster tiles beneath the fleet view: MBTiles or PMTiles; relative to the fleet file."""
 
     @model_validator(mode="after")
     def _safe(self) -> Self:

@@ -4,6 +4,7 @@
     GET /             the page; without a cookie 403 and a field for an address
     GET /assets/NAME  its files
     GET /map          the image beneath the fleet view
+    GET /tiles/V/Z/X/Y  a tile of the map beneath it; 204 where there is none
     GET /ws           the WebSocket (`page_clients`)
 
 Anything else is 404, another verb 405. Connections: `browser_connections`.
@@ -28,6 +29,7 @@ from skygcs.config.allow_list import AllowList
 from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
+from skygcs.web.map_tiles import MapTiles
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
@@ -136,6 +138,7 @@ class HttpServer:
         unix_time: Callable[[], float],
         on_sign_in: Callable[[], None],
         map_image: MapImage | None = None,
+        map_tiles: MapTiles | None = None,
         static: Path = STATIC,
     ) -> None:
         self.connections = BrowserConnections(self._new_handler)
@@ -146,6 +149,7 @@ class HttpServer:
         self._unix_time = unix_time
         self._on_sign_in = on_sign_in
         self._map = map_image
+        self._tiles = map_tiles
         self._assets = Assets(static)
         self._loop = asyncio.get_running_loop()
         self._tasks: list[asyncio.Task[None]] = []
@@ -154,6 +158,8 @@ class HttpServer:
         application.router.add_get("/", self._index, allow_head=False)
         application.router.add_get("/assets/{name}", self._asset, allow_head=False)
         application.router.add_get("/map", self._map_image, allow_head=False)
+        tile = r"/tiles/{version:[0-9a-f]{1,16}}/{zoom:[0-9]{1,2}}/{x:[0-9]{1,8}}/{y:[0-9]{1,8}}"
+        application.router.add_get(tile, self._map_tile, allow_head=False)
         application.router.add_get("/ws", self._websocket, allow_head=False)
         application.on_response_prepare.append(self._on_prepare)
         self._runner = web.AppRunner(
@@ -292,6 +298,19 @@ class HttpServer:
             return _plain(404, "no map")
         headers = {"Cache-Control": "private, max-age=3600"}
         return web.Response(body=self._map.body, content_type=self._map.content_type, headers=headers)
+
+    async def _map_tile(self, request: web.Request) -> web.StreamResponse:
+        if self._cookie(request) is None:
+            return _plain(403, "not signed in")
+        if self._tiles is None:
+            return _plain(404, "no tiles")
+        zoom, x, y = (int(request.match_info[name]) for name in ("zoom", "x", "y"))
+        found = await self._tiles.read(zoom, x, y)
+        if found is None:
+            return web.Response(status=204)
+        content_type, body = found
+        headers = {"Cache-Control": "private, max-age=86400"}  # another file has another address
+        return web.Response(body=body, content_type=content_type, headers=headers)
 
     def _file(self, request: web.Request, name: str) -> web.Response | None:
         asset = self._assets.find(name)

@@ -36,6 +36,7 @@ from skygcs.web.file_checks import CHECKS, extension_checks
 from skygcs.web.fleet_digest import view_of
 from skygcs.web.http_server import HttpServer
 from skygcs.web.map_image import MapImage
+from skygcs.web.map_tiles import MapTiles, open_tiles
 from skygcs.web.page_clients import (
     DEFAULT_RATE_HZ,
     LEAST_RATE_HZ,
@@ -49,6 +50,7 @@ from skygcs.web.request_limits import DEADLINE_MAX_S, MAX_MESSAGE_BYTES
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ
 from skygcs.web.sign_in import Role, SignIn
 from skygcs.web.state_batches import LatestStates
+from skygcs.web.tile_set import TileFileError
 
 SECRET_BYTES = 32
 
@@ -70,6 +72,8 @@ class WebOptions:
     tls_cert: Path | None = None
     tls_key: Path | None = None
     map_image: MapImage | None = None
+    tiles: Path | None = None
+    """A file of map tiles. A supervised process serves the page without those that cannot be used."""
     replay: Path | None = None
     """A recording in place of the daemon."""
     print_address: bool = True
@@ -95,6 +99,8 @@ class WebProcess:
         self.checks = CheckRunner()
         self.pages = PageClients(self.states, self.source, self._own_methods())
         self.port = 0
+        self.tiles: MapTiles | None = None
+        self.tiles_problem = ""
         self._stopping = asyncio.Event()
 
     # -- methods of its own
@@ -127,6 +133,8 @@ class WebProcess:
             "seq": 0 if page.page_states is None else page.page_states.seq,
             "daemon": self.pages.daemon_status(),
             "map": None if image is None else image.as_dict(),
+            "tiles": None if self.tiles is None else self.tiles.as_dict(),
+            "tiles_problem": self.tiles_problem,
             "methods": {
                 "read": sorted(READ),
                 "ends_flight": sorted(ENDS_FLIGHT),
@@ -163,6 +171,7 @@ class WebProcess:
     async def run(self, on_ready: Callable[[WebProcess], None] | None = None) -> None:
         """Serve until `stop`. Raises SkygcsError before it serves."""
         options = self.options
+        self._open_tiles()
         tls = _tls(options.tls_cert, options.tls_key)
         sock = _bound(options.host, options.port)
         self.port = sock.getsockname()[1]
@@ -177,6 +186,7 @@ class WebProcess:
             unix_time=time.time,
             on_sign_in=lambda: _write_cookies(cookies, self.sign_in.saved()),
             map_image=options.map_image,
+            map_tiles=self.tiles,
         )
 
         def sign_out() -> int:
@@ -205,8 +215,24 @@ class WebProcess:
             await self.pages.close()
             await http.close()
             await control.close()
+            if self.tiles is not None:
+                self.tiles.close()
             _write_cookies(cookies, self.sign_in.saved())
             sock.close()
+
+    def _open_tiles(self) -> None:
+        """Open the map's tiles, if there are some. Raises TileFileError where a person started the process by hand."""
+        path = self.options.tiles
+        if path is None:
+            return
+        try:
+            self.tiles = MapTiles(open_tiles(path), path)
+        except TileFileError as error:
+            # a page without its map is worth more than none
+            if not self.options.supervised:
+                raise
+            self.tiles_problem = str(error)
+            _log.error("the page has no map", reason=str(error))
 
     def stop(self) -> None:
         """End `run`. Idempotent; safe as a signal handler of the loop."""

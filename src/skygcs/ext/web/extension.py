@@ -67,6 +67,8 @@ def web_arguments(config: WebConfig, socket_path: Path) -> list[str]:
     for option, path in (("--tls-cert", config.tls_cert), ("--tls-key", config.tls_key)):
         if path is not None:
             found += [option, os.fspath(path)]
+    if config.tiles is not None:
+        found += ["--tiles", os.fspath(config.tiles)]
     if config.map is not None:
         found += ["--map", os.fspath(config.map.image)]
         for point in config.map.points:

@@ -11,6 +11,8 @@ import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
 import { PlanBar } from "./plan_bar.tsx";
 import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
+import { recalledShare } from "./split.ts";
+import { Splitter } from "./splitter.tsx";
 import { StopButton } from "./stop.tsx";
 import { StopBoard } from "./stop_board.tsx";
 import type { State, Store } from "./store.ts";
@@ -107,14 +109,17 @@ function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; side
   const { store } = props;
   const [pane, setPane] = useState(TABLE);
   const [side, setSide] = useState(ORDERS);
+  const [share, setShare] = useState(recalledShare);
   const panel = sides.find((one) => one.id === side);
   const openSide = (id: string): void => {
     setSide(id);
     setPane(id);
   };
   return (
-    <div class="fleet" hidden={hidden} data-pane={pane === VIEW || pane === TABLE ? pane : "side"}>
+    <div class="fleet" hidden={hidden} data-pane={pane === VIEW || pane === TABLE ? pane : "side"} data-shared={share !== null}
+      style={{ "--table-share": share === null ? null : `${share}%` }}>
       <section class="viewpane" aria-label="Fleet view"><FleetCanvas {...props} /></section>
+      <Splitter share={share} onShare={setShare} />
       <section class="tablepane" aria-label="Fleet table"><FleetTable store={store} connection={props.connection} /></section>
       <aside class="sidepane" aria-label="Orders and panels">
         <div class="tabs" role="tablist" aria-label="Panels">

@@ -58,7 +58,8 @@ function showBand(element: HTMLDivElement | null, box: { left: number; top: numb
 }
 
 function ViewButtons({ store, connection, view }: PanelProps) {
-  const hasMap = useStore(store, (state) => state.hello?.map != null);
+  const hasMap = useStore(store, (state) => state.hello?.map != null || state.hello?.tiles != null);
+  const problem = useStore(store, (state) => state.hello?.tiles_problem ?? "");
   const { options } = view;
   const toggles = [["labels", "Labels"], ["trails", "Trails"], ["side", "Heights"], ...(hasMap ? [["map", "Map"]] : [])] as const;
   return (
@@ -76,9 +77,21 @@ function ViewButtons({ store, connection, view }: PanelProps) {
             <button key={key} type="button" aria-pressed={options[name]} onClick={() => view.setOptions({ [name]: !options[name] })}>{title}</button>
           );
         })}
+        {problem !== "" && <MapProblem text={problem} />}
         <FenceButton store={store} connection={connection} view={view} />
       </div>
     </div>
+  );
+}
+
+/** Why there is no map, for a person who asks. */
+function MapProblem({ text }: { text: string }) {
+  const [shown, setShown] = useState(false);
+  return (
+    <>
+      <button type="button" aria-expanded={shown} title={text} onClick={() => setShown(!shown)}>No map</button>
+      {shown && <span class="said" role="status">{text}</span>}
+    </>
   );
 }
 

@@ -7,15 +7,17 @@ import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
 import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
+import { engage } from "./setpoint_orders.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
 import type { Store, Vehicle } from "./store.ts";
 
-export function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
+export function Goto({ store, connection, view, targets, enabled, send }: ButtonsProps) {
   const who = useTargetsText({ store, targets });
   const origin = useStore(store, (state) => state.origin);
   const chooser = useRef<HTMLButtonElement>(null);
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   const [fields, setFields] = useState({ x: "", y: "", height: "" });
+  const [kept, setKept] = useState(false);
   const x = Number(fields.x);
   const y = Number(fields.y);
   const height = fields.height.trim() === "" ? null : Number(fields.height);
@@ -61,15 +63,21 @@ export function Goto({ store, view, targets, enabled, send }: ButtonsProps) {
           </label>
         ))}
       </div>
-      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${fields.x}, y ${fields.y}${up}`}
+      <label class="check" title="The daemon sends the place as a setpoint, over and over, until Off or another order">
+        <input type="checkbox" checked={kept} onChange={(event) => setKept(event.currentTarget.checked)} /> Keep sending it, by setpoints
+      </label>
+      <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${fields.x}, y ${fields.y}${up}${kept ? ", by setpoints until Off" : ""}`}
         act={() => {
           const now = view.geodeticOf(x, y);
           if (now === null) return;
           const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
           const label = `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`;
-          void send({ label, method: "vehicles.goto", params: { ...now, height_m: height } }).then((state) => {
+          const go = async (): Promise<void> => {
+            if (kept && !(await engage(store, connection, targets))) return;
+            const state = await send({ label, method: "vehicles.goto", params: { ...now, height_m: height } });
             if (state === "done") store.dispatch({ type: "goals", goals });
-          });
+          };
+          void go();
           draft?.end();
           setDraft(null);
         }}>

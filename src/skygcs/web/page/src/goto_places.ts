@@ -1,5 +1,6 @@
 // Places that the order to fly somewhere takes over from vehicles. Pure.
 
+import { isFlown } from "./setpoint_orders.ts";
 import type { Vehicle } from "./store.ts";
 import { placeOf, type Frame } from "./view/frame.ts";
 
@@ -26,7 +27,7 @@ export function currentPlace(vehicles: readonly Vehicle[], frame: Frame | null):
  *  is the vehicle's own. */
 export function targetPlace(vehicles: readonly Vehicle[]): Place | null {
   return middle(vehicles.flatMap(({ control, position }) => {
-    const [x, y, up] = control === null || control.state === "off" ? [] : (control.reference?.pos_enu_m ?? []);
+    const [x, y, up] = isFlown({ control }) ? (control?.reference?.pos_enu_m ?? []) : [];
     if (x == null || y == null) return [];
     const above = position?.alt_rel_m == null || position.enu_m === null ? null : position.alt_rel_m - position.enu_m[2];
     return [{ x, y, heightM: up == null || above === null ? null : up + above }];

@@ -28,45 +28,57 @@ let nextId = 1;
 /** Questions at once: a page has 16 requests without an answer, and other parts of it ask, too. */
 const ASKED_AT_ONCE = 4;
 
-/** Sends an order and keeps its course in the store. Never rejects: what went wrong is the order's state. */
-export async function sendOrder(store: OrderStore, connection: Sender, request: OrderRequest): Promise<OrderState> {
+/** What an answer says of each vehicle, or of the fleet as a whole, in the terms of the list of orders. */
+export type Reader<T> = (answer: T) => { state: OrderState; outcomes: Outcomes; text: string | null };
+
+type Outcomes = Readonly<Record<string, Outcome>>;
+
+/** Of an order whose answer has an outcome for each vehicle. */
+export function readOutcomes(answer: { outcomes?: Outcomes } | null): ReturnType<Reader<unknown>> {
+  const outcomes = answer?.outcomes ?? {};
+  return { state: stateOf(outcomes), outcomes, text: null };
+}
+
+/** Sends an order and keeps its course in the store: its answer, or null. Never rejects: what went wrong is the order's
+ *  state, which `ended` is called with. */
+export async function runOrder<T>(
+  store: OrderStore,
+  connection: Sender,
+  request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined },
+  read: Reader<T>,
+  ended: (state: OrderState) => void = () => undefined,
+): Promise<T | null> {
   const id = nextId++;
-  const targets = request.targets ?? store.state.names;
+  const { label, method, targets } = request;
   store.dispatch({
     type: "orderBegun",
-    order: {
-      id,
-      label: request.label,
-      method: request.method,
-      targets,
-      startedMs: performance.now(),
-      endedMs: null,
-      state: "pending",
-      outcomes: {},
-      error: null,
-    },
+    order: { id, label, method, targets, startedMs: performance.now(), endedMs: null, state: "pending", outcomes: {}, error: null },
   });
-  const end = (state: OrderState, outcomes: Readonly<Record<string, Outcome>>, error: string | null): OrderState => {
+  const end = (state: OrderState, outcomes: Outcomes, error: string | null): void => {
     store.dispatch({ type: "orderEnded", id, atMs: performance.now(), state, outcomes, error });
-    return state;
+    ended(state);
   };
   try {
-    const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params };
-    const answer = await connection.order<{ outcomes?: Record<string, Outcome> } | null>(
-      request.method,
-      params,
-      request.withinS ?? ORDER_DEADLINE_S,
-      ({ vehicles = [], vehicle, outcome }) => {
-        const outcomes = vehicle === undefined || outcome === undefined ? {} : { [vehicle]: outcome };
-        store.dispatch({ type: "orderReported", id, vehicles, outcomes });
-      },
-    );
-    const outcomes = answer?.outcomes ?? {};
-    return end(stateOf(outcomes), outcomes, null);
+    const answer = await connection.order<T>(method, request.params, request.withinS ?? ORDER_DEADLINE_S, ({ vehicles = [], vehicle, outcome }) => {
+      const outcomes = vehicle === undefined || outcome === undefined ? {} : { [vehicle]: outcome };
+      store.dispatch({ type: "orderReported", id, vehicles, outcomes });
+    });
+    const { state, outcomes, text } = read(answer);
+    end(state, outcomes, text);
+    return answer;
   } catch (error) {
-    const state = error instanceof ConnectionLost ? "unknown" : "failed";
-    return end(state, {}, refusalText(error));
+    end(error instanceof ConnectionLost ? "unknown" : "failed", {}, refusalText(error));
+    return null;
   }
+}
+
+/** Sends an order that is for vehicles. */
+export async function sendOrder(store: OrderStore, connection: Sender, request: OrderRequest): Promise<OrderState> {
+  const { label, method, withinS } = request;
+  const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params };
+  let state: OrderState = "pending";
+  await runOrder(store, connection, { label, method, params, targets: request.targets ?? store.state.names, withinS }, readOutcomes, (now) => { state = now; });
+  return state;
 }
 
 export function isStop(order: Pick<OrderRun, "method">): boolean {

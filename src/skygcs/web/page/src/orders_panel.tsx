@@ -10,6 +10,8 @@ import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
 import { OriginOrder } from "./origin_order.tsx";
 import type { PanelProps } from "./panels/registry.ts";
+import { isFlown, keptText } from "./setpoint_orders.ts";
+import { ShapeOrder } from "./shape_order.tsx";
 import { modesFor } from "./modes.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type OrderState, type State } from "./store.ts";
@@ -115,6 +117,7 @@ function OrderButtons(props: ButtonsProps) {
       <Goto {...props} />
       <Mode {...props} />
       <Setpoints {...props} />
+      <ShapeOrder {...props} />
       <OriginOrder {...props} />
       <Emergency {...props} />
     </>
@@ -176,7 +179,8 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
 /** Flight by skygcs' own setpoints, of all that are selected. */
 function Setpoints({ store, targets, enabled, send }: ButtonsProps) {
   const who = useTargetsText({ store, targets });
-  const flown = useStore(store, (state) => targets.some((name) => !["off", undefined].includes(state.vehicles.get(name)?.control?.state)));
+  const flown = useStore(store, (state) => targets.some((name) => isFlown(state.vehicles.get(name))));
+  const kept = useStore(store, (state) => keptText(targets.flatMap((name) => state.vehicles.get(name) ?? [])));
   return (
     <section class="setpoints" aria-label="Setpoints">
       <h3>Setpoints</h3>
@@ -190,6 +194,7 @@ function Setpoints({ store, targets, enabled, send }: ButtonsProps) {
         onClick={() => void send({ label: "Setpoints off", method: "control.set", params: { mode: "off" } })}>
         Off
       </button>
+      {kept !== "" && <p class="muted small" role="status">{kept}</p>}
     </section>
   );
 }

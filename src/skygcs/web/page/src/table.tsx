@@ -272,10 +272,11 @@ function scrollTo(box: HTMLDivElement | null, index: number, rowPx: number): voi
   else if (top + rowPx > box.scrollTop + box.clientHeight - head) box.scrollTop = top + rowPx - box.clientHeight + head;
 }
 
-export const NARROW = "(max-width: 760px)";
+/** Upright, or lying on its side. */
+const NARROW = "(max-width: 760px), (max-height: 500px)";
 
 /** Whether the page is shown on a phone. */
-export function useNarrow(): boolean {
+function useNarrow(): boolean {
   const [narrow, setNarrow] = useState(() => matchMedia(NARROW).matches);
   useEffect(() => {
     const media = matchMedia(NARROW);

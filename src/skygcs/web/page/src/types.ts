@@ -230,8 +230,23 @@ export interface Hello {
   seq: number;
   daemon: DaemonLink;
   map: { url: string; points: readonly [MapPin, MapPin] } | null;
+  tiles?: TileFile | null;
+  /** Why the tiles that the fleet file names are not shown; empty: nothing is wrong. */
+  tiles_problem?: string;
   methods: { read: readonly string[]; order: readonly string[] };
   operator_timeout_s: number | null;
+}
+
+/** Map tiles on the ground station: `url`/zoom/x/y. */
+export interface TileFile {
+  url: string;
+  min_zoom: number;
+  max_zoom: number;
+  /** Pixels across one. */
+  tile_px: number;
+  /** West, south, east, north; null: not known. */
+  bounds_deg: readonly [number, number, number, number] | null;
+  attribution: string;
 }
 
 export interface Origin {

@@ -1,7 +1,7 @@
 // How panels ask and order: a read-only method is a call, any other carries a deadline.
 
-import { ConnectionLost, ORDER_DEADLINE_S, type Connection } from "../connection.ts";
-import { refusalText } from "../orders.ts";
+import { ORDER_DEADLINE_S, type Connection } from "../connection.ts";
+import { runOrder } from "../orders.ts";
 import type { State, Store } from "../store.ts";
 import type { Outcome } from "../types.ts";
 
@@ -22,44 +22,20 @@ export function ask<T>(store: Store, connection: Connection, method: string, par
     : connection.order<T>(method, params, ORDER_DEADLINE_S);
 }
 
-let nextId = 1_000_000;
-
-/** What an answer says of each vehicle, or of the fleet as a whole, in the terms of the list of orders. */
+/** What an answer says of each vehicle, or of the fleet as a whole. */
 export type Reader<T> = (answer: T) => { ok: boolean; outcomes: Readonly<Record<string, Outcome>>; text: string | null };
 
 /** An order whose parameters are not `targets`, shown in the list of orders as every order. Never rejects. */
-export async function orderWith<T>(
+export function orderWith<T>(
   store: Store,
   connection: Connection,
   request: { label: string; method: string; params: object; targets: readonly string[] },
   read: Reader<T>,
 ): Promise<T | null> {
-  const id = nextId++;
-  store.dispatch({
-    type: "orderBegun",
-    order: {
-      id,
-      label: request.label,
-      method: request.method,
-      targets: request.targets,
-      startedMs: performance.now(),
-      endedMs: null,
-      state: "pending",
-      outcomes: {},
-      error: null,
-    },
-  });
-  const atMs = (): number => performance.now();
-  try {
-    const answer = await connection.order<T>(request.method, request.params, ORDER_DEADLINE_S);
+  return runOrder<T>(store, connection, request, (answer) => {
     const { ok, outcomes, text } = read(answer);
-    store.dispatch({ type: "orderEnded", id, atMs: atMs(), state: ok ? "done" : "failed", outcomes, error: text });
-    return answer;
-  } catch (error) {
-    const state = error instanceof ConnectionLost ? "unknown" : "failed";
-    store.dispatch({ type: "orderEnded", id, atMs: atMs(), state, outcomes: {}, error: refusalText(error) });
-    return null;
-  }
+    return { state: ok ? "done" : "failed", outcomes, text };
+  });
 }
 
 /** The answer of plan.pause and the like. */

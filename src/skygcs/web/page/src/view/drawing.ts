@@ -5,7 +5,7 @@ import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera
 import { ringAt, spacingPx, type Ring } from "./crowding.ts";
 import { arrowText, type Arrow } from "./edge_arrows.ts";
 import type { Frame } from "./frame.ts";
-import type { Box } from "./labels.ts";
+import { leaderOf, type Box, type Placement } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body, Meeting } from "./scene.ts";
@@ -81,6 +81,12 @@ export function scaleBoxes(camera: Camera): Box[] {
   ];
 }
 
+/** Where `drawAttribution` draws, about: a letter is some 6 pixels wide. */
+export function attributionBox(camera: Camera, text: string): Box[] {
+  const { widthPx, heightPx } = camera;
+  return text === "" ? [] : [{ left: widthPx - 16 - 6 * text.length, top: heightPx - 22, right: widthPx, bottom: heightPx }];
+}
+
 /** Scale bar, north, and where the axes point, on the lower left; above the side view if there is one. */
 export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Frame | null): void {
   const length = niceLengthM(camera.pxPerM, SCALE_PX);
@@ -101,6 +107,30 @@ export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Fra
   pen.textBaseline = "bottom";
   haloText(pen, lengthText(length), x + 4, y - 5, palette.text, palette.ground);
   drawNorth(pen, 34, camera.heightPx - 78, palette, frame);
+}
+
+/** Lines from vehicles to labels that have no room beside them. */
+export function drawLeaders(pen: Pen, camera: Camera, palette: Palette, led: readonly { body: Body; at: Placement; widthPx: number }[]): void {
+  if (led.length === 0) return;
+  pen.beginPath();
+  for (const { body, at, widthPx } of led) {
+    const { from, to } = leaderOf(at, widthPx, reachOf(body));
+    const [x, y] = [toScreenX(camera, body.x), toScreenY(camera, body.y)];
+    pen.moveTo(x + from[0], y + from[1]);
+    pen.lineTo(x + to[0], y + to[1]);
+  }
+  pen.strokeStyle = palette.muted;
+  pen.lineWidth = 1;
+  pen.stroke();
+}
+
+/** Whom the map is from, on the lower right. */
+export function drawAttribution(pen: Pen, camera: Camera, palette: Palette, text: string): void {
+  if (text === "") return;
+  pen.font = `11px ${palette.font}`;
+  pen.textAlign = "right";
+  pen.textBaseline = "bottom";
+  haloText(pen, text, camera.widthPx - 8, camera.heightPx - 5, palette.text, palette.ground);
 }
 
 function drawNorth(pen: Pen, x: number, y: number, palette: Palette, frame: Frame | null): void {

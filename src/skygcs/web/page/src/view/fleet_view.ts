@@ -2,17 +2,17 @@
 
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
-import type { MapPin } from "../types.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
 import * as draw from "./drawing.ts";
 import { arrowAt, edgeArrows, type Arrow } from "./edge_arrows.ts";
-import { frameAt, fromGeodetic, placeImage, toGeodetic, type Frame, type ImagePlacement } from "./frame.ts";
+import { frameAt, fromGeodetic, toGeodetic, type Frame } from "./frame.ts";
 import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, type Box, type LabelTone, type Placement } from "./labels.ts";
+import { MapLayer } from "./map_layer.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
 import { Sprites } from "./sprites.ts";
 import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
-import { drawSide, SIDE_PX, topOf } from "./side_view.ts";
+import { drawSide, sidePxOf, topOf } from "./side_view.ts";
 
 const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
 /** The canvas is never finer than that: twice the pixels cost four times the time, and nobody sees the difference. */
@@ -78,7 +78,7 @@ export class FleetView {
   private placedMs = 0;
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
   private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
-  private image: { url: string; bitmap: HTMLImageElement; pins: readonly [MapPin, MapPin] } | null = null;
+  private readonly map = new MapLayer(() => this.redraw());
   private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -246,15 +246,7 @@ export class FleetView {
       this.frame = frameAt(origin, state.origin === null);
       this.trailsDrawn = null; // the old trails are in metres of the frame before
     }
-    this.loadMap(state.hello?.map ?? null);
-  }
-
-  private loadMap(map: { url: string; points: readonly [MapPin, MapPin] } | null): void {
-    if (map === null || this.image?.url === map.url) return;
-    const bitmap = new Image();
-    bitmap.onload = () => this.redraw();
-    bitmap.src = map.url;
-    this.image = { url: map.url, bitmap, pins: map.points };
+    this.map.show(state.hello);
   }
 
   private resize(): void {
@@ -267,7 +259,7 @@ export class FleetView {
     this.trailLayer.width = canvas.width;
     this.trailLayer.height = canvas.height;
     this.heightPx = height;
-    this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? SIDE_PX : 0), 1) };
+    this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? sidePxOf(height) : 0), 1) };
     this.trailsDrawn = null;
     this.fittedTo = 0;
     this.labels.clear(this.ratio);
@@ -331,7 +323,7 @@ export class FleetView {
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     pen.fillStyle = palette.ground;
     pen.fillRect(0, 0, camera.widthPx, this.heightPx);
-    if (this.options.map) this.drawMap(pen, camera);
+    if (this.options.map && this.frame !== null) this.map.draw(pen, camera, this.frame, this.ratio, palette);
     draw.drawGrid(pen, camera, palette);
     draw.drawOrigin(pen, camera, palette);
     draw.drawOverlays(pen, camera, palette, this.overlays.values(), colours);
@@ -345,9 +337,10 @@ export class FleetView {
     if (this.options.labels) this.drawLabels(pen, camera, palette, afar ? shown.filter(isUrgent).slice(0, MOST_URGENT) : shown, nowMs);
     this.drawArrows(pen, camera, palette, colours);
     draw.drawScale(pen, camera, palette, this.frame);
+    if (this.options.map) draw.drawAttribution(pen, camera, palette, this.map.attribution);
     if (this.options.side) {
       this.sideTopM = topOf(bodies, this.overlays.values(), this.sideTopM);
-      drawSide(pen, camera, camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values(), colours);
+      drawSide(pen, camera, camera.heightPx, this.heightPx - camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values(), colours);
     }
   }
 
@@ -386,26 +379,6 @@ export class FleetView {
     for (const { home } of state.vehicles.values()) {
       if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
     }
-  }
-
-  private drawMap(pen: draw.Pen, camera: Camera): void {
-    if (this.image === null || this.frame === null || !this.image.bitmap.complete) return;
-    if (this.image.bitmap.naturalWidth === 0) return;
-    const at: ImagePlacement | null = placeImage(this.frame, this.image.pins);
-    if (at === null) return;
-    const k = camera.pxPerM * this.ratio;
-    pen.save();
-    pen.setTransform(
-      at.a * k,
-      -at.b * k,
-      at.c * k,
-      -at.d * k,
-      toScreenX(camera, at.e) * this.ratio,
-      toScreenY(camera, at.f) * this.ratio,
-    );
-    pen.globalAlpha = 0.85;
-    pen.drawImage(this.image.bitmap, 0, 0);
-    pen.restore();
   }
 
   /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
@@ -453,14 +426,21 @@ export class FleetView {
         widthPx: sprites[i]?.widthPx ?? 0,
         nameWidthPx: sprites[i]?.nameWidthPx ?? 0,
         reachPx: draw.reachOf(body),
+        urgent: isUrgent(body),
         urgency: (isAlarming(body) ? 2 : 0) + (body.selected ? 1 : 0),
       }));
       requests.sort((a, b) => b.urgency - a.urgency);
       this.placements = placeLabels(requests, this.placements, camera.widthPx, camera.heightPx, [
         ...this.buttons(),
         ...draw.scaleBoxes(camera),
+        ...draw.attributionBox(camera, this.options.map ? this.map.attribution : ""),
       ]);
     }
+    const led = shown.flatMap((body, i) => {
+      const at = this.placements.get(body.name);
+      return at?.led === true ? [{ body, at, widthPx: sprites[i]?.nameWidthPx ?? 0 }] : [];
+    });
+    draw.drawLeaders(pen, camera, palette, led);
     pen.imageSmoothingEnabled = false; // they lie on whole pixels
     shown.forEach((body, i) => {
       const at = this.placements.get(body.name);

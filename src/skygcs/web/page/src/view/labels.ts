@@ -105,6 +105,8 @@ export interface Placement {
   dx: number;
   dy: number;
   full: boolean;
+  /** It is so far off that a line joins it to its vehicle. */
+  led: boolean;
 }
 
 /** A rectangle of the canvas. */
@@ -123,13 +125,23 @@ export interface LabelRequest {
   nameWidthPx: number;
   /** How far the vehicle's own marks reach from its middle: no label covers them. */
   reachPx: number;
+  /** Its second line is shown in a crowd, too. */
+  urgent: boolean;
 }
 
 const CELL_PX = 64;
 /** Between a vehicle's marks and its label. */
 const GAP_PX = 8;
+/** In a crowd, with so many others within that distance, labels are names alone. One that has its second line keeps it until
+ *  there is another one more, so that it does not come and go. */
+const CROWD_PX = 90;
+const CROWD = 4;
+const NAME_HEIGHT_PX = LINE_PX + 3;
+/** Where a name goes whose vehicle has no room beside it: rings of so many directions. */
+const RINGS_PX = [34, 56, 80];
+const RING_PLACES = 12;
 
-/** Labels in the order of their importance: each gets the first side that is free, the one it had before; some get none.
+/** Labels in the order of their importance: each gets the first place that is free, the one it had before; some get none.
  * `covered`: where buttons and marks of the view are. */
 export function placeLabels(
   requests: readonly LabelRequest[],
@@ -139,15 +151,17 @@ export function placeLabels(
   covered: readonly Box[] = [],
 ): Map<string, Placement> {
   const cells = new Map<number, Box[]>();
-  for (const box of covered) take(cells, box);
   const placed = new Map<string, Placement>();
+  const crowd = crowdOf(requests);
+  for (const box of covered) take(cells, box);
   for (const { xPx, yPx, reachPx } of requests) {
     take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
   }
   for (const request of requests) {
     const had = before.get(request.id);
-    const sides = had === undefined ? sidesOf(request) : [had, ...sidesOf(request)];
-    for (const side of sides) {
+    const names = !request.urgent && crowd(request) >= CROWD + (had?.full === true ? 1 : 0);
+    for (const side of inTurn(had, request)) {
+      if (side.full && names) continue;
       const box = boxOf(request, side);
       const inside = box.left >= 2 && box.top >= 2 && box.right <= viewWidthPx - 2 && box.bottom <= viewHeightPx - 2;
       if (!inside || !isFree(cells, box)) continue;
@@ -164,26 +178,77 @@ export function widthOf(label: { widthPx: number; nameWidthPx: number }, full: b
   return full ? label.widthPx : label.nameWidthPx;
 }
 
-function sidesOf(request: LabelRequest): Placement[] {
-  const sides: Placement[] = [];
-  const gapPx = request.reachPx + GAP_PX;
-  for (const full of [true, false]) {
-    const widthPx = widthOf(request, full);
-    const height = full ? HEIGHT_PX : LINE_PX + 3;
-    sides.push(
-      { dx: gapPx, dy: -height / 2, full },
-      { dx: -gapPx - widthPx, dy: -height / 2, full },
-      { dx: -widthPx / 2, dy: gapPx, full },
-      { dx: -widthPx / 2, dy: -gapPx - height, full },
-    );
+/** Counts the others near a vehicle. */
+function crowdOf(requests: readonly LabelRequest[]): (request: LabelRequest) => number {
+  const byCell = new Map<string, LabelRequest[]>();
+  const keyOf = (i: number, j: number): string => `${i},${j}`;
+  const cellOf = (px: number): number => Math.floor(px / CROWD_PX);
+  for (const request of requests) {
+    const key = keyOf(cellOf(request.xPx), cellOf(request.yPx));
+    const list = byCell.get(key);
+    if (list === undefined) byCell.set(key, [request]);
+    else list.push(request);
   }
-  return sides;
+  return ({ xPx, yPx }) => {
+    let count = -1; // itself
+    for (let i = cellOf(xPx) - 1; i <= cellOf(xPx) + 1; i++) {
+      for (let j = cellOf(yPx) - 1; j <= cellOf(yPx) + 1; j++) {
+        for (const other of byCell.get(keyOf(i, j)) ?? []) {
+          if (Math.hypot(other.xPx - xPx, other.yPx - yPx) < CROWD_PX) count += 1;
+        }
+      }
+    }
+    return count;
+  };
+}
+
+/** Beside the vehicle whole, beside it as a name, farther off; of each kind the place it had before comes first. */
+function* inTurn(had: Placement | undefined, request: LabelRequest): Generator<Placement> {
+  if (had?.full === true) yield had;
+  yield* sidesOf(request, true);
+  if (had?.full === false && !had.led) yield had;
+  yield* sidesOf(request, false);
+  if (had?.led === true) yield had;
+  yield* ringsOf(request);
+}
+
+function* ringsOf(request: LabelRequest): Generator<Placement> {
+  const widthPx = request.nameWidthPx;
+  for (const ringPx of RINGS_PX) {
+    for (let n = 0; n < RING_PLACES; n++) {
+      const angle = (n / RING_PLACES) * 2 * Math.PI - Math.PI / 4; // the upper right first
+      const [x, y] = [Math.cos(angle), Math.sin(angle)];
+      const farPx = request.reachPx + ringPx;
+      yield { dx: x * (farPx + widthPx / 2) - widthPx / 2, dy: y * farPx - NAME_HEIGHT_PX / 2, full: false, led: true };
+    }
+  }
+}
+
+/** From a vehicle's middle to the nearest point of its label, relative to the vehicle; without what its marks cover. */
+export function leaderOf({ dx, dy }: Placement, widthPx: number, reachPx: number): { from: [number, number]; to: [number, number] } {
+  const clamped = (low: number, size: number): number => Math.min(Math.max(0, low), low + size);
+  const to: [number, number] = [clamped(dx, widthPx), clamped(dy, NAME_HEIGHT_PX)];
+  const share = reachPx / Math.max(Math.hypot(...to), 1);
+  return { from: [to[0] * share, to[1] * share], to };
+}
+
+function sidesOf(request: LabelRequest, full: boolean): Placement[] {
+  const gapPx = request.reachPx + GAP_PX;
+  const widthPx = widthOf(request, full);
+  const height = full ? HEIGHT_PX : NAME_HEIGHT_PX;
+  const near = { full, led: false };
+  return [
+    { dx: gapPx, dy: -height / 2, ...near },
+    { dx: -gapPx - widthPx, dy: -height / 2, ...near },
+    { dx: -widthPx / 2, dy: gapPx, ...near },
+    { dx: -widthPx / 2, dy: -gapPx - height, ...near },
+  ];
 }
 
 function boxOf(request: LabelRequest, side: Placement): Box {
   const left = request.xPx + side.dx;
   const top = request.yPx + side.dy;
-  return { left, top, right: left + widthOf(request, side.full), bottom: top + (side.full ? HEIGHT_PX : LINE_PX + 3) };
+  return { left, top, right: left + widthOf(request, side.full), bottom: top + (side.full ? HEIGHT_PX : NAME_HEIGHT_PX) };
 }
 
 function cellsOf(box: Box): number[] {

@@ -1,6 +1,7 @@
 // What the view shows at one moment: each vehicle's place, nose, colour and label, worked out from the store. Pure.
 
 import { siteOf } from "../levels.ts";
+import { isFlown } from "../setpoint_orders.ts";
 import { ageOf, isHeard, serverNowS, type State, type Vehicle } from "../store.ts";
 import type { Separation, Vec3 } from "../types.ts";
 import { troubleOf, type Trouble } from "../trouble.ts";
@@ -84,8 +85,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
 
 /** The place that skygcs' own control steers to; null for axes that follow a velocity. */
 function goalOf(vehicle: Vehicle): Vec3 | null {
-  if (vehicle.control === null || vehicle.control.state === "off") return null;
-  const [x, y, z] = vehicle.control.reference?.pos_enu_m ?? [];
+  const [x, y, z] = isFlown(vehicle) ? (vehicle.control?.reference?.pos_enu_m ?? []) : [];
   return x == null || y == null ? null : [x, y, z ?? 0];
 }
 

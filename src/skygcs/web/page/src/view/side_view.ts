@@ -6,9 +6,16 @@ import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body } from "./scene.ts";
 
-export const SIDE_PX = 120;
+/** Of a low view, as on a phone that lies on its side, a quarter. */
+const SIDE_PX = 120;
+const LEAST_SIDE_PX = 64;
 const BASE_PX = 18;
 const LEAST_TOP_M = 12;
+
+/** How high the strip is in a view of this height. */
+export function sidePxOf(heightPx: number): number {
+  return Math.max(Math.min(SIDE_PX, Math.round(heightPx / 4)), LEAST_SIDE_PX);
+}
 
 /** Of each overlay, which does not change: a plan has thousands of points. */
 const tops = new WeakMap<Overlay, number>();
@@ -40,6 +47,7 @@ export function drawSide(
   pen: Pen,
   camera: Camera,
   topPx: number,
+  sidePx: number,
   topM: number,
   palette: Palette,
   bodies: readonly Body[],
@@ -47,15 +55,15 @@ export function drawSide(
   overlays: Iterable<Overlay>,
   colours: Colours,
 ): void {
-  const pxPerM = (SIDE_PX - BASE_PX - 8) / topM;
-  const groundPx = topPx + SIDE_PX - BASE_PX;
+  const pxPerM = (sidePx - BASE_PX - 8) / topM;
+  const groundPx = topPx + sidePx - BASE_PX;
   const yOf = (z: number): number => groundPx - z * pxPerM;
   pen.save();
   pen.beginPath();
-  pen.rect(0, topPx, camera.widthPx, SIDE_PX);
+  pen.rect(0, topPx, camera.widthPx, sidePx);
   pen.clip();
   pen.fillStyle = palette.surface;
-  pen.fillRect(0, topPx, camera.widthPx, SIDE_PX);
+  pen.fillRect(0, topPx, camera.widthPx, sidePx);
   heightLines(pen, camera, palette, topM, pxPerM, yOf);
   for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, yOf);
   drawStems(pen, camera, palette, bodies, yOf);
