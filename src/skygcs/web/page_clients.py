@@ -93,6 +93,8 @@ class Source(Protocol):
     """Text about the missing part, although it is connected."""
     site: str | None
     """The name of the own site, where there are others."""
+    info: dict[str, Any]
+    """The daemon's answer to daemon.info."""
 
     async def call(
         self,
@@ -172,7 +174,8 @@ class PageClients:
         source = self.source
         since_s = round(source.since, 3)
         status = {"connected": source.connected, "slow": source.slow, "text": source.text, "since_s": since_s}
-        return status | {"note": source.note, "site": source.site}
+        drills = source.info.get("drills") is not None
+        return status | {"note": source.note, "site": source.site, "drills": drills}
 
     def rate_hz(self) -> float | None:
         """The highest rate that a page wants, of a large fleet less; None: no page wants states."""

@@ -23,6 +23,7 @@ READ = frozenset(
         "control.status",
         "corrections.status",
         "daemon.info",
+        "drills.status",
         "events.recent",
         "link.status",
         "links.list",
@@ -56,6 +57,7 @@ READ = frozenset(
 ENDS_FLIGHT = frozenset(
     {
         "formation.stop",
+        "missions.end_turns",
         "missions.pause",
         "plan.abort",
         "plan.land",
@@ -79,6 +81,8 @@ ORDERS = frozenset(
         "control.set",
         "control.setpoint",
         "corrections.survey",
+        "drills.begin",
+        "drills.end",
         "fence.set",
         "fence.status",
         "fence.test",
