@@ -6,8 +6,8 @@ import re
 
 import pytest
 from playwright.sync_api import expect
-from test_axe import AXE, findings
 
+from support.axe import AXE, findings
 from support.page_steps import fits, select, side
 
 
@@ -22,7 +22,6 @@ def test_a_fault_is_begun_shown_on_every_page_and_ended(drilled, open_page, shot
     phone = width < 500
     page = open_page(drilled, width=width, height=height, theme=theme)
     select(page, "v2")
-    page.evaluate("skygcs.store.dispatch({type: 'show', name: 'v2'})")
     side(page, "Vehicle", phone=phone)
     page.get_by_role("tab", name="Drill").click()
     faults = page.get_by_role("region", name="Faults")

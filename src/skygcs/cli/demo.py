@@ -197,7 +197,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
         links["qgc"] = UdpClientLinkConfig(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
     return FleetConfig(
         daemon=DaemonConfig(socket=socket, log_dir=log_dir),
-        extensions=_drills() | ({} if web_port is None else {"web": WebConfig(port=web_port)}),
+        extensions=_tables() | ({} if web_port is None else {"web": WebConfig(port=web_port)}),
         origin=HOME,
         links=links,
         vehicles={
@@ -208,9 +208,9 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
     )
 
 
-def _drills() -> dict[str, Model]:
-    """The table [drills]: whoever looks at the demo may give its vehicles faults."""
-    owners, _ = find_owners({"drills"})
+def _tables() -> dict[str, Model]:
+    """The tables [drills] and [recordings]: whoever looks at the demo may give its vehicles faults, and replay it."""
+    owners, _ = find_owners({"drills", "recordings"})
     return {name: owner.Config() for name, owner in owners.items()}
 
 

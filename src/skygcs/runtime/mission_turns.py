@@ -1,8 +1,8 @@
 """Starts the missions of several vehicles one after another: the next when the one before is done, or has landed.
 
-Who may start is decided by `core.vehicle.mission_orders.next_turn`. Each start is an order as a person's: preflight, the
-monitor's check and every other check refuse it as they refuse that, and the turns end. Whatever is ordered to one of
-them, STOP included, ends the turns too: nothing starts by itself after a person has taken over.
+Who may start is decided by `core.vehicle.mission_orders.next_turn`. Each start is an order as a person's: preflight,
+the monitor's check and every other check refuse it as they refuse that, and the turns end. Whatever is ordered to one
+of them, STOP included, ends the turns too: nothing starts by itself after a person has taken over.
 """
 
 from __future__ import annotations

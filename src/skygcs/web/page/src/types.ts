@@ -214,6 +214,8 @@ export interface DaemonLink {
   site?: string | null;
   /** It simulates vehicles that may be given faults. */
   drills?: boolean;
+  /** It lists its recordings and has one replayed. */
+  recordings?: boolean;
 }
 
 export interface MapPin {
