@@ -9,6 +9,7 @@ rank   events
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,11 +24,12 @@ LAST = frozenset({"armed", "disarmed", "landed", "mode"})
 
 
 def marks_of(events: Iterable[tuple[float, dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The marks of events with their times in the recording, in the order of time."""
+    """The marks of events with their times in the recording, in the order of time. A time is rounded up, so that a jump
+    to it has the event behind it."""
     ranked = [(rank, at_s, event) for at_s, event in events if (rank := _rank(event)) is not None]
     if len(ranked) > MAX_MARKS:
         ranked = sorted(sorted(ranked, key=lambda r: r[0])[:MAX_MARKS], key=lambda r: r[1])
-    return [{"at_s": round(at_s, 3), "event": event} for _, at_s, event in ranked]
+    return [{"at_s": math.ceil(at_s * 1000.0) / 1000.0, "event": event} for _, at_s, event in ranked]
 
 
 def _rank(event: dict[str, Any]) -> int | None:

@@ -65,7 +65,7 @@ export default function RecordingsPanel({ store, connection }: PanelProps) {
         <Scroll label="List of recordings">
           <table class="plain">
             <thead>
-              <tr><th>begun</th><th class="number">length</th><th class="number">size</th><th>file</th>{orders && <th><span class="unseen">Replay</span></th>}</tr>
+              <tr><th>begun</th><th class="number">length</th><th class="number">size</th>{orders && <th><span class="unseen">Replay</span></th>}<th>file</th></tr>
             </thead>
             <tbody>
               {answer.recordings.map((one) => (
@@ -73,8 +73,8 @@ export default function RecordingsPanel({ store, connection }: PanelProps) {
                   <td>{new Date((one.begun_unix_s ?? one.ended_unix_s) * 1000).toLocaleString([], { hour12: false })}</td>
                   <td class="number">{one.begun_unix_s === null ? "–" : clockText(one.ended_unix_s - one.begun_unix_s).replace(/\.\d$/, "")}</td>
                   <td class="number">{(one.bytes / 1e6).toFixed(1)} MB</td>
-                  <td>{one.name}</td>
                   {orders && <td><button type="button" aria-label={`Replay ${one.name}`} disabled={starting !== null} onClick={() => void replay(one.name)}>{starting === one.name ? "Replay starts …" : "Replay"}</button></td>}
+                  <td>{one.name}</td>
                 </tr>
               ))}
             </tbody>

@@ -113,17 +113,17 @@ function Ticks({ marks, duration_s }: { marks: readonly Mark[]; duration_s: numb
   );
 }
 
-/** A place that is so near is at the mark: the clock shows tenths. */
-const HERE_S = 0.1;
+/** A place that is so near is at the mark: places come in milliseconds. */
+const HERE_S = 0.0005;
 
 function MarkButtons({ marks, position_s, may, seek }: { marks: readonly Mark[]; position_s: number; may: boolean; seek: (at_s: number) => void }) {
   const before = markBefore(marks, position_s - HERE_S);
   const after = markAfter(marks, position_s + HERE_S);
   return (
-    <>
+    <span class="marks">
       <button type="button" aria-label="Previous event" disabled={!may || before === null} onClick={() => before !== null && seek(before.at_s)}>‹</button>
       <button type="button" aria-label="Next event" disabled={!may || after === null} onClick={() => after !== null && seek(after.at_s)}>›</button>
-    </>
+    </span>
   );
 }
 

@@ -50,7 +50,7 @@ function FaultRow({ fault, active, may, begin, end }: { fault: DrillFault; activ
         <span class="muted small">{WHAT[fault.fault] ?? ""}</span>
       </span>
       {may && fault.unit !== null && <NumberField label={`${title} value`} unit={fault.unit} value={value} least={fault.least} most={fault.most} onValue={setValue} />}
-      {may && <button type="button" disabled={fault.unit !== null && value === null} aria-label={`Begin ${active === null ? "" : "again "}${fault.text}`} onClick={() => begin(fault.unit === null ? null : value)}>{active === null ? "Begin" : "Begin again"}</button>}
+      {may && (active === null || fault.unit !== null) && <button type="button" disabled={fault.unit !== null && value === null} aria-label={`Begin ${active === null ? "" : "again "}${fault.text}`} onClick={() => begin(fault.unit === null ? null : value)}>{active === null ? "Begin" : "Begin again"}</button>}
       {may && active !== null && <button type="button" class="primary" aria-label={`End ${fault.text}`} onClick={end}>End</button>}
     </li>
   );
