@@ -432,6 +432,16 @@ class FakePlanning(Extension[NoTable]):
         return PlanningQueue(asyncio.get_running_loop(), compute_here)
 
 
+class FakeTurns:
+    """No missions are flown one after another."""
+
+    def of(self, _: FakeVehicle) -> None:
+        return None
+
+    def end(self, why: str) -> bool:
+        return False
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
@@ -445,6 +455,7 @@ class FakeFleet:
         self.undo = FakeUndo()
         self.monitor = FakeMonitor()
         self.plans = FakePlans()
+        self.turns = FakeTurns()
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []

@@ -23,6 +23,15 @@ WATCH_HOLD = """button => {
 """Sees that a button which is held down acts: after its second, and a frame that a busy machine draws late."""
 
 
+DROP = """([name, text]) => {
+  const data = new DataTransfer();
+  data.items.add(new File([text], name, {type: "text/plain"}));
+  const zone = document.querySelector(".dropzone");
+  for (const type of ["dragover", "drop"])
+    zone.dispatchEvent(new DragEvent(type, {dataTransfer: data, bubbles: true, cancelable: true}));
+}"""
+"""Drops one file on the place for files of a panel."""
+
 IN_TROUBLE = """() => {
     const { store } = skygcs, { clock, vehicles } = store.state, like = vehicles.get("v1");
     const now_s = clock.now_s + (performance.now() - clock.atMs) / 1000;
@@ -47,6 +56,12 @@ def select(page: Page, *names: str) -> None:
     """Select vehicles, as the table does."""
     until(page, f"{json.dumps(names)}.every(name => skygcs.store.state.vehicles.has(name))")
     page.evaluate("names => skygcs.store.dispatch({type: 'select', names, how: 'only'})", list(names))
+
+
+def drop(page: Page, name: str, text: str) -> None:
+    """Drop a file on the panel."""
+    page.wait_for_selector(".dropzone")
+    page.evaluate(DROP, [name, text])
 
 
 def side(page: Page, title: str, *, phone: bool = False) -> None:

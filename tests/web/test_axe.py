@@ -7,28 +7,14 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
+from support.axe import AXE, findings
 from support.browser import until
 from support.page_steps import IN_TROUBLE, select
-from support.process import ROOT
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
 
-AXE = ROOT / "src/skygcs/web/page/node_modules/axe-core/axe.min.js"
-
-RUN = """async () => {
-    const brief = ({ target, html }) => `${target} ${html.replace(/ (class|title)="[^"]*"/g, "").slice(0, 260)}`;
-    const { violations } = await axe.run(document, { resultTypes: ["violations"] });
-    return violations.map(({ id, nodes }) => `${id}: ${nodes.slice(0, 3).map(brief).join(" | ")}`);
-}"""
-
 PANES = ("View", "Table", "Orders", "Vehicle", "Missions", "Plans")
-
-
-def findings(page: Page) -> list[str]:
-    """What axe finds on the screen as it is."""
-    found: list[str] = page.evaluate(RUN)
-    return found
 
 
 def screens(page: Page, *, phone: bool) -> Iterator[str]:

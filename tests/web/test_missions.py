@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
-from support.page_steps import click_view, fits, hold, select, side
+from support.page_steps import click_view, drop, fits, hold, select, side
 
 WPL = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t43.7806\t-79.4653\t180\t1
@@ -17,20 +17,6 @@ WPL = """QGC WPL 110
 4\t0\t3\t20\t0\t0\t0\t0\t0\t0\t0\t1
 """
 TOO_HIGH = WPL.replace("-79.4655\t12", "-79.4655\t900")
-
-DROP = """([name, text]) => {
-  const data = new DataTransfer();
-  data.items.add(new File([text], name, {type: "text/plain"}));
-  const zone = document.querySelector(".dropzone");
-  for (const type of ["dragover", "drop"])
-    zone.dispatchEvent(new DragEvent(type, {dataTransfer: data, bubbles: true, cancelable: true}));
-}"""
-
-
-def drop(page: Page, name: str, text: str) -> None:
-    """Drop a file on the panel."""
-    page.wait_for_selector(".dropzone")
-    page.evaluate(DROP, [name, text])
 
 
 def test_a_dropped_mission_is_checked_drawn_uploaded_and_flown(station, open_page, shot) -> None:

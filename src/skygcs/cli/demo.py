@@ -26,6 +26,7 @@ from skygcs.cli.render import LiveView, table
 from skygcs.cli.status import status_table
 from skygcs.cli.web import can_open_browser, unused_port, wait_for_link
 from skygcs.config.dialects import load_dialect
+from skygcs.config.extension_tables import find_owners
 from skygcs.config.models import (
     DaemonConfig,
     FleetConfig,
@@ -34,6 +35,7 @@ from skygcs.config.models import (
     UdpClientLinkConfig,
     VehicleEntry,
 )
+from skygcs.config.tables import Model
 from skygcs.config.web import WebConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import SkygcsError
@@ -195,7 +197,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
         links["qgc"] = UdpClientLinkConfig(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
     return FleetConfig(
         daemon=DaemonConfig(socket=socket, log_dir=log_dir),
-        extensions={} if web_port is None else {"web": WebConfig(port=web_port)},
+        extensions=_tables() | ({} if web_port is None else {"web": WebConfig(port=web_port)}),
         origin=HOME,
         links=links,
         vehicles={
@@ -204,6 +206,12 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
             "charlie": VehicleEntry(sysid=3, autopilot="ardupilot"),
         },
     )
+
+
+def _tables() -> dict[str, Model]:
+    """The tables [drills] and [recordings]: whoever looks at the demo may give its vehicles faults, and replay it."""
+    owners, _ = find_owners({"drills", "recordings"})
+    return {name: owner.Config() for name, owner in owners.items()}
 
 
 @contextlib.asynccontextmanager

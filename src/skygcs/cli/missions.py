@@ -29,6 +29,7 @@ from skygcs.cli.connection import (
     run_show,
     waiting,
 )
+from skygcs.cli.mission_arrangement import Arrange, Heading, Spacing, Step, arrangement_of
 from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Targets
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import finite, parse_number
@@ -309,8 +310,16 @@ def _upload(
     targets: Targets,
     file: PlanFile,
     only: Lists = None,
+    arrange: Arrange = None,
+    step_m: Step = None,
+    spacing_m: Spacing = None,
+    heading_deg: Heading = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Although the plan has errors, or the vehicle flies a mission.")
+        bool,
+        typer.Option(
+            "--force",
+            help="Although the plan has errors, the vehicle flies a mission, or missions come too near each other.",
+        ),
     ] = False,
     json_output: OrderJson = None,
 ) -> None:
@@ -318,7 +327,9 @@ def _upload(
 
     Example: skygcs-cli mission upload alpha survey.plan
     """
-    upload(targets, file, None if only is None else [name.value for name in only], force, json_output)
+    arrangement = arrangement_of(arrange, step_m=step_m, spacing_m=spacing_m, heading_deg=heading_deg)
+    lists = None if only is None else [name.value for name in only]
+    upload(targets, file, lists, force, json_output, arrangement)
 
 
 @missions.command("download")
@@ -356,6 +367,9 @@ def _start(
     targets: Targets,
     first: Annotated[int, typer.Option("--first", metavar="ITEM", min=1, help="Begin with this item.")] = 1,
     arm: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    one_after_another: Annotated[
+        bool, typer.Option("--one-after-another", help="The next one starts when the one before is done or has landed.")
+    ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Without a required preflight, and although another vehicle is in the way.")
     ] = False,
@@ -365,7 +379,21 @@ def _start(
 
     Example: skygcs-cli mission start alpha
     """
-    run_order("missions.start", json_output, targets=targets, first=first, arm=arm, force=force)
+    given = {"first": first, "arm": arm, "one_after_another": one_after_another, "force": force}
+    run_order("missions.start", json_output, targets=targets, **given)
+
+
+@missions.command("end-turns")
+def _end_turns(json_output: Json = False) -> None:
+    """End missions one after another: who flies goes on, who waits does not start.
+
+    Example: skygcs-cli mission end-turns
+    """
+
+    def lines(answer: dict[str, Any]) -> Iterator[str]:
+        yield "ended: nobody else starts" if answer["ended"] else "no missions are flown one after another"
+
+    run_show("missions.end_turns", json_output, lines)
 
 
 @missions.command("pause")
@@ -449,8 +477,10 @@ def _watch(
 
 
 def _mission_line(status: dict[str, Any]) -> str:
-    count = status["counts"]["mission"]
+    count, turn = status["counts"]["mission"], status["turn"]
     parts = [f"{status['vehicle']:<10}"]
+    if turn is not None and turn["state"] == "waits":
+        return f"{parts[0]}  waits for its turn, {turn['turn']} of {turn['of']}" + _transfer(status)
     if count == 0 or status["state"] == NO_MISSION:
         return f"{parts[0]}  no mission" + _transfer(status)
     if status["item"] is None:
@@ -480,13 +510,20 @@ def _of_missions(event: dict[str, Any]) -> bool:
 # --- transfers --------------------------------------------------------------------------------------------------------
 
 
-def upload(targets: str, file: Path, lists: list[str] | None, force: bool, json_output: JsonForm) -> NoReturn:
+def upload(
+    targets: str,
+    file: Path,
+    lists: list[str] | None,
+    force: bool,
+    json_output: JsonForm,
+    arrangement: dict[str, Any] | None = None,
+) -> NoReturn:
     """Upload lists of a plan (None: all it holds). The plan file is read before the daemon is called."""
 
     async def sent(content: str, plan: MissionPlan) -> int:
         try:
             async with client() as gcs:
-                given = {"plan": content, "name": file.name, "lists": lists, "force": force}
+                given = {"plan": content, "name": file.name, "lists": lists, "force": force, "arrangement": arrangement}
                 outcomes = await give_order(gcs, "missions.upload", json_output, targets=targets, **given)
         except asyncio.CancelledError:
             kinds = lists or [kind.word for kind in plan.holds()]

@@ -146,8 +146,8 @@ METHODS: MethodTable[Context] = MethodTable(
         "skygcs.rpc.missions",
         "METHODS",
         (
-            *("missions.upload", "missions.download", "missions.clear", "missions.start", "missions.pause"),
-            *("missions.resume", "missions.set_current", "missions.status"),
+            *("missions.upload", "missions.download", "missions.clear", "missions.start", "missions.end_turns"),
+            *("missions.pause", "missions.resume", "missions.set_current", "missions.status"),
         ),
     ),
     links.AIR,

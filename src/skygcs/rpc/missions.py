@@ -10,15 +10,26 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from skygcs.core.mission.formats import read_plan
-from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.item import FIRST_ITEM, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.fence_params import FenceAction
+from skygcs.core.vehicle.formation import SPACING_M, Arrangement
 from skygcs.errors import PlanFileError
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, command, command_with, one_vehicle, resolve
+from skygcs.rpc.context import Context, JsonObject, as_json, command, command_with, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.models import ListParams, OutcomeResult, Outcomes, Result, TargetParams, TargetsParams
+from skygcs.rpc.models import (
+    ListParams,
+    MethodParams,
+    NoParams,
+    OutcomeResult,
+    Outcomes,
+    Result,
+    TargetParams,
+    TargetsParams,
+)
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -30,14 +41,40 @@ Lists = Annotated[list[ListName], Field(min_length=1, max_length=3)]
 ALL_LISTS: list[ListName] = ["mission", "fence", "rally"]
 
 
-ItemNumber = Annotated[int, Field(ge=1, le=65535, description="An item of the mission, counted from 1.")]
+ItemNumber = Annotated[int, Field(ge=FIRST_ITEM, le=65535, description="An item of the mission, counted from 1.")]
+
+
+class ArrangementParams(MethodParams):
+    """How the missions of several vehicles differ that are made from one."""
+
+    kind: Literal["heights", "present", "line", "column"] = Field(
+        description="heights: each next vehicle higher; present: the path moved by where each is now, seen from the "
+        "first; line, column: each next one beside or behind the one before."
+    )
+    step_m: float | None = Field(
+        None, gt=0, le=100, description="Of heights; null: what the margins and the climbs need, at least 3 m."
+    )
+    spacing_m: float = Field(SPACING_M, gt=0, le=1000, description="Of line and column.")
+    heading_deg: float | None = Field(
+        None, ge=-360, le=360, description="Of line and column, by compass; null: the course of the first leg."
+    )
+
+    def arrangement(self) -> Arrangement:
+        return Arrangement(**self.model_dump())
 
 
 class PlanUploadParams(TargetsParams):
     plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
     name: str = Field("plan", max_length=200, description="Name of the plan in error texts: the file's name.")
     lists: Lists | None = Field(None, description="Which of mission, fence, rally; null: those that the plan holds.")
-    force: bool = Field(False, description="Upload although the plan has errors, or the vehicle flies its mission.")
+    arrangement: ArrangementParams | None = Field(
+        None, description="Make the mission of each vehicle from the plan's; null: all get it as it is."
+    )
+    force: bool = Field(
+        False,
+        description="Upload although the plan has errors, the vehicle flies its mission, or missions come too near "
+        "each other.",
+    )
 
 
 class PlanDownloadParams(TargetParams):
@@ -52,8 +89,12 @@ class PlanClearParams(TargetsParams):
 
 
 class MissionStartParams(TargetsParams):
-    first: ItemNumber = 1
+    first: ItemNumber = FIRST_ITEM
     arm: bool = Field(True, description="Arm first if it is not armed.")
+    one_after_another: bool = Field(
+        False,
+        description="The first one by system id starts now, each next one when the one before is done or has landed.",
+    )
     force: bool = Field(
         False, description="Although preflight is required and not passed, or another vehicle is in the way."
     )
@@ -93,11 +134,19 @@ class MissionStatus(Result):
         description="How the last transfer of each list ended: an outcome, with state (complete, cleared, unchanged, "
         "partial or unknown: what the vehicle holds) and the same as a sentence in message."
     )
+    turn: dict[str, Any] | None = Field(
+        description="turn, of, state (flies, waits, done) of missions flown one after another; null: they are not."
+    )
     fence: dict[str, Any] | None = Field(description="Fields of FENCE_STATUS; null: it sends none (PX4).")
 
 
+class TurnsEnded(Result):
+    ended: bool = Field(description="False: no missions were flown one after another.")
+
+
 async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
-    """Check a plan against each vehicle and upload it, its fence first.
+    """Check a plan against each vehicle and upload it, its fence first. With an arrangement each vehicle gets a mission
+    of its own, made from the plan's, in the order of their system ids; those that come too near each other are refused.
 
     Progress comes as events of kind command, every ten percent. An outcome that is not ok says what the vehicle holds;
     a client that goes away ends the upload, and an event says the same.
@@ -107,7 +156,11 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
     kinds = plan.holds() if params.lists is None else _kinds(params.lists)
-    return await command(context, params.targets, VehicleActor.upload_plan, plan=plan, kinds=kinds, force=params.force)
+    arrangement = None if params.arrangement is None else params.arrangement.arrangement()
+    if arrangement is not None and MissionType.MISSION not in kinds:
+        raise InvalidParams(("arrangement", "it is of missions, and none is uploaded"))
+    given = {"plan": plan, "kinds": kinds, "arrangement": arrangement, "force": params.force}
+    return await command(context, params.targets, VehicleActor.upload_plan, **given)
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
@@ -129,9 +182,27 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 
 
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
-    """Fly the mission that is on board, from an item on."""
-    arguments = {"first": params.first, "arm": params.arm, "force": params.force}
+    """Fly the mission that is on board, from an item on.
+
+    One after another: the answer comes when the first one has started. Each start is checked as an order of its own.
+    Any order to one of them ends the turns, and so do a failsafe, the loss of the one that flies and a refused start;
+    an event of kind mission says which.
+    """
+    arguments: dict[str, Any] = {"first": params.first, "arm": params.arm, "force": params.force}
+    if params.one_after_another:
+        fleet = context.services.fleet
+
+        async def start(actor: VehicleActor) -> Outcome:
+            outcomes = await fleet.orders.command_all([actor.name], VehicleActor.start_mission, **arguments)
+            return outcomes[actor.name]
+
+        return as_json(await fleet.turns.begin(fleet.resolve(params.targets), start))
     return await command(context, params.targets, VehicleActor.start_mission, **arguments)
+
+
+def missions_end_turns(context: Context, params: NoParams) -> JsonObject:
+    """End missions one after another: the vehicle that flies goes on, those that wait do not start."""
+    return {"ended": context.services.fleet.turns.end("ended by an order")}
 
 
 async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
@@ -151,11 +222,12 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
     """Where each vehicle is in its mission, what it holds, and what is being transferred."""
-    reports = []
+    reports, turns = [], context.services.fleet.turns
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name
         fence = vehicle.latest("FENCE_STATUS") if has_fence else None
-        reports.append({"vehicle": vehicle.name, **vehicle.missions.status(), "fence": fence and fence["fields"]})
+        status = vehicle.missions.status() | {"turn": turns.of(vehicle)}
+        reports.append({"vehicle": vehicle.name, **status, "fence": fence and fence["fields"]})
     return reports
 
 
@@ -237,6 +309,7 @@ METHODS: tuple[Method[Context], ...] = (
     Method("missions.download", PlanDownloadParams, missions_download, PlanDownload, _TARGET),
     Method("missions.clear", PlanClearParams, missions_clear, Outcomes, _TARGET),
     Method("missions.start", MissionStartParams, missions_start, Outcomes, _TARGET),
+    Method("missions.end_turns", NoParams, missions_end_turns, TurnsEnded),
     Method("missions.pause", TargetsParams, missions_pause, Outcomes, _TARGET),
     Method("missions.resume", MissionResumeParams, missions_resume, Outcomes, _TARGET),
     Method("missions.set_current", MissionItemParams, missions_set_current, Outcomes, _TARGET),

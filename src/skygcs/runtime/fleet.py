@@ -37,6 +37,7 @@ from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
+from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.preflight_run import Unheard, examine_all
@@ -123,7 +124,8 @@ class Fleet:
         param_cache = param_cache or ParamCache(None)
         param_cache.disk = self.disk
         self._services = self._new_services(param_cache, probes=probes)
-        self.orders = FleetOrders(self, self._services, self.monitor, self.returns)
+        self.turns = MissionTurns(loop, on_event)
+        self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
         self.sleep = SleepWatch(self._woke)
         self.flights = FlightJournal(own.log_dir, self.disk, on_event)
         self._owed: dict[int, str] = {}
@@ -246,6 +248,7 @@ class Fleet:
             self._note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
         self.components.close()
         self.monitor.close()
+        self.turns.close()
         self.returns.close()
         self.orders.close()
 

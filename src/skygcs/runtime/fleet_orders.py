@@ -13,7 +13,7 @@ from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders, stop
-from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
+from skygcs.core.vehicle.formation import Arrangement, for_several, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
@@ -23,6 +23,7 @@ from skygcs.events import Event
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
+from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
@@ -101,11 +102,16 @@ class FleetOrders:
     then. Call `close` at the end."""
 
     def __init__(
-        self, targets: Targets, services: VehicleServices, monitor: SeparationMonitor, returns: Returns
+        self,
+        targets: Targets,
+        services: VehicleServices,
+        monitor: SeparationMonitor,
+        returns: Returns,
+        turns: MissionTurns,
     ) -> None:
         self.ends_only = False
         self._targets = targets
-        self._links, self._monitor, self._returning = services.links, monitor, returns
+        self._links, self._monitor, self._returning, self._turns = services.links, monitor, returns, turns
         self._dialect, self._send = services.dialect, services.send
         self._loop, self._on_event = services.loop, services.on_event
         self._kept = TaskSet(services.loop, services.on_event)
@@ -140,6 +146,8 @@ class FleetOrders:
             action = arguments["action"] if order is VehicleActor.stop else "disarm"
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
+        if order in CARRIED_ON:
+            self._turns.taken(actors, name)
         work = self._command(actors, order, args, arguments, reports or Unreported())
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await work
@@ -189,6 +197,8 @@ class FleetOrders:
             if order is VehicleActor.goto
             else ({}, {}, {})
         )
+        if order is VehicleActor.upload_plan:
+            own_arguments, staying = await self._arranged(vehicles, arguments)
         refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
         for actor in actors if order is not VehicleActor.stop else ():
             if (why := self._links.authority_refusal(actor.sysid)) is not None:
@@ -262,6 +272,28 @@ class FleetOrders:
         text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
         unread = {actor: text for actor in starting if actor not in known}
         return {**unread, **await self._monitor.mission_refusals(known)}
+
+    async def _arranged(
+        self, actors: Sequence[VehicleActor], arguments: dict[str, Any]
+    ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
+        """Split the upload of one mission that each vehicle gets in a form of its own (``arrangement``): the plan of
+        each, and why some do not get it: two of these missions come too near each other, unless ``force``."""
+        arrangement: Arrangement | None = arguments.pop("arrangement", None)
+        if arrangement is None:
+            return {}, {}
+        positions = {actor: actor.vehicle.telemetry("position") for actor in actors}
+        places = [
+            None if p is None or p["lat_deg"] is None else (p["lat_deg"], p["lon_deg"]) for p in positions.values()
+        ]
+        try:
+            plans = for_several(arguments["plan"], arrangement, places, [self._monitor.footprint(a) for a in actors])
+        except ValueError as error:
+            return {}, dict.fromkeys(actors, str(error))
+        own = {actor: {"plan": plan} for actor, plan in zip(actors, plans, strict=True)}
+        if arguments.get("force"):
+            return own, {}
+        runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
+        return own, await self._monitor.mission_overlaps(runs)
 
     async def _returns(
         self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]

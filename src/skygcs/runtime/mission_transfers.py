@@ -17,7 +17,7 @@ from skygcs.core.mavlink.msgids import EVENT as EVENT_ID
 from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
 from skygcs.core.mission.fence_items import FencePlan
 from skygcs.core.mission.firmware_items import Change, grouped
-from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.item import MissionItem, MissionType, item_of_seq
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.px4_events import EVENT, rejection
 from skygcs.core.protocols.base import Effect, Report, Send
@@ -124,7 +124,7 @@ class Missions:
             kind,
             items,
             keeps_old=keeps_old(self._vehicle, kind),
-            first_number=0 if home_first else 1,
+            first_number=item_of_seq(0, home_first=home_first),
             home_first=home_first,
         )
         self._rejections.clear()

@@ -276,6 +276,20 @@ class SeparationMonitor:
                 refused[actor] = why
         return refused
 
+    async def mission_overlaps(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
+        """Which of these missions, that are to be flown at the same time, lead too near another of them, and why; also
+        one of a vehicle whose way is not known. What else flies is compared when they start: `mission_refusals`."""
+        if self.mode == "off" or len(runs) < 2:
+            return {}
+        ways = {actor: way for actor, run in runs.items() if (way := self._mission_way(actor, run)) is not None}
+        unknown = "where it is is not known, so it is not known whom its mission comes near"
+        refused = {actor: f"{unknown}; {FORCE_HINT}" for actor in runs if actor not in ways}
+        for actor, way in ways.items():
+            found = await _first_conflict(way, [other for a, other in ways.items() if a is not actor])
+            if (why := self._refusal(found)) is not None:
+                refused[actor] = why
+        return refused
+
     def _mission_way(self, actor: VehicleActor, run: MissionRun) -> Way | None:
         """The way of a mission from where its vehicle is; None: that is not known."""
         mover, home, frame = self._mover(actor.vehicle), actor.vehicle.telemetry("home"), self.monitor.tracks.frame

@@ -23,6 +23,8 @@ from skygcs.core.mission.formats import Imported, read_plan
 from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.separation import Footprint
+from skygcs.core.vehicle.formation import SPACING_M, Arrangement, for_several
 from skygcs.errors import PlanFileError, RefusedError
 from skygcs.web.dropped import DroppedFile, Height, Metres, OriginKeys, Place, Point, Request, WorldMap, parsed
 
@@ -62,6 +64,17 @@ class DrawnFence(Request):
     circles: list[DrawnCircle] = Field(default_factory=list, max_length=100)
 
 
+class SeveralVehicles(Request):
+    """The arrangement of missions.upload, and the vehicles in the order in which it takes them: by system id."""
+
+    kind: Literal["heights", "present", "line", "column"]
+    step_m: Annotated[float, Field(gt=0, le=100)] | None = None
+    spacing_m: Annotated[float, Field(gt=0, le=1000)] = SPACING_M
+    heading_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+    places_xy_m: Annotated[list[Point | None], Field(min_length=1, max_length=300)]
+    """Where each is now."""
+
+
 class MissionCheck(Request):
     """A file or a drawing, and the vehicle that it is for as far as the page knows it."""
 
@@ -73,6 +86,7 @@ class MissionCheck(Request):
     origin: OriginKeys | None = None
     max_height_m: Annotated[Metres, Field(gt=0)] = MAX_HEIGHT_M
     max_distance_m: Annotated[Metres, Field(gt=0)] = MAX_DISTANCE_M
+    several: SeveralVehicles | None = None
 
 
 class FenceCheck(Request):
@@ -99,7 +113,29 @@ def check_mission(params: Mapping[str, Any]) -> dict[str, Any]:
         name, imported = "drawn.plan", Imported(_mission_of(asked.drawn, asked.vehicle_xy_m, world), "plan")
     vehicle = None if asked.vehicle_xy_m is None or not world.known else world.lat_lon(asked.vehicle_xy_m)
     limits = CheckLimits(asked.max_height_m, asked.max_distance_m)
-    return _checked(name, imported, limits, asked.autopilot, vehicle, world) | _text(asked.drawn, imported)
+    checked = _checked(name, imported, limits, asked.autopilot, vehicle, world)
+    return checked | _text(asked.drawn, imported) | {"several": _several(imported.plan, asked.several, world)}
+
+
+def _several(plan: MissionPlan, asked: SeveralVehicles | None, world: WorldMap) -> dict[str, Any] | None:
+    """The path of each vehicle's own mission, to be drawn; the margins are the default ones, which the daemon has of
+    each vehicle. None: they are not asked for."""
+    if asked is None or not world.known:
+        return None
+    arrangement = Arrangement(asked.kind, asked.step_m, asked.spacing_m, asked.heading_deg)
+    places = [None if xy is None else world.lat_lon(xy) for xy in asked.places_xy_m]
+    try:
+        plans = for_several(plan, arrangement, places, [Footprint()] * len(places))
+    except ValueError as error:
+        return {"problem": str(error), "paths": []}
+    most = MAX_SHOWN_ITEMS // len(plans)
+    paths = [[_path_point(item, world) for item in own.mission if item.moves and item.position] for own in plans]
+    return {"problem": None, "paths": [path[:most] for path in paths]}
+
+
+def _path_point(item: MissionItem, world: WorldMap) -> list[float]:
+    x, y = world.xy(*(item.position or (0.0, 0.0))) or (0.0, 0.0)
+    return [x, y, item.z or 0.0]
 
 
 def check_fence(params: Mapping[str, Any]) -> dict[str, Any]:

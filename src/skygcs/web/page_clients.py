@@ -70,6 +70,10 @@ OwnMethod = Callable[["PageClient", dict[str, Any]], Awaitable[Any]]
 """A method that the web process answers. Raises SkygcsError."""
 
 
+SHOWN_TABLES = ("drills", "recordings")
+"""Tables of the daemon's fleet file without which the page has no room for what they bring."""
+
+
 class Socket(Protocol):
     """A WebSocket, as a page's tasks see it."""
 
@@ -93,6 +97,8 @@ class Source(Protocol):
     """Text about the missing part, although it is connected."""
     site: str | None
     """The name of the own site, where there are others."""
+    info: dict[str, Any]
+    """The daemon's answer to daemon.info."""
 
     async def call(
         self,
@@ -172,7 +178,8 @@ class PageClients:
         source = self.source
         since_s = round(source.since, 3)
         status = {"connected": source.connected, "slow": source.slow, "text": source.text, "since_s": since_s}
-        return status | {"note": source.note, "site": source.site}
+        extras = {table: source.info.get(table) is not None for table in SHOWN_TABLES}
+        return status | {"note": source.note, "site": source.site} | extras
 
     def rate_hz(self) -> float | None:
         """The highest rate that a page wants, of a large fleet less; None: no page wants states."""

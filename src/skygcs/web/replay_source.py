@@ -33,6 +33,7 @@ from skygcs.tlog.reading import LogReader
 from skygcs.web.daemon_connection import STATE_KEYS, Pages
 from skygcs.web.page_clients import OwnMethod, PageClient, PageClients
 from skygcs.web.replay_fleet import Checkpoint, ReplayFleet
+from skygcs.web.replay_marks import marks_of
 from skygcs.web.state_batches import LatestStates
 
 SLICE_S = 0.004
@@ -181,6 +182,7 @@ class ReplaySource:
         """The methods replay.*"""
         return {
             "replay.info": self._on_info,
+            "replay.marks": self._on_marks,
             "replay.play": self._on_play,
             "replay.pause": self._on_pause,
             "replay.seek": self._on_seek,
@@ -239,6 +241,9 @@ class ReplaySource:
 
     async def _on_info(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
         return self.status()
+
+    async def _on_marks(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
+        return {"marks": marks_of(self.recording.events), "scanned": self.recording.scanned}
 
     async def _on_play(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
         if self.ended:

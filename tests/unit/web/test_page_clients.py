@@ -35,6 +35,7 @@ class FakeSource:
         self.text = "connected"
         self.since = 0.0
         self.note = self.site = None
+        self.info: dict[str, Any] = {}
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.deadlines: list[float | None] = []
         self.reports: list[OnReport | None] = []

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from skygcs.core.control.ranges import out_of_range
 from skygcs.errors import ConfigError
 
 GRAVITY_MPS2 = 9.81
@@ -136,3 +135,14 @@ def _limit_problems(config: ControlConfig) -> list[str]:
         ("derivative_cutoff_hz", 0.01, 1000.0),
         ("period_s", 0.001, 1.0),
     )
+
+
+def out_of_range(config: object, *ranges: tuple[str, float, float]) -> list[str]:
+    """A text for each field, by name, that is outside its least and its largest value, NaN included. One that is None
+    is not set."""
+    found = []
+    for name, low, high in ranges:
+        value = getattr(config, name)
+        if value is not None and not low <= value <= high:
+            found.append(f"{name}: {value} is not in {low:g}..{high:g}")
+    return found

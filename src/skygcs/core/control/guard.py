@@ -38,7 +38,7 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 
 from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
-from skygcs.core.control.ranges import out_of_range
+from skygcs.core.control.gains import out_of_range
 from skygcs.core.control.record import record
 from skygcs.errors import ConfigError
 

@@ -4,6 +4,10 @@ An item holds only values that can be sent: numbers are rounded to the float32 o
 and the two names that MAVLink has for each global frame become one. So an item that was uploaded, downloaded, written
 to a file and read again compares equal to the original.
 
+Items have one numbering: the first is 1, in files, orders, answers, events and on the page. QGroundControl and Mission
+Planner show the same numbers, and a DO_JUMP of a file names them. Only the wire counts otherwise: an ArduPilot has its
+home as item 0, so that its sequence numbers equal ours; those of a PX4, which has no such item, are lower by one.
+
 Protocol: https://mavlink.io/en/services/mission.html
 """
 
@@ -20,6 +24,8 @@ from skygcs.core.mavlink import mav_cmd
 
 UNSET_INT = 2**31 - 1
 """x or y of a global frame that is not set: the integer form of NaN in PX4."""
+
+FIRST_ITEM = 1
 
 MAX_ITEMS = 65535
 """MISSION_COUNT.count and seq are uint16."""
@@ -137,6 +143,21 @@ class MissionItem:
     def moves(self) -> bool:
         """True for a NAV command, which moves the vehicle."""
         return self.command < mav_cmd.NAV_LAST
+
+
+def first_seq(*, home_first: bool) -> int:
+    """The sequence number of `FIRST_ITEM`. ``home_first``: item 0 of the wire is the vehicle's home."""
+    return 1 if home_first else 0
+
+
+def item_of_seq(seq: int, *, home_first: bool) -> int:
+    """The item with this sequence number; 0 is an ArduPilot's home."""
+    return seq - first_seq(home_first=home_first) + FIRST_ITEM
+
+
+def seq_of_item(item: int, *, home_first: bool) -> int:
+    """The inverse of `item_of_seq`."""
+    return item - FIRST_ITEM + first_seq(home_first=home_first)
 
 
 def float32(value: float | None, name: str) -> float | None:

@@ -1,8 +1,7 @@
 """A plan: a mission, a fence, rally points and the home they were planned from.
 
-Items are numbered from 1, as QGroundControl and Mission Planner show them, and a DO_JUMP names that number. The wire
-differs: an ArduPilot has its home as item 0, so its sequence numbers equal ours; a PX4 has no such item, and its
-sequence numbers and jump targets are lower by one (`to_wire`, `from_wire`).
+A DO_JUMP names the number of an item (`core.mission.item`); `to_wire` and `from_wire` turn it into the sequence
+number of the wire and back.
 """
 
 from __future__ import annotations
@@ -11,12 +10,7 @@ from dataclasses import dataclass, replace
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.fence_items import FencePlan, fence_from_items, fence_items
-from skygcs.core.mission.item import (
-    GLOBAL,
-    MISSION_FRAME,
-    MissionItem,
-    MissionType,
-)
+from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, MissionItem, MissionType, item_of_seq, seq_of_item
 
 PLACELESS = frozenset(
     {20, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 187, 197, 203, 205, 206, 211, 218, 222, 223, 530, 531, 532}
@@ -130,14 +124,14 @@ def to_wire(items: tuple[MissionItem, ...], home_item: MissionItem | None) -> tu
     """
     if home_item is not None:
         return (home_item, *map(_all_set, items))
-    return shifted_jumps(tuple(map(_without_place, items)), -1)
+    return shifted_jumps(tuple(map(_without_place, items)), seq_of_item(0, home_first=False))
 
 
 def from_wire(items: tuple[MissionItem, ...], *, first_is_home: bool) -> tuple[MissionItem, ...]:
     """The inverse of `to_wire` for downloaded items, as far as the vehicle kept them."""
     if first_is_home:
         return tuple(map(_without_place, items[1:]))
-    return shifted_jumps(items, 1)
+    return shifted_jumps(items, item_of_seq(0, home_first=False))
 
 
 def _all_set(item: MissionItem) -> MissionItem:

@@ -1,12 +1,32 @@
-"""Offsets for several vehicles that are sent to one place: they keep their positions relative to each other."""
+"""Several vehicles that are sent to one place, or fly one mission: where each of them goes. Pure.
+
+To one place they keep their positions relative to each other. Of one mission each gets one of its own (`for_several`):
+
+    kind      the mission of each vehicle
+    -------   ---------------------------------------------------------------------------------------------------------
+    heights   the same places, each next vehicle higher by a step
+    present   the path moved by where the vehicle is now, seen from the first one, which flies it as it is
+    line      the path moved to the right of its course, each next vehicle by a spacing: abreast
+    column    the path moved against its course, each next vehicle by a spacing: behind each other
+
+Heights are those that are flown: not that of a landing, and none of a camera's target. What a file holds beside the
+mission (fence, rally points, home) is the same for all. Nothing here knows margins beyond the one that it is given:
+whether the ways keep their distance is for the monitor (`core.monitor.mission_ways`).
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
-from typing import TypeVar
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
 
-from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
+from skygcs.core.geo import Origin, Vector, distance_m, enu_from_geodetic, geodetic_from_enu, wrap_deg_360
+from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_PLACE
+from skygcs.core.mission.item import FIRST_ITEM, LOCAL_FRAMES, MissionItem
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.separation import Footprint, pair_margin
 
 K = TypeVar("K")
 
@@ -38,3 +58,131 @@ def too_close(places: Mapping[K, tuple[float, float, float]]) -> tuple[K, K, flo
         if abs(here[2] - there[2]) < APART_M and (across_m := distance_m(*here[:2], *there[:2])) < APART_M:
             return a, b, across_m
     return None
+
+
+# --- one mission for several ----------------------------------------------------------------------------------------
+
+ArrangementKind = Literal["heights", "present", "line", "column"]
+
+LEAST_STEP_M = 3.0
+"""Least height from one vehicle to the next where the margins need less."""
+
+STEP_GRID_M = 0.5
+SLACK_M = 0.05
+"""A step that is worked out is a multiple of the one, and the other above what is needed: a straight line over the
+ground is 1 mm higher at its end, 100 m away, than where it is level."""
+
+SPACING_M = 5.0
+
+LatLon = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Arrangement:
+    """How the missions differ. ``step_m``: of kind heights; None: `least_step_m`. ``spacing_m`` and ``heading_deg``
+    (compass; None: the course of the first leg): of kinds line and column."""
+
+    kind: ArrangementKind
+    step_m: float | None = None
+    spacing_m: float = SPACING_M
+    heading_deg: float | None = None
+
+
+def for_several(
+    plan: MissionPlan, arrangement: Arrangement, places: Sequence[LatLon | None], footprints: Sequence[Footprint]
+) -> tuple[MissionPlan, ...]:
+    """The plan of each vehicle, in their order. ``places``: where they are now; None: not known.
+
+    Raises ValueError, in words for a person, for what cannot be arranged: a vehicle of kind present whose place is not
+    known, a line without a course, an item that has no height or no place on earth.
+    """
+    if not plan.mission:
+        raise ValueError("it holds no mission to arrange")
+    offsets = offsets_enu_m(plan.mission, arrangement, places, footprints)
+    return tuple(replace(plan, mission=moved_mission(plan.mission, offset)) for offset in offsets)
+
+
+def offsets_enu_m(
+    items: Sequence[MissionItem],
+    arrangement: Arrangement,
+    places: Sequence[LatLon | None],
+    footprints: Sequence[Footprint],
+) -> tuple[Vector, ...]:
+    """East, north, up by which the mission of each vehicle is moved; the first one's is (0, 0, 0). Raises ValueError
+    as `for_several`."""
+    count = len(places)
+    match arrangement.kind:
+        case "heights":
+            step_m = least_step_m(items, footprints) if arrangement.step_m is None else arrangement.step_m
+            return tuple((0.0, 0.0, n * step_m) for n in range(count))
+        case "present":
+            return _from_first(places)
+        case "line" | "column":
+            heading_deg = course_deg(items) if arrangement.heading_deg is None else arrangement.heading_deg
+            if heading_deg is None and count > 1:
+                raise ValueError("its mission has no leg over the ground, so no course: give a heading")
+            course = math.radians(heading_deg or 0.0)
+            east, north = math.sin(course), math.cos(course)
+            way = (north, -east) if arrangement.kind == "line" else (-east, -north)
+            apart_m = [n * arrangement.spacing_m for n in range(count)]
+            return tuple((m * way[0], m * way[1], 0.0) for m in apart_m)
+
+
+def moved_mission(items: Sequence[MissionItem], offset_enu_m: Vector) -> tuple[MissionItem, ...]:
+    """The mission, with each place that is flown to moved by so much. Items without a place, such as a return, stay as
+    they are. Raises ValueError for one that cannot be moved."""
+    return tuple(_moved(n, item, offset_enu_m) for n, item in enumerate(items, FIRST_ITEM))
+
+
+def least_step_m(items: Sequence[MissionItem], footprints: Sequence[Footprint]) -> float:
+    """The step of heights with which vehicles above each other keep their margins, at least `LEAST_STEP_M`.
+
+    What a leg climbs is added: when each of them climbs on it is its own, so it may be at either end of it (see
+    `core.monitor.ways`), and the same holds at the corner with the next leg.
+    """
+    pairs = itertools.combinations(footprints, 2)
+    margins = [(margin := pair_margin(a, b)).total_m * margin.downwash_ratio for a, b in pairs]
+    heights = [item.z for item in items if _has_height(item) and item.z is not None]
+    climbs = [max(some) - min(some) for n in range(len(heights)) if (some := heights[n : n + 3])]
+    needed_m = max(margins, default=0.0) + max(climbs, default=0.0) + SLACK_M
+    return max(LEAST_STEP_M, math.ceil(needed_m / STEP_GRID_M) * STEP_GRID_M)
+
+
+def course_deg(items: Sequence[MissionItem]) -> float | None:
+    """The compass course of the first leg between two places; None: it has none."""
+    places = [item.position for item in items if item.command in FLOWN_PLACE and item.position is not None]
+    for a, b in itertools.pairwise(places):
+        east_m, north_m, _ = enu_from_geodetic(*b, 0.0, Origin(*a, 0.0))
+        if math.hypot(east_m, north_m) > 1.0:
+            return wrap_deg_360(math.degrees(math.atan2(east_m, north_m)))
+    return None
+
+
+def _from_first(places: Sequence[LatLon | None]) -> tuple[Vector, ...]:
+    known = [place for place in places if place is not None]
+    if len(known) < len(places):
+        raise ValueError("the place of each vehicle has to be known for their present formation")
+    found = (enu_from_geodetic(*place, 0.0, Origin(*known[0], 0.0)) for place in known)
+    return tuple((east_m, north_m, 0.0) for east_m, north_m, _ in found)
+
+
+def _has_height(item: MissionItem) -> bool:
+    return item.command in FLOWN_PLACE and item.command not in ENDS_ON_GROUND
+
+
+def _moved(number: int, item: MissionItem, offset_enu_m: Vector) -> MissionItem:
+    if item.command not in FLOWN_PLACE or offset_enu_m == (0.0, 0.0, 0.0):
+        return item
+    east_m, north_m, up_m = offset_enu_m
+    if item.frame in LOCAL_FRAMES:
+        raise ValueError(f"item {number} has a place of a local frame, which cannot be moved")
+    z = item.z
+    if up_m and _has_height(item):
+        if z is None:
+            raise ValueError(f"item {number} has no height to add to")
+        z = z + up_m
+    place = item.position
+    if place is None or not (east_m or north_m):
+        return replace(item, z=z)
+    lat_deg, lon_deg, _ = geodetic_from_enu(east_m, north_m, 0.0, Origin(*place, 0.0))
+    return replace(item, x=round(lat_deg * 1e7), y=round(lon_deg * 1e7), z=z)

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
+from skygcs.core.mission.check import ENDS_ON_GROUND, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
-from skygcs.core.mission.item import GLOBAL, MissionItem, MissionType
+from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionType, item_of_seq, seq_of_item
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
@@ -64,7 +64,7 @@ class CurrentItemIs:
 
 def number_of(vehicle: Vehicle, seq: int) -> int:
     """An item's number in the plan; an ArduPilot's home is 0."""
-    return seq if keeps_home(vehicle) else seq + 1
+    return item_of_seq(seq, home_first=keeps_home(vehicle))
 
 
 def keeps_home(vehicle: Vehicle) -> bool:
@@ -188,7 +188,7 @@ def current_item(vehicle: Vehicle) -> int:
     """The item with which it would go on; 1 if it reports none."""
     mission = vehicle.telemetry("mission")
     seq = None if mission is None else mission["seq"]
-    return 1 if seq is None else max(1, number_of(vehicle, seq))
+    return FIRST_ITEM if seq is None else max(FIRST_ITEM, number_of(vehicle, seq))
 
 
 def flown_from(vehicle: Vehicle, now: float, order: str, arguments: Mapping[str, Any]) -> int | None:
@@ -210,9 +210,9 @@ def flown_from(vehicle: Vehicle, now: float, order: str, arguments: Mapping[str,
 
 
 def _current_step(vehicle: Vehicle, item: int) -> Step:
-    seq = item if keeps_home(vehicle) else item - 1
-    if item < 1 or seq > 0xFFFF:
-        raise RefusedError(f"there is no item {item}; the first one is 1")
+    seq = seq_of_item(item, home_first=keeps_home(vehicle))
+    if item < FIRST_ITEM or seq > 0xFFFF:
+        raise RefusedError(f"there is no item {item}; the first one is {FIRST_ITEM}")
     expect = CurrentItemIs(seq)
     name = f"set the current item to {item}"
     message = Step(name, message=("MISSION_SET_CURRENT", {"seq": seq}), expect=expect, expect_s=CURRENT_S)
@@ -351,3 +351,57 @@ def _resumed(restart: float | None) -> MissionSetting:
         text = f"its {RESTART} is {restart:g}: after a stop its mission begins anew, and not on its way"
         return MissionSetting(RESUMED, False, text, RESTART, 0.0)
     return MissionSetting(RESUMED, True, f"it goes on after a stop ({RESTART} 0)")
+
+
+# --- missions one after another ---------------------------------------------------------------------------------------
+
+Next = Literal["wait", "start", "end"]
+
+
+class Turn(NamedTuple):
+    """The vehicle whose turn it is, now. ``complete``: it has reported the last item as reached."""
+
+    name: str
+    heard: bool
+    flying: bool
+    armed: bool
+    complete: bool
+    failsafe: bool
+    ordered: bool
+    """Another order was given to it since its start."""
+    lands: bool
+    """Its mission ends on the ground; see `ends_on_ground`."""
+
+
+class TurnDecision(NamedTuple):
+    next: Next
+    why: str
+
+
+def next_turn(flown: Turn) -> TurnDecision:
+    """When the next vehicle may start, of several that fly their missions one after another:
+
+    the one that flies                                  what follows
+    --------------------------------------------------  ---------------------------------------------------------------
+    is on its mission, or on its way down from it       wait
+    has reached the last item, where it holds           the next one may start
+    is on the ground and disarmed, by its mission       the next one may start
+    has another order, a failsafe, or is not heard      end: what comes next is a person's decision
+    """
+    if flown.ordered:
+        return TurnDecision("end", f"{flown.name} was ordered something else")
+    if not flown.heard:
+        return TurnDecision("end", f"{flown.name} is not heard")
+    if flown.failsafe:
+        return TurnDecision("end", f"{flown.name} is in failsafe")
+    if not flown.flying and not flown.armed:
+        return TurnDecision("start", f"{flown.name} has landed")
+    if flown.complete and not flown.lands:
+        return TurnDecision("start", f"{flown.name} has flown its mission")
+    return TurnDecision("wait", "")
+
+
+def ends_on_ground(items: Sequence[MissionItem]) -> bool:
+    """True if the last item that moves the vehicle brings it to the ground."""
+    moving = [item for item in items if item.moves]
+    return bool(moving) and moving[-1].command in ENDS_ON_GROUND

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from skygcs.core.control.cascade import Quaternion, Vector, ned_frd_from_enu_flu
-from skygcs.core.control.ranges import out_of_range
+from skygcs.core.control.gains import out_of_range
 from skygcs.core.geo import Origin, enu_from_world
 from skygcs.core.vehicle.frames import yaw_enu_rad
 from skygcs.errors import ConfigError, RefusedError

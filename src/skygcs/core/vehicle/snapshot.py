@@ -11,6 +11,7 @@ from skygcs.core.geo import world_from_enu, wrap_deg_180
 from skygcs.core.protocols.command import RESULT_NAMES
 from skygcs.core.vehicle.decoding import GROUPS
 from skygcs.core.vehicle.message_cache import Slot
+from skygcs.core.vehicle.mission_orders import number_of
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
 from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -122,9 +123,17 @@ def _position(vehicle: Vehicle, now: float) -> Part | None:
     return position
 
 
+def _mission(vehicle: Vehicle, now: float) -> Part | None:
+    mission = vehicle.message_cache.telemetry_group("mission", now)
+    if mission is not None:
+        mission["item"] = None if mission["seq"] is None else number_of(vehicle, mission["seq"])
+    return mission
+
+
 def _group(name: str) -> tuple[str, _Read]:
-    if name == "position":
-        return name, _position
+    read = {"position": _position, "mission": _mission}.get(name)
+    if read is not None:
+        return name, read
     return name, lambda vehicle, now: vehicle.message_cache.telemetry_group(name, now)
 
 

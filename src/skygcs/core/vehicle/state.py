@@ -154,7 +154,8 @@ class VehicleState(TypedDict):
     servos: Part | None
     """pwm_us"""
     mission: Part | None
-    """seq, count, last_ack (of the last transfer)"""
+    """item (the current one, from 1; 0: an ArduPilot's home), seq (that on the wire), count, last_ack (of the last
+    transfer)"""
     target_global: Part | None
     """The autopilot's target: lat_deg, lon_deg, alt_m and more"""
     target_local: Part | None

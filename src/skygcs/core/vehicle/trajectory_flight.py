@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from skygcs.core.control.cascade import Reference, Vector
 from skygcs.core.control.control_fence import Fence
-from skygcs.core.control.ranges import out_of_range
+from skygcs.core.control.gains import out_of_range
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks

@@ -9,6 +9,7 @@ import { OrdersPanel } from "./orders_panel.tsx";
 import { OrderList } from "./order_list.tsx";
 import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
+import { DrillBar } from "./drill_bar.tsx";
 import { PlanBar } from "./plan_bar.tsx";
 import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
 import { recalledShare } from "./split.ts";
@@ -57,6 +58,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
       </header>
       <StopBoard store={store} />
       <PlanBar store={store} connection={connection} />
+      <DrillBar store={store} connection={connection} />
       <Banner store={store} connection={connection} />
       {panels.filter((panel) => panel.place === "dock").map((panel) => (
         <section key={panel.id} class="dock" aria-label={panel.title}><LazyPanel panel={panel} {...props} /></section>

@@ -124,7 +124,7 @@ export interface VehicleState {
   battery: Battery | null;
   home: Home | null;
   vfr: (Aged & { groundspeed_mps: number | null; climb_mps: number | null; throttle_percent: number | null }) | null;
-  mission: (Aged & { seq: number | null; count: number | null }) | null;
+  mission: (Aged & { item: number | null; count: number | null }) | null;
   links: Readonly<Record<string, LinkCounters>>;
 }
 
@@ -212,6 +212,10 @@ export interface DaemonLink {
   note?: string | null;
   /** The name of the station's own site; null: there are no others. */
   site?: string | null;
+  /** It simulates vehicles that may be given faults. */
+  drills?: boolean;
+  /** It lists its recordings and has one replayed. */
+  recordings?: boolean;
 }
 
 export interface MapPin {

@@ -84,7 +84,7 @@ function flown(v: Vehicle, { plan }: Surroundings): Ranked | null {
     return { rank: RANK.control, cell: cell(control.replaceAll("_", " "), v.control.state === "engaging" ? "" : "good") };
   }
   if (v.mission !== null && v.mission.count !== null && v.mission.count > 0 && MISSION_MODES.has(v.mode ?? "")) {
-    return { rank: RANK.mission, cell: cell(`mission ${v.mission.seq ?? "?"}/${v.mission.count}`) };
+    return { rank: RANK.mission, cell: cell(`mission ${v.mission.item ?? "?"}/${v.mission.count}`) };
   }
   return v.replayed ? { rank: RANK.replay, cell: cell("replay", "muted") } : null;
 }

@@ -64,7 +64,7 @@ test("the status: trouble, else the guard, the plan, our control, the mission", 
   assert.deepEqual([held.text, held.tone, held.under], ["held: pose is 2 s old, tilt", "danger", "armed"]);
   assert.equal(text({ control: { ...flying, reasons: ["near the fence"] } }).tone, "warning");
   assert.equal(text({ separation: { level: "notice", with: "b" } }).text, "near b");
-  const mission = { seq: 2, count: 5, age_s: 0 };
+  const mission = { item: 2, count: 5, age_s: 0 };
   assert.equal(text({ mode: "AUTO.MISSION", mission }).text, "mission 2/5");
   assert.equal(text({ mode: "AUTO.LOITER", mission }).text, "–", "it has one, and does not fly it");
   assert.equal(text({ replayed: true }).text, "replay");

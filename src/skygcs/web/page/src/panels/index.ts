@@ -13,6 +13,7 @@ export const PANELS: readonly Panel[] = [
   { id: "plan", title: "Plans", place: "side", when: (state) => state.hello?.replay !== true, load: () => import("./plan_panel.tsx") },
   { id: "preflight", title: "Preflight", place: "page", when: (state) => state.hello?.replay !== true, load: () => import("./fleet_preflight.tsx") },
   { id: "radio", title: "Radio", place: "page", when: (state) => state.hello?.replay !== true, load: () => import("./radio_panel.tsx") },
+  { id: "recordings", title: "Recordings", place: "page", when: (state) => state.hello?.replay !== true && state.daemon?.recordings === true, load: () => import("./recordings_panel.tsx") },
   { id: "events", title: "Events", place: "page", load: () => import("./events_panel.tsx"), badge: () => alarmLog.open },
 ];
 

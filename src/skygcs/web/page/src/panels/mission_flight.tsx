@@ -5,7 +5,7 @@ import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
-import { ask, mayOrder } from "./calls.ts";
+import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
 import { Failure, keepFile, NumberField, Scroll, usePolled, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
@@ -15,6 +15,7 @@ export interface MissionStatus {
   reached: number | null;
   state: string | null;
   counts: Readonly<Record<"mission" | "fence" | "rally", number | null>>;
+  turn: { turn: number; of: number; state: "flies" | "waits" | "done" } | null;
   transfer: { what: string; percent: number | null; sent?: number } | null;
   last: Readonly<Record<string, { ok: boolean; message: string } | null>>;
 }
@@ -52,7 +53,7 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
               <tr key={one.vehicle}>
                 <td>{one.vehicle}</td>
                 <td>
-                  {one.transfer === null ? (one.state ?? "unknown") : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
+                  {one.transfer === null ? stateText(one) : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
                   {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
                 </td>
                 <td class="number">{one.item ?? "–"}</td>
@@ -68,6 +69,16 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
           <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
             Start
           </HoldButton>
+          {targets.length > 1 && (
+            <HoldButton targets={targets} what={`Start the missions of ${whom} one after another: arms`} act={() => order("Start missions one after another", "missions.start", { one_after_another: true })}>
+              One after another
+            </HoldButton>
+          )}
+          {status.some(({ turn }) => turn !== null) && (
+            <button type="button" onClick={() => void orderWith(store, connection, { label: "End the turns", method: "missions.end_turns", params: {}, targets }, readEnded)}>
+              End the turns
+            </button>
+          )}
           <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
             Pause
           </button>
@@ -89,6 +100,16 @@ export function MissionFlight(props: PanelProps & { status: readonly MissionStat
       {orders && targets.length === 1 && <Download {...props} name={targets[0] ?? ""} />}
     </section>
   );
+}
+
+/** "active", or the turn of one that waits for others. */
+function stateText({ state, turn }: MissionStatus): string {
+  if (turn === null || turn.state === "done") return state ?? "unknown";
+  return turn.state === "waits" ? `waits, turn ${turn.turn} of ${turn.of}` : `${state ?? "flies"}, turn ${turn.turn} of ${turn.of}`;
+}
+
+function readEnded({ ended }: { ended: boolean }): ReturnType<Reader<unknown>> {
+  return { ok: ended, outcomes: {}, text: ended ? null : "no missions were flown one after another" };
 }
 
 function Download(props: PanelProps & { name: string; showDownloaded: (file: FileContent) => void }) {

@@ -5,12 +5,13 @@ import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
-import type { State } from "../store.ts";
+import type { Store } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
 import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
 import { HomeFencePanel } from "./home_fence.tsx";
+import { ALIKE, arrangementOf, askedPaths, bySystemId, SeveralFields, severalShapes, type Several } from "./mission_several.tsx";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
 import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
@@ -45,6 +46,7 @@ const NEW_DRAFT: Draft = { drawing: NOTHING_DRAWN, heightM: 20, takeoffM: 10, en
 const drafts = new Map<What, Draft>();
 let lastTab: What = "file";
 let lastFile: FileContent | null = null;
+let lastSeveral = ALIKE;
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
@@ -53,6 +55,13 @@ export default function MissionPanel(props: PanelProps) {
   const [tab, setTab] = useState<What>(lastTab);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
   const [draft, setDraft] = useState<Draft>(drafts.get(tab) ?? NEW_DRAFT);
+  const [several, setSeveral] = useState(lastSeveral);
+  const keepSeveral = (next: Several): void => {
+    lastSeveral = next;
+    setSeveral(next);
+  };
+  const orders = useStore(store, mayOrder);
+  const arranged = targets.length > 1 && (tab === "file" || tab === "mission");
   const status = useMissionStatus(props, targets);
   const [first] = status;
   const current = first?.item ?? null;
@@ -60,7 +69,8 @@ export default function MissionPanel(props: PanelProps) {
     const drawn = tab === "file" ? [] : drawnShapes(draft.drawing, tab === "polygon");
     const circle = tab === "circle" ? circleShapes(draft) : [];
     const shown = checked === null || tab !== "file" ? [] : missionShapes(checked, current);
-    view.setOverlay(OVERLAY, overlay(shown, circle, drawn));
+    const others = tab === "file" || tab === "mission" ? severalShapes(checked?.several ?? null) : [];
+    view.setOverlay(OVERLAY, overlay([...shown, ...others], circle, drawn));
   }, [view, checked, draft, tab, current]);
   useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
   const go = (id: string): void => {
@@ -76,10 +86,11 @@ export default function MissionPanel(props: PanelProps) {
   return (
     <div class="panel missionpanel">
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
-      {tab === "file" && <FromFile {...props} targets={targets} setChecked={setChecked} />}
+      {tab === "file" && <FromFile {...props} targets={targets} several={several} setChecked={setChecked} />}
       {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
-      {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} setChecked={setChecked} targets={targets} />}
-      {checked !== null && <Checked {...props} checked={checked} targets={targets} fenceOnly={tab === "polygon" || tab === "circle"} />}
+      {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} several={several} setChecked={setChecked} targets={targets} />}
+      {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
+      {checked !== null && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
       <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
     </div>
   );
@@ -92,7 +103,9 @@ function circleShapes(draft: Draft): Parameters<typeof overlay>[0] {
 }
 
 /** What a check has to know of the vehicle and of the picture. */
-function context(state: State, targets: readonly string[]): object {
+function context(store: Store, targets: readonly string[], several: Several): object {
+  const { state } = store;
+  const asked = askedPaths(several, store, targets);
   const vehicle = targets[0] === undefined ? undefined : state.vehicles.get(targets[0]);
   const place = vehicle?.position?.enu_m;
   const family = vehicle?.autopilot === "px4" || vehicle?.autopilot === "ardupilot" ? vehicle.autopilot : null;
@@ -100,12 +113,13 @@ function context(state: State, targets: readonly string[]): object {
     origin: state.origin,
     autopilot: family,
     ...(place === null || place === undefined ? {} : { vehicle_xy_m: [place[0], place[1]] }),
+    ...(asked === null ? {} : { several: asked }),
   };
 }
 
 // --- from a file ------------------------------------------------------------------------------------------------------
 
-function FromFile({ store, connection, targets, setChecked }: PanelProps & { targets: readonly string[]; setChecked: (checked: CheckedMission | null) => void }) {
+function FromFile({ store, connection, targets, several, setChecked }: PanelProps & { targets: readonly string[]; several: Several; setChecked: (checked: CheckedMission | null) => void }) {
   const check = useAsk<CheckedMission>(store, connection, "web.mission.check");
   const [unread, setUnread] = useState<string | null>(null);
   const origin = useStore(store, (state) => state.origin);
@@ -116,10 +130,10 @@ function FromFile({ store, connection, targets, setChecked }: PanelProps & { tar
     if (lastFile === null) return;
     const { text } = lastFile;
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
-    void run({ file: lastFile, ...context(store.state, targets) }).then((found) => {
+    void run({ file: lastFile, ...context(store, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
-  }, [run, store, origin, targets, file, setChecked]);
+  }, [run, store, origin, targets, several, file, setChecked]);
   const take = async (files: File[]): Promise<void> => {
     const [first] = files;
     if (first === undefined) return;
@@ -143,8 +157,8 @@ function FromFile({ store, connection, targets, setChecked }: PanelProps & { tar
 
 // --- drawn ------------------------------------------------------------------------------------------------------------
 
-function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Draft) => void; setChecked: (checked: CheckedMission | null) => void; targets: readonly string[] }) {
-  const { store, connection, view, what, draft, keep, setChecked, targets } = props;
+function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Draft) => void; several: Several; setChecked: (checked: CheckedMission | null) => void; targets: readonly string[] }) {
+  const { store, connection, view, what, draft, keep, several, setChecked, targets } = props;
   const fence = what !== "mission";
   const check = useAsk<CheckedMission>(store, connection, fence ? "web.fence.check" : "web.mission.check");
   const origin = useStore(store, (state) => state.origin);
@@ -170,14 +184,13 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
     setChecked(null); // what was found of the drawing before is not to be uploaded
     if (key === "null") return undefined;
     const timer = setTimeout(() => {
-      const { autopilot, vehicle_xy_m } = context(store.state, targets) as { autopilot: string | null; vehicle_xy_m?: number[] };
-      const more = fence ? { autopilot } : { autopilot, ...(vehicle_xy_m === undefined ? {} : { vehicle_xy_m }) };
-      void run({ drawn: JSON.parse(key) as object, origin, ...more }).then((found) => {
+      const more = context(store, targets, several) as { autopilot: string | null };
+      void run({ drawn: JSON.parse(key) as object, ...(fence ? { origin, autopilot: more.autopilot } : more) }).then((found) => {
         if (found !== null) setChecked(found);
       });
     }, CHECK_AFTER_MS);
     return () => clearTimeout(timer);
-  }, [key, run, clear, store, origin, targets, fence, setChecked]);
+  }, [key, run, clear, store, origin, targets, several, fence, setChecked]);
   return (
     <>
       <p class="muted">{hintOf(what)}</p>
@@ -258,17 +271,26 @@ function Points({ draft, keep, heights }: { draft: Draft; keep: (draft: Draft) =
 
 // --- what was found ---------------------------------------------------------------------------------------------------
 
-function Checked({ store, connection, checked, targets, fenceOnly }: PanelProps & { checked: CheckedMission; targets: readonly string[]; fenceOnly: boolean }) {
+interface CheckedProps extends PanelProps {
+  checked: CheckedMission;
+  targets: readonly string[];
+  several: Several;
+  fenceOnly: boolean;
+}
+
+function Checked({ store, connection, checked, targets, several, fenceOnly }: CheckedProps) {
   const orders = useStore(store, mayOrder);
+  const [refused, setRefused] = useState(false);
+  useEffect(() => setRefused(false), [targets, several]);
   const { text } = checked;
   const lists = fenceOnly ? ["fence"] : checked.holds;
   const upload = (force: boolean): void =>
     void sendOrder(store, connection, {
       label: `Upload ${checked.name}`,
       method: "missions.upload",
-      params: { plan: text, name: checked.name, lists, force },
+      params: { plan: text, name: checked.name, lists, force, arrangement: checked.holds.includes("mission") ? arrangementOf(several) : null },
       targets,
-    });
+    }).then((state) => setRefused(state === "failed"));
   const length = lengthOf(checked);
   return (
     <section class="card" aria-label={`Check of ${checked.name}`}>
@@ -306,8 +328,8 @@ function Checked({ store, connection, checked, targets, fenceOnly }: PanelProps 
           <button type="button" class="primary" disabled={targets.length === 0 || text === null || !checked.ok} onClick={() => upload(false)}>
             Upload to {targets.length === 0 ? "selected vehicles" : namesText(targets)}
           </button>
-          {!checked.ok && text !== null && targets.length > 0 && (
-            <HoldButton danger targets={targets} what={`Upload ${checked.name} to ${namesText(targets)} in spite of its errors`} act={() => upload(true)}>
+          {(!checked.ok || refused) && text !== null && targets.length > 0 && (
+            <HoldButton danger targets={targets} what={`Upload ${checked.name} to ${namesText(targets)} in spite of ${checked.ok ? "what was refused" : "its errors"}`} act={() => upload(true)}>
               Upload all the same
             </HoldButton>
           )}

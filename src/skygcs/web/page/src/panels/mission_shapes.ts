@@ -1,6 +1,7 @@
 // The answer of web.mission.check and web.fence.check, and how it is drawn.
 
 import type { Vec3 } from "../types.ts";
+import type { SeveralPaths } from "./mission_several.tsx";
 import type { Ink, Shape } from "../view/overlays.ts";
 
 export interface CheckedItem {
@@ -39,6 +40,8 @@ export interface CheckedMission {
   findings: readonly Finding[];
   errors: number;
   warnings: number;
+  /** The paths of several vehicles, if they were asked for. */
+  several?: SeveralPaths | null;
   /** Of a drawing: the .plan to upload. */
   text: string | null;
 }

@@ -4,6 +4,8 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { useTick } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { clockText, placeAt, type ReplayInfo } from "./replay_time.ts";
+import { markAfter, markBefore, type Mark } from "./replay_marks.ts";
+import { severityOf } from "./event_severity.ts";
 import { Failure } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
@@ -35,6 +37,7 @@ export default function ReplayPanel({ store, connection }: PanelProps) {
     const undo = [connection.on<ReplayInfo>("replay.position", take), connection.onPhase((phase) => phase.kind === "open" && ask())];
     return () => undo.forEach((each) => each());
   }, [connection]);
+  const marks = useMarks(connection, info?.info.scanned === true);
   const seek = useSeek((position_s) => order("replay.seek", { position_s }));
   if (info === null) return <p class="replay">Replay: opening the recording … <Failure text={error} /></p>;
   const now = info.info;
@@ -57,6 +60,8 @@ export default function ReplayPanel({ store, connection }: PanelProps) {
         {[...new Set([...SPEEDS, now.speed])].sort((a, b) => a - b).map((speed) => <option key={speed} value={String(speed)}>{speed}×</option>)}
       </select>
       <span class="clock">{clockText(position_s)}</span>
+      <MarkButtons marks={marks} position_s={position_s} may={may} seek={(at_s) => order("replay.seek", { position_s: at_s })} />
+      <span class="bar"><Ticks marks={marks} duration_s={Math.max(now.duration_s, 0.1)} />
       <input
         type="range"
         aria-label="Place in the recording"
@@ -79,12 +84,52 @@ export default function ReplayPanel({ store, connection }: PanelProps) {
           event.preventDefault();
           seek(Math.min(Math.max(position_s + step, 0), now.duration_s));
         }}
-      />
+      /></span>
       <span class="clock muted">{clockText(now.duration_s)}{now.scanned === false ? " so far" : ""}</span>
       <span class="muted date">{at.toLocaleString([], { hour12: false })}</span>
+      <LastMark mark={markBefore(marks, position_s + HERE_S)} />
       <Failure text={error} />
     </div>
   );
+}
+
+/** The events that are marked; asked for once more when the whole recording was read. */
+function useMarks(connection: PanelProps["connection"], scanned: boolean): readonly Mark[] {
+  const [marks, setMarks] = useState<readonly Mark[]>([]);
+  useEffect(() => {
+    let here = true;
+    connection.call<{ marks: Mark[] }>("replay.marks").then((answer) => here && setMarks(answer.marks), () => undefined);
+    return () => { here = false; };
+  }, [connection, scanned]);
+  return marks;
+}
+
+/** They are seen, and found by the buttons: each of hundreds would be a stop of the keyboard. */
+function Ticks({ marks, duration_s }: { marks: readonly Mark[]; duration_s: number }) {
+  return (
+    <span class="ticks" aria-hidden="true">
+      {marks.map(({ at_s, event }, i) => <i key={i} data-severity={severityOf(event, null)} style={{ left: `${(100 * at_s) / duration_s}%` }} />)}
+    </span>
+  );
+}
+
+/** A place that is so near is at the mark: places come in milliseconds. */
+const HERE_S = 0.0005;
+
+function MarkButtons({ marks, position_s, may, seek }: { marks: readonly Mark[]; position_s: number; may: boolean; seek: (at_s: number) => void }) {
+  const before = markBefore(marks, position_s - HERE_S);
+  const after = markAfter(marks, position_s + HERE_S);
+  return (
+    <span class="marks">
+      <button type="button" aria-label="Previous event" disabled={!may || before === null} onClick={() => before !== null && seek(before.at_s)}>‹</button>
+      <button type="button" aria-label="Next event" disabled={!may || after === null} onClick={() => after !== null && seek(after.at_s)}>›</button>
+    </span>
+  );
+}
+
+function LastMark({ mark }: { mark: Mark | null }) {
+  if (mark === null) return null;
+  return <span class="lastmark" data-severity={severityOf(mark.event, null)}>{clockText(mark.at_s)} {mark.event.vehicle ?? ""} {mark.event.text}</span>;
 }
 
 /** The newest place that was wanted, not every one on the way. */

@@ -5,6 +5,7 @@ import { useStore, useTick } from "../hooks.ts";
 import { isHeard, serverNowS, silenceOf } from "../store.ts";
 import { Age, SubTabs, type TabOf } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
+import { VehicleDrill } from "./vehicle_drill.tsx";
 import { VehicleControl } from "./vehicle_control.tsx";
 import { VehicleHistory, VehicleLinks } from "./vehicle_history.tsx";
 import { VehicleMessages } from "./vehicle_messages.tsx";
@@ -16,6 +17,9 @@ import { VehicleFields, VehicleTexts } from "./vehicle_state.tsx";
 export interface VehicleProps extends PanelProps {
   name: string;
 }
+
+/** Only where the daemon simulates vehicles. */
+const DRILL: TabOf = { id: "drill", title: "Drill" };
 
 const TABS: readonly TabOf[] = [
   { id: "state", title: "State" },
@@ -32,6 +36,7 @@ export default function VehiclePanel(props: PanelProps) {
   const { store } = props;
   const shown = useStore(store, (state) => state.shown);
   const names = useStore(store, (state) => state.names);
+  const drills = useStore(store, (state) => state.daemon?.drills === true);
   const [tab, setTab] = useState("state");
   const name = shown ?? (names.length === 1 ? (names[0] ?? null) : null);
   if (name === null) {
@@ -41,7 +46,7 @@ export default function VehiclePanel(props: PanelProps) {
   return (
     <div class="panel vehiclepanel">
       <VehicleHead {...each} />
-      <SubTabs label="Parts of the vehicle" tabs={TABS} now={tab} go={setTab} />
+      <SubTabs label="Parts of the vehicle" tabs={drills ? [...TABS, DRILL] : TABS} now={tab} go={setTab} />
       {/* another vehicle begins anew: an edit of one must never be sent to another */}
       <div key={name} class="panelbody" role="tabpanel">
         {tab === "state" && <VehicleFields {...each} />}
@@ -52,6 +57,7 @@ export default function VehiclePanel(props: PanelProps) {
         {tab === "messages" && <VehicleMessages {...each} />}
         {tab === "texts" && <VehicleTexts {...each} />}
         {tab === "links" && <VehicleLinks {...each} />}
+        {tab === DRILL.id && <VehicleDrill {...each} />}
       </div>
     </div>
   );

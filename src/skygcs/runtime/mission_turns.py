@@ -1,0 +1,174 @@
+"""Starts the missions of several vehicles one after another: the next when the one before is done, or has landed.
+
+Who may start is decided by `core.vehicle.mission_orders.next_turn`. Each start is an order as a person's: preflight,
+the monitor's check and every other check refuse it as they refuse that, and the turns end. Whatever is ordered to one
+of them, STOP included, ends the turns too: nothing starts by itself after a person has taken over.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection, Sequence
+from typing import Any, Literal
+
+from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, next_turn
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
+
+PERIOD_S = 0.5
+
+MAX_VEHICLES = 300
+"""Vehicles in one round of turns, the most that a fleet has."""
+
+TurnState = Literal["flies", "waits", "done"]
+
+StartOne = Callable[[VehicleActor], Awaitable[Outcome]]
+"""Gives one vehicle the order to start its mission."""
+
+
+class MissionTurns:
+    """The turns under way of one fleet; there is one round at a time."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, on_event: OnEvent) -> None:
+        self._loop = loop
+        self._on_event = on_event
+        self._tasks = TaskSet(loop, on_event)
+        self._round: list[VehicleActor] = []
+        self._at = 0
+        """Index of the one whose turn it is."""
+        self._numbers: dict[int, int] = {}
+        """The order number of each, by key, when it was last known to be ours."""
+        self._running: asyncio.Task[None] | None = None
+
+    @property
+    def under_way(self) -> bool:
+        return self._running is not None and not self._running.done()
+
+    async def begin(self, actors: Sequence[VehicleActor], start: StartOne) -> dict[str, Outcome]:
+        """Start the first one's mission; the others wait for their turn. Returns the outcomes by name: those of all are
+        refused if the first does not start. Raises RefusedError while a round is under way."""
+        if self.under_way:
+            left = ", ".join(actor.name for actor in self._round[self._at :])
+            raise RefusedError(f"{left} fly their missions one after another; end that first (missions.end_turns)")
+        if not 1 <= len(actors) <= MAX_VEHICLES:
+            raise RefusedError(f"one after another: 1 to {MAX_VEHICLES} vehicles, not {len(actors)}")
+        self._round, self._at = list(actors), 0
+        self._numbers = {actor.vehicle.key: actor.order_number for actor in actors}
+        first, *others = self._round
+        begun: asyncio.Future[Outcome] = self._loop.create_future()
+        self._running = self._tasks.start(self._fly(start, begun), "missions one after another")
+        try:
+            outcome = await asyncio.shield(begun)
+        except asyncio.CancelledError:
+            self.end("its client is gone before the first one has started")
+            raise
+        if not outcome.ok:
+            refused = Outcome.refused(f"{first.name}, which is to fly before it, did not start")
+            return {first.name: outcome} | dict.fromkeys((other.name for other in others), refused)
+        outcomes = {first.name: outcome}
+        for before, other in zip(self._round, others, strict=False):
+            outcomes[other.name] = Outcome(True, "accepted", f"starts when {before.name} is done or has landed")
+        return outcomes
+
+    def end(self, why: str) -> bool:
+        """End the turns: who flies goes on, who waits does not start. False: none were under way."""
+        if not self.under_way or self._running is None:
+            return False
+        self._running.cancel()
+        self._report_end(why)
+        return True
+
+    def taken(self, vehicles: Collection[object], order: str) -> None:
+        """An order that ends a flight is given to these: the turns end if one of them flies now or waits."""
+        if self.under_way and any(actor in vehicles for actor in self._round[self._at :]):
+            self.end(f"{order} was ordered")
+
+    def close(self) -> None:
+        """The daemon ends: nobody else starts."""
+        self.end("skygcs ends")
+        self._tasks.close()
+
+    def of(self, actor: VehicleActor) -> dict[str, Any] | None:
+        """The turn of a vehicle, for its mission's status; None: it is in no round."""
+        if not self.under_way or actor not in self._round:
+            return None
+        place = self._round.index(actor)
+        state: TurnState = "flies" if place == self._at else "waits" if place > self._at else "done"
+        return {"turn": place + 1, "of": len(self._round), "state": state}
+
+    # -- internal
+
+    async def _fly(self, start: StartOne, begun: asyncio.Future[Outcome]) -> None:
+        try:
+            await self._fly_all(start, begun)
+        finally:
+            if not begun.done():
+                begun.set_result(Outcome(False, "cancelled", "ended before it has started"))
+
+    async def _fly_all(self, start: StartOne, begun: asyncio.Future[Outcome]) -> None:
+        for at, actor in enumerate(self._round):
+            self._at = at
+            try:
+                outcome = await start(actor)
+            except RefusedError as error:
+                outcome = Outcome.refused(str(error))
+            if not begun.done():
+                begun.set_result(outcome)
+            if not outcome.ok:
+                self._report_end(f"{actor.name} did not start: {outcome.message}")
+                return
+            self._numbers[actor.vehicle.key] = actor.order_number
+            if actor is self._round[-1]:
+                return
+            items = await actor.missions.known_items()
+            if not await self._is_over(actor, lands=ends_on_ground(items or ())):
+                return
+
+    async def _is_over(self, actor: VehicleActor, *, lands: bool) -> bool:
+        """Wait until its turn is over; False: the turns have ended."""
+        while True:
+            await asyncio.sleep(PERIOD_S)
+            taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
+            decision = next_turn(self._look(actor, lands=lands))
+            if taken and decision.next != "end":
+                self._report_end(f"{', '.join(taken)} was ordered something else")
+                return False
+            match decision.next:
+                case "start":
+                    self._report(actor, f"{decision.why}: {self._round[self._at + 1].name} is next")
+                    return True
+                case "end":
+                    self._report_end(decision.why)
+                    return False
+                case "wait":
+                    continue
+
+    def _look(self, actor: VehicleActor, *, lands: bool) -> Turn:
+        vehicle = actor.vehicle
+        return Turn(
+            actor.name,
+            heard=vehicle.connected,
+            flying=is_flying(vehicle, self._loop.time()),
+            armed=bool(vehicle.armed),
+            complete=actor.missions.complete,
+            failsafe=vehicle.failsafe,
+            ordered=actor.order_number != self._numbers[vehicle.key],
+            lands=lands,
+        )
+
+    def _report(self, actor: VehicleActor, text: str) -> None:
+        self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))
+
+    def _report_end(self, why: str) -> None:
+        waiting = [actor.name for actor in self._round[self._at + 1 :]]
+        does = (
+            f"{', '.join(waiting)} {'does' if len(waiting) == 1 else 'do'} not start" if waiting else "it was the last"
+        )
+        text = f"one after another: {why}; {does}"
+        actor = self._round[self._at]
+        self._on_event(Event("mission", actor.name, actor.sysid, text, {"ended": why, "waiting": waiting}))

@@ -1,0 +1,182 @@
+"""Faults of simulated vehicles by the methods of drills: begun, shown, ended; and in no other vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.loader import load_fleet
+from skygcs.config.models import FleetConfig
+from skygcs.daemon import Daemon
+from skygcs.errors import ConfigError
+from skygcs.ext.drills.extension import DrillsConfig
+from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.sim.quad import Quad
+from skygcs.sim.vehicle import SimVehicle
+from support.called import call
+from support.flown import flown
+
+pytestmark = pytest.mark.looptime
+
+
+def with_drills(config: FleetConfig) -> FleetConfig:
+    """The fleet with its table [drills]."""
+    return config.model_copy(update={"extensions": {"drills": DrillsConfig()}})
+
+
+class Station:
+    """A daemon that simulates vehicles: PX4s first."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self.daemon = daemon
+        self.events: list[dict[str, Any]] = []
+        daemon.event_log.subscribe(self.events.append)
+
+    async def __call__(self, method: str, /, **params: Any) -> Any:
+        return await call(self.daemon, method, **params)
+
+    async def outcome(self, method: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
+        (outcome,) = (await self(method, targets=targets, **params))["outcomes"].values()
+        return dict(outcome)
+
+    def sim(self, name: str = "v1") -> SimVehicle:
+        link = self.daemon.links.link("sim")
+        assert isinstance(link, SimulatedVehiclesLink)
+        return next(vehicle for vehicle in link.vehicles if vehicle.sysid == int(name[1:]))
+
+    async def state(self, name: str = "v1") -> dict[str, Any]:
+        found: dict[str, Any] = await self("vehicles.get", target=name)
+        return found
+
+
+@asynccontextmanager
+async def station(tmp_path: Path, *, drills: bool = True, dynamics: str = "rigid") -> AsyncIterator[Station]:
+    config = FleetConfig.model_validate(
+        {
+            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
+            "links": {"sim": {"type": "simulated", "px4": 1, "ardupilot": 1, "dynamics": dynamics}},
+        }
+    )
+    config = with_drills(config) if drills else config
+    daemon = Daemon(config, load_dialect(config.dialect))
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    lab = Station(daemon)
+    await asyncio.sleep(10.0)  # both are heard, and their estimators have converged
+    assert len(daemon.fleet.vehicles) == 2
+    try:
+        yield lab
+    finally:
+        daemon.stop()
+        await running
+        assert not [event for event in lab.events if event["kind"] == "fault"]
+
+
+async def test_a_lost_gps_is_seen_shown_and_ended(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        assert (await lab.state())["drills"] is None
+        assert (await lab.outcome("drills.begin", fault="gps"))["message"] == "GPS lost, until it is ended"
+        await asyncio.sleep(5.0)
+        state = await lab.state()
+        assert state["gps"]["fix"] in ("no_gps", "no_fix"), state["gps"]
+        (fault,) = state["drills"]["faults"]
+        assert (fault["fault"], fault["text"], fault["lasts_s"]) == ("gps", "GPS lost", pytest.approx(5.0, abs=0.2))
+        (active,) = (await lab("drills.status"))["active"]
+        assert active["vehicle"] == "v1" and lab.sim().faults.gps_lost and not lab.sim("v2").faults.gps_lost
+        assert (await lab.outcome("drills.end", fault="gps"))["ok"]
+        assert not lab.sim().faults.gps_lost and (await lab.state())["drills"] is None
+        texts = [event["text"] for event in lab.events if event["kind"] == "drill"]
+        assert texts == ["drill: GPS lost begins", "drill: GPS lost has ended"]
+
+
+async def test_a_deaf_vehicle_takes_no_order_until_the_fault_has_ended(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        await lab.outcome("drills.begin", fault="deaf")
+        deaf = await lab.outcome("vehicles.arm")
+        assert deaf["result"] == "timeout", deaf
+        assert (await lab.outcome("vehicles.arm", "v2"))["ok"], "the other one hears"
+        await lab.outcome("drills.end", fault="deaf")
+        assert (await lab.outcome("vehicles.arm"))["ok"]
+
+
+async def test_a_cut_link_loses_the_vehicle_and_gives_it_back(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        await lab.outcome("drills.begin", fault="link")
+        await lab.outcome("drills.begin", fault="deaf")
+        await asyncio.sleep(20.0)
+        assert not (await lab.state())["connected"]
+        await lab.outcome("drills.end", fault="link")
+        assert lab.sim().faults.deaf and not lab.sim().faults.mute, "it is deaf still"
+        await asyncio.sleep(5.0)
+        assert (await lab.state())["connected"]
+        ended = await lab.outcome("drills.end")
+        assert ended["message"] == "ended: deaf" and not lab.sim().faults.deaf
+
+
+async def test_a_low_battery_is_a_failsafe_and_ends_with_the_charge_that_was_lost(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        before = lab.sim().battery.percent
+        assert (await lab.outcome("drills.begin", fault="battery", value=6))["ok"]
+        await asyncio.sleep(5.0)
+        assert (await lab.state())["battery"]["percent"] in (5, 6)
+        again = await lab.outcome("drills.begin", fault="battery", value=20)
+        assert again["message"] == "battery low, 20 %, until it is ended"
+        assert len((await lab("drills.status"))["active"]) == 1
+        await lab.outcome("drills.end", fault="battery")
+        assert lab.sim().battery.percent in (before, before - 1)
+
+
+async def test_wind_moves_what_has_a_body_and_nothing_else_takes_it(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        assert (await lab.outcome("drills.begin", "v2", fault="wind", value=9))["ok"]
+        motion = lab.sim("v2").motion
+        assert isinstance(motion, Quad) and motion.wind.mean_enu_mps == pytest.approx((9.0, 0.0, 0.0), abs=1e-9)
+        assert not (await lab.outcome("drills.begin", fault="wind", value=200))["ok"]
+        await lab.outcome("drills.end", "v2")
+        assert motion.wind.mean_enu_mps == (0.0, 0.0, 0.0)
+    async with station(tmp_path, dynamics="kinematic") as lab:
+        refused = await lab.outcome("drills.begin", fault="wind")
+        assert refused["result"] == "refused" and "kinematic" in refused["message"]
+
+
+@pytest.mark.parametrize("fault", ["deaf", "link", "gps"])
+async def test_a_fault_without_a_value_takes_none_and_one_that_does_not_last_cannot_be_ended(
+    tmp_path: Path, fault: str
+) -> None:
+    async with station(tmp_path) as lab:
+        assert "has no value" in (await lab.outcome("drills.begin", fault=fault, value=1))["message"]
+        assert "no fault of a drill lasts" in (await lab.outcome("drills.end"))["message"]
+        assert (await lab.outcome("drills.end", fault=fault))["result"] == "refused"
+
+
+async def test_a_vehicle_that_is_not_simulated_here_is_refused_and_nothing_is_sent_to_it(tmp_path: Path) -> None:
+    """Its system id is that of no simulated one; and one that has such an id keeps its own state all the same."""
+    links = {"sim": {"type": "simulated", "px4": 1, "ardupilot": 0, "first_sysid": 9}}
+    async with flown(tmp_path, px4=2, takeoff=False, links=links, prepared=with_drills) as gcs:
+        sent = len(gcs.sent)
+        for fault in ("deaf", "link", "gps", "battery", "wind"):
+            outcomes = (await gcs("drills.begin", targets="v1,v2", fault=fault))["outcomes"]
+            assert all(
+                o["result"] == "refused" and "not simulated by this daemon" in o["message"] for o in outcomes.values()
+            )
+        assert not [s for s in gcs.sent[sent:] if s.sysid in (1, 2) and s.name.startswith("COMMAND")]
+        assert all(sim.faults.gps_lost is False and not sim.faults.deaf for sim in gcs.sims)
+        assert (await gcs("drills.status"))["simulated"] == ["v9"]
+
+
+async def test_without_its_table_there_is_no_method_and_without_simulated_links_no_table(
+    tmp_path: Path,
+) -> None:
+    async with station(tmp_path, drills=False) as lab:
+        with pytest.raises(Exception, match="drills"):
+            await lab("drills.begin", targets="v1", fault="gps")
+    file = tmp_path / "fleet.toml"
+    file.write_text('[links.radio]\ntype = "udp_server"\nport = 14550\n[drills]\n')
+    with pytest.raises(ConfigError, match="needs a link of type simulated"):
+        load_fleet(file)

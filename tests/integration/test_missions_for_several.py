@@ -1,0 +1,229 @@
+"""One mission for several vehicles: arranged, refused where the missions come too near each other, flown together, and
+one after another."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.mission.item import MissionItem
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.qgc import write_qgc
+from support.flown import FIELD, Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+MARGIN_M = 2.5
+"""Two wingspans' halves and two position errors, as `core.separation` has them by default; heights count half."""
+
+
+def item(command: int, east_m: float, north_m: float, up_m: float) -> MissionItem:
+    lat, lon = FIELD.to_geodetic(east_m, north_m)
+    return MissionItem.from_params(command, 3, (0.0, 0.0, 0.0, None, lat, lon, up_m), True)
+
+
+def mission(*points: tuple[float, float, float], end: str = "return") -> str:
+    """Up, along these points (east, north, height), and home, or down, or nothing more."""
+    items = [item(22, *points[0]), *(item(16, *point) for point in points[1:])]
+    if end == "return":
+        items.append(MissionItem.from_params(20, 2, (0.0,) * 7, True))
+    elif end == "land":
+        items.append(item(21, *points[-1][:2], 0.0))
+    return write_qgc(MissionPlan(tuple(items)))
+
+
+NORTH = ((0.0, 0.0, 10.0), (0.0, 25.0, 10.0), (0.0, 45.0, 10.0))
+"""Along the north axis, from the place of v1; the others stand 5 m apart to the east."""
+
+
+def nearest_m(gcs: Flown) -> float:
+    """The least distance of two vehicles in the air, by the simulator's truth, heights divided by two."""
+    least = math.inf
+    for a, b in itertools.combinations(gcs.truth.values(), 2):
+        for p, q in zip(a, b, strict=False):
+            if not p.landed and not q.landed:
+                dx, dy, dz = (u - v for u, v in zip(p.pos_m, q.pos_m, strict=True))
+                least = min(least, math.hypot(dx, dy, dz / 2))
+    return least
+
+
+async def landed(gcs: Flown, *names: str, within_s: float = 240.0) -> None:
+    await gcs.until(lambda: not any(gcs.sim(name).armed for name in names), within_s)
+
+
+async def turn(gcs: Flown, name: str) -> dict[str, Any] | None:
+    (status,) = await gcs("missions.status", targets=name)
+    found: dict[str, Any] | None = status["turn"]
+    return found
+
+
+@pytest.mark.parametrize("kind", [{"px4": 3}, {"px4": 0, "ardupilot": 3}], ids=["px4", "ardupilot"])
+async def test_the_present_formation_is_kept_on_one_mission_for_all(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, takeoff=False, **kind) as gcs:
+        plan = mission(*NORTH)
+        await gcs.done("missions.upload", targets="all", plan=plan, arrangement={"kind": "present"})
+        await gcs.done("missions.start", targets="all")
+        await gcs.until(lambda: all(gcs.place(name)[1] > 43.0 for name in ("v1", "v2", "v3")), 120.0)
+        for n, name in enumerate(("v1", "v2", "v3")):
+            assert gcs.place(name)[0] == pytest.approx(5.0 * n, abs=1.0), "it flies beside the first one"
+        await landed(gcs, "v1", "v2", "v3")
+        assert nearest_m(gcs) > MARGIN_M
+
+
+async def test_missions_that_come_too_near_are_refused_and_go_up_when_insisted_on(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        plan = mission(*NORTH)
+        narrow = {"kind": "line", "spacing_m": 2.0}
+        outcomes = (await gcs("missions.upload", targets="all", plan=plan, arrangement=narrow))["outcomes"]
+        for name, other in (("v1", "v2"), ("v2", "v1")):
+            text = outcomes[name]["message"]
+            assert outcomes[name]["result"] == "refused" and f"{name} would come" in text and f"near {other}" in text
+            assert "--force" in text
+            (status,) = await gcs("missions.status", targets=name)
+            assert status["counts"]["mission"] in (None, 0), "nothing was uploaded"
+        await gcs.done("missions.upload", targets="all", plan=plan, arrangement=narrow, force=True)
+        # the start is checked again, as of any missions
+        refused = (await gcs("missions.start", targets="all"))["outcomes"]["v2"]
+        assert refused["result"] == "refused" and "near v1" in refused["message"]
+
+
+async def test_each_next_vehicle_flies_so_much_higher(tmp_path: Path) -> None:
+    """Over places that none of them took off from: their ways up and down are beside each other."""
+    async with flown(tmp_path, px4=2, ardupilot=1, takeoff=False) as gcs:
+        over = mission((-20.0, 0.0, 10.0), (-20.0, 30.0, 10.0), (-40.0, 30.0, 10.0), end="hold")
+        three = {"kind": "heights", "step_m": 3.0}
+        outcomes = (await gcs("missions.upload", targets="all", plan=over, arrangement=three))["outcomes"]
+        assert "they need 2.5 m, heights divided by 2" in outcomes["v1"]["message"], "3 m is less than the margins"
+        await gcs.done("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"})
+        for n, name in enumerate(("v1", "v2", "v3")):
+            answer = await gcs("missions.download", target=name)
+            assert [one["params"][6] for one in answer["mission"]] == pytest.approx([10.0 + 5.5 * n] * 3)
+        await gcs.done("missions.start", targets="all")
+        await gcs.until(lambda: all(gcs.place(name)[0] < -38.0 for name in ("v1", "v2", "v3")), 180.0)
+        for n, name in enumerate(("v1", "v2", "v3")):
+            assert gcs.place(name)[2] == pytest.approx(10.0 + 5.5 * n, abs=0.7)
+        assert nearest_m(gcs) > MARGIN_M
+
+
+async def test_a_vehicle_without_a_mission_to_arrange_is_refused_in_words(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        hover = mission((0.0, 0.0, 10.0), end="hold")
+        outcomes = (await gcs("missions.upload", targets="all", plan=hover, arrangement={"kind": "line"}))["outcomes"]
+        assert all("give a heading" in o["message"] and o["result"] == "refused" for o in outcomes.values()), outcomes
+
+
+@pytest.mark.parametrize("kind", [{"px4": 3}, {"px4": 1, "ardupilot": 2}], ids=["px4", "mixed"])
+async def test_one_after_another_each_starts_when_the_one_before_has_landed(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, takeoff=False, **kind) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        outcomes = (await gcs("missions.start", targets="all", one_after_another=True))["outcomes"]
+        assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
+        assert outcomes["v2"]["message"] == "starts when v1 is done or has landed"
+        assert await turn(gcs, "v1") == {"turn": 1, "of": 3, "state": "flies"}
+        assert await turn(gcs, "v3") == {"turn": 3, "of": 3, "state": "waits"}
+        for name in ("v1", "v2", "v3"):
+            await gcs.until(lambda name=name: gcs.sim(name).armed, 300.0)  # type: ignore[misc]
+            assert sum(sim.armed for sim in gcs.sims) == 1
+        await landed(gcs, "v3")
+        for truth in gcs.truth.values():
+            assert max(look.pos_m[1] for look in truth) > 40.0, "each has flown it"
+        together = [looks for looks in zip(*gcs.truth.values(), strict=False) if sum(not t.landed for t in looks) > 1]
+        assert not together
+        assert await turn(gcs, "v3") is None
+
+
+async def test_the_next_one_starts_when_the_one_before_holds_at_its_end_out_of_the_way(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="hold"))
+        away = mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold")
+        await gcs.done("missions.upload", targets="v2", plan=away)
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
+        assert gcs.place("v1")[1] > 42.0 and gcs.sim("v1").armed
+
+
+@pytest.mark.parametrize("order", ["vehicles.stop", "missions.pause", "vehicles.rtl"])
+async def test_nobody_starts_after_an_order_to_the_one_that_flies(tmp_path: Path, order: str) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs(order, targets="v1")
+        await gcs.done("vehicles.land", targets="v1")
+        await landed(gcs, "v1")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+        ended = [t for t in gcs.told if t.kind == "mission" and "ended" in t.data]
+        assert len(ended) == 1 and "v2 does not start" in ended[0].text, ended
+
+
+async def test_stop_to_all_ends_the_turns_in_the_moment_between_two_of_them(tmp_path: Path) -> None:
+    """The first one is down and disarmed, so that STOP moves nobody."""
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs.until(lambda: gcs.actor("v1").vehicle.armed is False, 240.0)
+        await gcs("vehicles.stop", targets="all")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+
+
+async def test_nobody_starts_after_the_one_that_flies_is_lost_or_the_turns_are_ended(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        second = gcs("missions.start", targets="all", one_after_another=True)
+        with pytest.raises(Exception, match="one after another; end that first"):
+            await second
+        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        gcs.muted.add(1)
+        await asyncio.sleep(120.0)
+        assert not gcs.sim("v2").armed and any("v1 is not heard" in t.text for t in gcs.told)
+        assert await gcs("missions.end_turns") == {"ended": False}
+        gcs.muted.clear()
+        await landed(gcs, "v1")
+        await asyncio.sleep(5.0)
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        assert await gcs("missions.end_turns") == {"ended": True}
+        await landed(gcs, "v1")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+
+
+async def test_a_refused_start_ends_the_turns_before_anything_flies(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        gcs.sim("v1").faults.refuse_arming = "not today"
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        outcomes = (await gcs("missions.start", targets="all", one_after_another=True))["outcomes"]
+        assert not outcomes["v1"]["ok"] and outcomes["v2"]["result"] == "refused", outcomes
+        await asyncio.sleep(20.0)
+        assert not any(sim.armed for sim in gcs.sims)
+
+
+async def test_the_current_item_has_one_number_everywhere(tmp_path: Path) -> None:
+    """A PX4 counts from 0 on the wire; its state, its status, its events and the file count from 1."""
+    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH), arrangement={"kind": "present"})
+        await gcs.done("missions.start", targets="all")
+        for name, seq in (("v1", 2), ("v2", 3)):
+            await gcs.until(
+                lambda name=name: (
+                    (gcs.actor(name).vehicle.telemetry("mission") or {})["seq"]  # type: ignore[misc]
+                    == (2 if name == "v1" else 3)
+                ),
+                120.0,
+            )
+            state = await gcs("vehicles.get", target=name)
+            (status,) = await gcs("missions.status", targets=name)
+            assert (state["mission"]["seq"], state["mission"]["item"], status["item"]) == (seq, 3, 3)
+            await gcs.until(lambda name=name: gcs.place(name)[1] > 30.0, 60.0)  # type: ignore[misc]
+            texts = gcs.texts(0.0, "mission", name)
+            assert any("goes on with item 3" in text for text in texts), texts
