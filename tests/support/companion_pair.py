@@ -25,9 +25,10 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RpcError, SkygcsError
-from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig
+from skygcs.ext.companions.companion_table import CompanionConfig
 from skygcs.ext.companions.companions_table import CompanionsConfig
 from skygcs.ext.companions.ground import Companions
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import as_companion
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
