@@ -76,8 +76,8 @@ it changed; new ones are looked for by night (`support.examples.SEARCH`). For mu
 
 if not is_deep():
     providers._get_local_constants = lambda: providers._local_constants
-"""In `make test` Hypothesis does not read all of `src` for constants that it mixes into its examples: another constant in
-any file would change the examples of every test, and each worker spends seconds on it. The deep run takes them."""
+"""In `make test` Hypothesis does not read all of `src` for constants that it mixes into its examples: another constant
+in any file would change the examples of every test, and each worker spends time on it. The deep run takes them."""
 
 NOOP_CYCLES = 0
 """Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.
