@@ -19,6 +19,7 @@ import pytest
 import typer.main
 import uvloop
 from hypothesis import HealthCheck, Phase, settings
+from hypothesis.internal.conjecture import providers
 
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -50,7 +51,7 @@ dialects.load_dialect = _dialect_once
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
 from skygcs.rpc.methods import METHODS  # noqa: E402
 from support import virtual_asyncio  # noqa: E402
-from support.examples import examples, flown_cases, searches  # noqa: E402
+from support.examples import examples, flown_cases, is_deep, searches  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
 from support.passed_before import PassedBefore, left_to_run  # noqa: E402
 from support.virtual_uvloop import VirtualUvloop  # noqa: E402
@@ -72,6 +73,11 @@ settings.register_profile(
 settings.load_profile("suite")
 """No time limits: a busy machine is no mistake of ours. The same examples each time, so that a change is judged by what
 it changed; new ones are looked for by night (`support.examples.SEARCH`). For mutants none is made small."""
+
+if not is_deep():
+    providers._get_local_constants = lambda: providers._local_constants
+"""In `make test` Hypothesis does not read all of `src` for constants that it mixes into its examples: another constant
+in any file would change the examples of every test, and each worker spends time on it. The deep run takes them."""
 
 NOOP_CYCLES = 0
 """Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.

@@ -69,14 +69,13 @@ class Kind:
     msgid: int
     extra: bytes
     payload: bytes
-    v1_size: int
 
 
 def _kind(name: str) -> Kind:
     info: MessageInfo = dialect().find(name)
     payload = bytearray(info.pack(POSITION if name == "GLOBAL_POSITION_INT" else {}))
     payload[info.min_length - 1] |= 1  # so that nothing is trimmed and the number stands where it is
-    return Kind(info.msgid, info.crc_extra_byte, bytes(payload[: info.min_length]), info.min_length)
+    return Kind(info.msgid, info.crc_extra_byte, bytes(payload[: info.min_length]))
 
 
 @dataclass(slots=True)

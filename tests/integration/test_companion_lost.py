@@ -59,6 +59,7 @@ async def test_without_the_ground_it_ends_as_configured(tmp_path: Path, action: 
         assert pair.pi.is_safe()
 
 
+@pytest.mark.deep  # a whole trajectory and a return; the table is held in unit/ext/companions
 @KINDS
 async def test_finish_flies_the_trajectory_to_its_end_and_returns_then(tmp_path: Path, kind: dict[str, Any]) -> None:
     async with companion_pair(tmp_path, companion={"ground_lost": "finish"}, engaged="position", **kind) as pair:
@@ -74,6 +75,7 @@ async def test_finish_flies_the_trajectory_to_its_end_and_returns_then(tmp_path:
         assert not pair.pi.setpoints(pair.now + 0.2)
 
 
+@pytest.mark.deep  # a minute of two daemons
 async def test_a_ground_that_is_only_slow_is_not_lost(tmp_path: Path) -> None:
     async with companion_pair(tmp_path, delay_s=0.8, loss=0.1, engaged="position") as pair:
         await asyncio.sleep(60)
@@ -124,7 +126,7 @@ async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: d
     params = {"GUID_TIMEOUT": 1.0, "COM_OF_LOSS_T": 1.0}
     windy = conditions_of(wind_mps=6.0)
     async with companion_pair(
-        tmp_path, engaged="attitude", params=params, radio=True, conditions=windy, **kind
+        tmp_path, engaged="attitude", params=params, radio=True, conditions=windy, in_air=True, **kind
     ) as pair:
         await start_circle(pair)
         await asyncio.sleep(5)
@@ -153,9 +155,7 @@ async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: d
 async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, which: str) -> None:
     """Flown by attitude in wind; killed for 2 s are the companion, the ground, or both at once."""
     windy = conditions_of(wind_mps=6.0)
-    async with companion_pair(
-        tmp_path, engaged="attitude", radio=True, conditions=windy, in_air=True, px4=0, ardupilot=1
-    ) as pair:
+    async with companion_pair(tmp_path, engaged="attitude", radio=True, conditions=windy, px4=0, ardupilot=1) as pair:
         await asyncio.sleep(3)
         if which != "ground":
             pair.calls.up = False
@@ -224,6 +224,7 @@ async def test_an_order_without_any_answer_has_an_unknown_outcome(tmp_path: Path
         assert len(numbers) == 1
 
 
+@pytest.mark.deep  # two daemons for the sake of one order of calls
 async def test_a_release_ends_an_engagement_that_comes_after_it(tmp_path: Path) -> None:
     """The engagement is late on its way, the release is not."""
     async with companion_pair(tmp_path) as pair:

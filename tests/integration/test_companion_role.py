@@ -15,7 +15,8 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
-from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig
+from skygcs.ext.companions.companion_table import CompanionConfig
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import as_companion
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect

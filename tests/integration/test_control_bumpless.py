@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -26,7 +26,7 @@ def moved_m(gcs: Flown, since: float) -> tuple[float, float]:
 
 @KINDS
 async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, conditions=WIND, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WIND, **kind) as gcs:
         await asyncio.sleep(10.0)
         began = gcs.now
         await gcs.fly("attitude")
@@ -39,7 +39,7 @@ async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
 @KINDS
 @pytest.mark.parametrize("hover_thrust", [0.36, 0.54])
 async def test_entry_with_a_wrong_hover_thrust(tmp_path: Path, kind: dict[str, int], hover_thrust: float) -> None:
-    async with flown(tmp_path, control={"hover_thrust": hover_thrust}, **kind) as gcs:
+    async with aloft(tmp_path, control={"hover_thrust": hover_thrust}, **kind) as gcs:
         await asyncio.sleep(5.0)
         began = gcs.now
         await gcs.fly("attitude")
@@ -50,7 +50,7 @@ async def test_entry_with_a_wrong_hover_thrust(tmp_path: Path, kind: dict[str, i
 
 @KINDS
 async def test_return_after_a_fall_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, conditions=WIND, control={"return_after_s": 3.0, "hover_thrust": 0.5}, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WIND, control={"return_after_s": 3.0, "hover_thrust": 0.5}, **kind) as gcs:
         await asyncio.sleep(10.0)
         await gcs.fly("attitude")
         await asyncio.sleep(15.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.public_data import CAPTURE
 from support.pymav import PymavPeer
 
@@ -23,7 +23,7 @@ def warnings(gcs: Flown, since: float) -> list[str]:
 
 @KINDS
 async def test_silence_holds_once(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, settings=SETTINGS, **kind) as gcs:
+    async with aloft(tmp_path, settings=SETTINGS, **kind) as gcs:
         await gcs.fly("attitude")
         await gcs.step(3.0, 0.0, 0.0)
         silent = gcs.now
@@ -38,7 +38,7 @@ async def test_silence_holds_once(tmp_path: Path, kind: dict[str, int]) -> None:
 
 
 async def test_it_lands_if_that_was_configured(tmp_path: Path) -> None:
-    async with flown(tmp_path, settings={**SETTINGS, "operator_lost": "land"}) as gcs:
+    async with aloft(tmp_path, settings={**SETTINGS, "operator_lost": "land"}) as gcs:
         await gcs.fly("velocity")
         silent = gcs.now
         await asyncio.sleep(30)
@@ -48,7 +48,7 @@ async def test_it_lands_if_that_was_configured(tmp_path: Path) -> None:
 
 @KINDS
 async def test_a_request_now_and_then_keeps_it_quiet(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, settings=SETTINGS, **kind) as gcs:
+    async with aloft(tmp_path, settings=SETTINGS, **kind) as gcs:
         await gcs.fly("attitude")
         since = gcs.now
         for _ in range(8):
@@ -58,7 +58,7 @@ async def test_a_request_now_and_then_keeps_it_quiet(tmp_path: Path, kind: dict[
 
 
 async def test_a_ground_stations_heartbeat_keeps_it_quiet_until_it_ceases(tmp_path: Path) -> None:
-    async with flown(tmp_path, settings=SETTINGS) as gcs:
+    async with aloft(tmp_path, settings=SETTINGS) as gcs:
         await gcs.fly("attitude")
         since, station = gcs.now, PymavPeer(252, 190)
         for _ in range(20):
@@ -72,7 +72,7 @@ async def test_a_ground_stations_heartbeat_keeps_it_quiet_until_it_ceases(tmp_pa
 
 async def test_a_recorded_ground_station_is_nobody(tmp_path: Path) -> None:
     """A recording that is replayed beside the fleet has its operator's heartbeats in it."""
-    async with flown(tmp_path, settings=SETTINGS) as gcs:
+    async with aloft(tmp_path, settings=SETTINGS) as gcs:
         await gcs.daemon.links.add("old", {"type": "replay", "file": str(CAPTURE), "speed": 1.0})
         await gcs.fly("velocity", targets="v1")
         since = gcs.now

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import HOLDING, Flown, flown
+from support.flown import HOLDING, Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -53,7 +53,7 @@ async def carried_out(gcs: Flown, order: str) -> None:
 @KINDS
 @ALL_ORDERS
 async def test_an_order_while_it_flies_ends_control_at_once(tmp_path: Path, kind: dict[str, int], order: str) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -68,7 +68,7 @@ async def test_an_order_while_it_flies_ends_control_at_once(tmp_path: Path, kind
 async def test_an_order_while_it_is_being_taken_over_wins(
     tmp_path: Path, kind: dict[str, int], order: str, after_s: float
 ) -> None:
-    async with flown(tmp_path, height_m=5.0, **kind) as gcs:
+    async with aloft(tmp_path, height_m=5.0, **kind) as gcs:
         taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
         await asyncio.sleep(after_s)
         taken_already = taking.done()
@@ -82,7 +82,7 @@ async def test_an_order_while_it_is_being_taken_over_wins(
 async def test_a_client_that_goes_away_leaves_it_as_it_was(
     tmp_path: Path, kind: dict[str, int], after_s: float
 ) -> None:
-    async with flown(tmp_path, height_m=5.0, **kind) as gcs:
+    async with aloft(tmp_path, height_m=5.0, **kind) as gcs:
         former, began = gcs.sim().mode, gcs.now
         taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
         await asyncio.sleep(after_s)
@@ -105,7 +105,7 @@ async def test_a_client_that_goes_away_leaves_it_as_it_was(
 
 @KINDS
 async def test_the_mode_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         if "ardupilot" in kind:
             await gcs.done("vehicles.mode", mode="LOITER", force=True)
         former, began = gcs.sim().mode, gcs.now
@@ -123,7 +123,7 @@ async def test_the_mode_is_refused(tmp_path: Path, kind: dict[str, int]) -> None
 
 async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PX4 enters OFFBOARD only while setpoints come."""
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         sim, began = gcs.sim(), gcs.now
         monkeypatch.setattr(sim, "on_setpoint", lambda name, fields, now: None)
         outcome = await gcs.outcome("control.set", mode="velocity")
@@ -133,7 +133,7 @@ async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pyte
 
 
 async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=2) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=2) as gcs:
         await gcs.fly("attitude", targets="all")
         engaging = asyncio.create_task(gcs("control.set", targets="v2", mode="velocity"))
         await asyncio.sleep(0.2)
@@ -150,7 +150,7 @@ async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path)
 
 async def test_what_the_guard_refuses_while_it_streams_ends_in_a_hold(tmp_path: Path) -> None:
     """An ArduCopter in GUIDED obeys the very first setpoint, long before its taking over is complete."""
-    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1) as gcs:
         taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
         await gcs.until(lambda: gcs.control()["state"] == "engaging")
         await asyncio.sleep(0.6)
@@ -167,7 +167,7 @@ async def test_what_the_guard_refuses_while_it_streams_ends_in_a_hold(tmp_path: 
 async def test_a_fault_of_ours_ends_control_in_a_hold(
     tmp_path: Path, kind: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -191,7 +191,7 @@ async def test_a_fault_of_ours_ends_control_in_a_hold(
 async def test_a_second_order_of_control_takes_the_place_of_the_first(
     tmp_path: Path, kind: dict[str, int], after_s: float
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         began = gcs.now
         first = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
         await asyncio.sleep(after_s)
@@ -210,7 +210,7 @@ async def test_a_second_order_of_control_takes_the_place_of_the_first(
 
 
 async def test_thrust_that_would_mean_climb_rate_is_refused_before_anything_is_sent(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params={"GUID_OPTIONS": 0}) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params={"GUID_OPTIONS": 0}) as gcs:
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert outcome["result"] == "refused" and "GUID_OPTIONS to 8" in outcome["message"]
@@ -219,7 +219,7 @@ async def test_thrust_that_would_mean_climb_rate_is_refused_before_anything_is_s
 
 
 async def test_a_vehicle_that_another_program_flies_is_not_taken_over(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         stream = mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0b110111000111, *(0.0,) * 11)
 
         async def fly_it() -> None:
@@ -238,11 +238,12 @@ async def test_a_vehicle_that_another_program_flies_is_not_taken_over(tmp_path: 
         other.cancel()
 
 
+@pytest.mark.deep  # as the first beginning
 @KINDS
 @pytest.mark.parametrize("order", ["off", "hold"])
 async def test_control_begins_again_at_once_after_it_ended(tmp_path: Path, kind: dict[str, int], order: str) -> None:
     """A PX4 shows OFFBOARD until its next heartbeat: that was by our own setpoints."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         for _ in range(4):  # at four phases of the heartbeats
             await gcs.fly("position")
             method, params, _ = ORDERS[order]
@@ -256,8 +257,9 @@ async def test_control_begins_again_at_once_after_it_ended(tmp_path: Path, kind:
             await asyncio.sleep(6.3)
 
 
+@pytest.mark.deep  # the guard's table is held in unit/core/control
 async def test_thrust_that_becomes_climb_rate_in_flight_ends_attitude(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1) as gcs:
         await gcs.fly("attitude")
         changed = gcs.now
         gcs.by_other_station(mav.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 0.0, 6))
@@ -269,7 +271,7 @@ async def test_thrust_that_becomes_climb_rate_in_flight_ends_attitude(tmp_path: 
 
 
 async def test_a_setpoint_that_waits_for_a_busy_link_does_not_leave_after_the_end(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         queue: TxQueue[str] = TxQueue()
         commands = gcs.actor().commands
@@ -289,7 +291,7 @@ async def test_a_setpoint_that_waits_for_a_busy_link_does_not_leave_after_the_en
 
 
 async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.done("vehicles.land")
         await gcs.until(lambda: not gcs.sim().armed, 60.0)
         await asyncio.sleep(3)
@@ -299,10 +301,11 @@ async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:
         assert not gcs.setpoints(since) and not gcs.commands(since)
 
 
+@pytest.mark.deep  # half a minute for each of two rates
 @pytest.mark.parametrize("own_hz", [5.0, 2.0])
 async def test_the_position_comes_as_before_when_control_ends(tmp_path: Path, own_hz: float) -> None:
     """It was asked down to 2 Hz of a PX4's own 5, for every program on that link."""
-    async with flown(tmp_path, px4=1) as gcs:
+    async with aloft(tmp_path, px4=1) as gcs:
         sim = gcs.sim()
         sim.streams.set_default("GLOBAL_POSITION_INT", own_hz, gcs.now)
         await asyncio.sleep(20)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -37,7 +37,7 @@ async def beyond_m(
     speed there is no fault."""
     far_m, at_mps, axis = step
     sign = math.copysign(1.0, far_m)
-    async with flown(folder, delay_s=0.01, control={"fence": FENCE, **control}, **kind) as gcs:
+    async with aloft(folder, delay_s=0.01, control={"fence": FENCE, **control}, **kind) as gcs:
         await gcs.fly(mode)
         await asyncio.sleep(6.0)
         start = gcs.place()
@@ -87,7 +87,7 @@ async def test_without_the_limit_it_goes_far_beyond(tmp_path: Path) -> None:
 @KINDS
 async def test_an_arducopter_is_handed_over_braking(tmp_path: Path, kind: dict[str, int]) -> None:
     """0.3 s of a lean against its motion, and then the setpoints of the next control mode; a PX4 gets those at once."""
-    async with flown(tmp_path, delay_s=0.01, control={"fence": FENCE}, **kind) as gcs:
+    async with aloft(tmp_path, delay_s=0.01, control={"fence": FENCE}, **kind) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(3.0)
         await gcs.step(8.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.virtual_uvloop import VirtualUvloop
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
@@ -24,7 +24,7 @@ def fly(folder: Path, kind: dict[str, int], scenario: Scenario, **control: float
     """Under uvloop, in virtual time."""
 
     async def flight() -> None:
-        async with flown(folder, delay_s=0.01, control={"fence": FENCE, **control}, **kind) as gcs:
+        async with aloft(folder, delay_s=0.01, control={"fence": FENCE, **control}, **kind) as gcs:
             await scenario(gcs)
 
     with asyncio.Runner(loop_factory=VirtualUvloop) as runner:

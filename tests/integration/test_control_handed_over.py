@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import conditions_of
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -26,7 +26,7 @@ DENIED: dict[str, tuple[str, dict[str, Any]]] = {
 @pytest.mark.parametrize("order", DENIED)
 async def test_an_order_that_is_denied_leaves_it_held(tmp_path: Path, kind: dict[str, int], order: str) -> None:
     """There is no mission. Ended at the order, control left it to the wind: 32.6 m in 10 s."""
-    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(5)
         method, given = DENIED[order]
@@ -46,7 +46,7 @@ async def test_an_order_that_is_denied_leaves_it_held(tmp_path: Path, kind: dict
 @KINDS
 async def test_an_order_that_is_not_heard_leaves_it_held(tmp_path: Path, kind: dict[str, int]) -> None:
     """Setpoints pass, the order does not: it is flown until its mode is seen."""
-    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(5)
         gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT"})
@@ -68,7 +68,7 @@ async def test_an_order_that_is_not_heard_leaves_it_held(tmp_path: Path, kind: d
 @KINDS
 async def test_a_goto_while_control_is_being_engaged_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
     """An ArduCopter in GUIDED follows the setpoints of the entry: one that came after the goto took its place."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         engaging = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
         await gcs.until(lambda: gcs.setpoints(0.0))
         await gcs.step(12.0, 0.0, 0.0)
@@ -81,7 +81,7 @@ async def test_a_goto_while_control_is_being_engaged_is_flown(tmp_path: Path, ki
 
 @KINDS
 async def test_an_order_that_is_denied_while_control_is_being_engaged(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         engaging = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
         await gcs.until(lambda: gcs.setpoints(0.0))
         since = gcs.now

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.errors import RefusedError
-from support.flown import FIELD, Flown, flown
+from support.flown import FIELD, Flown, aloft
 
 COSTS = "eight flights under control by setpoints"
 
@@ -25,7 +25,7 @@ def thrusts(gcs: Flown, since: float) -> list[float]:
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
 async def test_goto_moves_the_reference_and_nothing_else(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         start, began = gcs.place(), gcs.now
         for by in ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.0, 0.0, 2.0)):
@@ -36,8 +36,9 @@ async def test_goto_moves_the_reference_and_nothing_else(tmp_path: Path, kind: d
         assert gcs.control()["state"] == "flying" and not gcs.texts(began)
 
 
+@pytest.mark.deep  # several vehicles under control
 async def test_several_keep_their_formation(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=2, ardupilot=1) as gcs:
         await gcs.fly("attitude", targets="all")
         before = [gcs.place(name) for name in ("v1", "v2", "v3")]
         await gcs.done("vehicles.goto", targets="all", enu_m=[10.0, 6.0, 12.0])
@@ -55,7 +56,7 @@ async def test_several_keep_their_formation(tmp_path: Path) -> None:
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         start = gcs.place()
         began = gcs.now
@@ -75,7 +76,7 @@ async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kin
 
 async def test_a_new_origin_waits_for_all_that_hold_or_follow_and_the_stream_goes_on(tmp_path: Path) -> None:
     """Three hold, each flown another way; a fourth follows a stream of places."""
-    async with flown(tmp_path, px4=3, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=3, ardupilot=1) as gcs:
         for name, mode in (("v1", "attitude"), ("v2", "velocity"), ("v3", "position"), ("v4", "attitude")):
             await gcs.fly(mode, targets=name)
         place = gcs.actor("v4").vehicle.enu_m()
@@ -107,7 +108,7 @@ async def test_a_new_origin_waits_for_all_that_hold_or_follow_and_the_stream_goe
     ids=str,
 )
 async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], changes: dict[str, object]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(30)
         before = gcs.now
@@ -124,7 +125,7 @@ async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], chan
 
 
 async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         before = gcs.actor().gains()
         outcome = await gcs.outcome("control.gains", xy={"pos_p_per_s": 4.0, "vel_p": 0.9})
@@ -138,7 +139,7 @@ async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> 
 
 
 async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp_path: Path) -> None:
-    async with flown(tmp_path, params={"MPC_THR_HOVER": 0.47}) as gcs:
+    async with aloft(tmp_path, params={"MPC_THR_HOVER": 0.47}) as gcs:
         await gcs.done("control.gains", xy={"pos_p_per_s": 0.9})
         await gcs.fly("attitude")
         gains = gcs.actor().gains()
@@ -147,7 +148,7 @@ async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp
 
 @KINDS
 async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("position")
         began = gcs.now
         for mode in ("velocity", "attitude", "position", "attitude", "velocity", "position"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.runtime.link_view import LinkView
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -17,7 +17,7 @@ KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}]
 
 @KINDS
 async def test_three_tenths_of_a_second_of_delay(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, delay_s=0.15, **kind) as gcs:
+    async with aloft(tmp_path, delay_s=0.15, **kind) as gcs:
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert outcome["ok"], outcome
@@ -38,7 +38,7 @@ async def test_three_tenths_of_a_second_of_delay(tmp_path: Path, kind: dict[str,
 
 @KINDS
 async def test_six_tenths_leave_position_alone(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, delay_s=0.35, **kind) as gcs:
+    async with aloft(tmp_path, delay_s=0.35, **kind) as gcs:
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert outcome["message"].startswith("flown by position setpoints and not by attitude"), outcome
@@ -53,7 +53,7 @@ async def test_six_tenths_leave_position_alone(tmp_path: Path, kind: dict[str, i
 async def test_a_radio_that_leaves_too_few_setpoints_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `setpoint_bytes_per_s` tells it of a radio at 19200 baud: 480 B/s, 9.4 setpoints of 51 B."""
     monkeypatch.setattr(LinkView, "setpoint_bytes_per_s", lambda view, vehicle, flown: 480.0)
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert "not by attitude: the link leaves 9.41 setpoints per second (attitude needs 20)" in outcome["message"]
@@ -68,7 +68,7 @@ async def test_a_radio_that_leaves_too_few_setpoints_a_second(tmp_path: Path, mo
 async def test_a_radio_that_gets_busy_in_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = [1440.0]
     monkeypatch.setattr(LinkView, "setpoint_bytes_per_s", lambda view, vehicle, flown: left[0])
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(5)

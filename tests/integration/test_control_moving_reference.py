@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WINDY = Conditions(wind_enu_mps=(5.0, 0.0, 0.0), gust_mps=1.0)
@@ -64,7 +64,7 @@ async def test_a_path_is_followed_over_a_slow_link(
 ) -> None:
     """``delay_s`` both ways together; every combination is measured by `make bench-control`."""
     control: dict[str, Any] = {"position_hz": 5.0, "position_stale_s": 4.0}
-    async with flown(tmp_path, **kind, delay_s=delay_s / 2, conditions=WINDY, control=control) as gcs:
+    async with aloft(tmp_path, **kind, delay_s=delay_s / 2, conditions=WINDY, control=control) as gcs:
         await gcs.fly("position")
         (x, y), _, _ = path(0.0)
         await gcs.done("vehicles.goto", enu_m=[x, y, HEIGHT_M])
@@ -79,7 +79,7 @@ async def test_a_mixed_climb_does_not_swing_at_two_seconds_of_delay(
 ) -> None:
     """A loop closed on the ground swung by 7.5 m."""
     control = {"position_stale_s": 6.0}
-    async with flown(tmp_path, **kind, delay_s=1.0, control=control) as gcs:
+    async with aloft(tmp_path, **kind, delay_s=1.0, control=control) as gcs:
         await gcs.fly("position")
         (x, y, z), began = gcs.place(), gcs.now
         goal_m = z + 3.0

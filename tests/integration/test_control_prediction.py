@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.control.trace import decode, rerun
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -51,7 +51,7 @@ async def circle(gcs: Flown, seconds: float) -> float:
 
 @KINDS
 async def test_a_circle_over_0_8_s_is_followed_and_runs_again_bit_for_bit(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, control=PREDICTED, conditions=WIND, links=air(0.8), **kind) as gcs:
+    async with aloft(tmp_path, control=PREDICTED, conditions=WIND, links=air(0.8), **kind) as gcs:
         await gcs("control.record", targets="v1", on=True)
         began = gcs.now
         await gcs.fly("velocity")
@@ -72,14 +72,14 @@ async def test_a_circle_over_0_8_s_is_followed_and_runs_again_bit_for_bit(tmp_pa
 
 
 async def test_without_the_setting_the_same_delay_is_flown_by_position(tmp_path: Path) -> None:
-    async with flown(tmp_path, control={"fence": WIDE}, links=air(0.8)) as gcs:
+    async with aloft(tmp_path, control={"fence": WIDE}, links=air(0.8)) as gcs:
         outcome = await gcs.outcome("control.set", mode="velocity")
         assert "flown by position setpoints and not by velocity" in outcome["message"]
         assert gcs.control()["prediction"] is None
 
 
 async def test_with_a_delay_beyond_the_margin_position_is_flown(tmp_path: Path) -> None:
-    async with flown(tmp_path, control=PREDICTED, links=air(1.6)) as gcs:
+    async with aloft(tmp_path, control=PREDICTED, links=air(1.6)) as gcs:
         outcome = await gcs.outcome("control.set", mode="velocity")
         assert "flown by position setpoints" in outcome["message"]
         assert "may be wrong by" in gcs.control()["prediction"]["refused"]
@@ -88,7 +88,7 @@ async def test_with_a_delay_beyond_the_margin_position_is_flown(tmp_path: Path) 
 async def test_one_position_a_second_is_too_few(tmp_path: Path) -> None:
     """What a busy radio may leave: velocity is flown without prediction, and says why."""
     control = {**PREDICTED, "stale_s": 1.9, "velocity_delay_s": 1.8}
-    async with flown(tmp_path, control=control, links=air(0.1)) as gcs:
+    async with aloft(tmp_path, control=control, links=air(0.1)) as gcs:
         await gcs.fly("velocity")
         await asyncio.sleep(4.0)
         assert gcs.control()["prediction"]["active"]
@@ -101,8 +101,9 @@ async def test_one_position_a_second_is_too_few(tmp_path: Path) -> None:
         assert [t for t in gcs.texts(began) if "not predicted any more" in t]
 
 
+@pytest.mark.deep  # a further delay of the same flight
 async def test_a_jump_of_the_delay_neither_jolts_it_nor_ends_control(tmp_path: Path) -> None:
-    async with flown(tmp_path, control=PREDICTED, links=air(0.2)) as gcs:
+    async with aloft(tmp_path, control=PREDICTED, links=air(0.2)) as gcs:
         await gcs.fly("velocity")
         await asyncio.sleep(5.0)
         for network in (gcs.link.inward, gcs.link.outward):
@@ -117,7 +118,7 @@ async def test_a_jump_of_the_delay_neither_jolts_it_nor_ends_control(tmp_path: P
 @KINDS
 async def test_a_change_of_the_control_mode_on_the_way_makes_no_jump(tmp_path: Path, kind: dict[str, int]) -> None:
     """From position to velocity with prediction and back, on a circle over 0.8 s."""
-    async with flown(tmp_path, control=PREDICTED, conditions=WIND, links=air(0.8), **kind) as gcs:
+    async with aloft(tmp_path, control=PREDICTED, conditions=WIND, links=air(0.8), **kind) as gcs:
         await gcs.fly("position")
         flying = asyncio.create_task(circle(gcs, 60.0))
         await asyncio.sleep(20.0)
@@ -129,9 +130,10 @@ async def test_a_change_of_the_control_mode_on_the_way_makes_no_jump(tmp_path: P
         assert gcs.control()["control_mode"] == "position"
 
 
+@pytest.mark.deep  # a further loss of the same flight
 async def test_states_that_are_lost_do_not_end_prediction(tmp_path: Path) -> None:
     """A tenth of all packets, both ways, at the 5 Hz that a radio may leave."""
-    async with flown(tmp_path, control={**PREDICTED, "stale_s": 1.5}, conditions=WIND, links=air(0.4)) as gcs:
+    async with aloft(tmp_path, control={**PREDICTED, "stale_s": 1.5}, conditions=WIND, links=air(0.4)) as gcs:
         await gcs.fly("velocity")
         gcs.sim().streams.set_interval("GLOBAL_POSITION_INT", 0.2, gcs.now)  # by another station
         for network in (gcs.link.inward, gcs.link.outward):

@@ -12,7 +12,7 @@ import pytest
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin
 from skygcs.errors import RefusedError
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -36,7 +36,7 @@ async def streams(gcs: Flown, seconds: float, **setpoint: Any) -> list[dict[str,
 async def test_attitude_and_thrust_are_sent_as_they_are_and_their_deadline_holds(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         outcome = await gcs.outcome("control.set", mode="raw")
         assert outcome["ok"] and outcome["message"].startswith("flown by raw setpoints"), outcome
         await asyncio.sleep(1.0)
@@ -69,7 +69,7 @@ async def test_attitude_and_thrust_are_sent_as_they_are_and_their_deadline_holds
 
 @KINDS
 async def test_body_rates_and_accelerations_give_what_the_masks_say(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         began = gcs.now
         assert not await streams(gcs, 0.1, body_rates_deg_s=[3.0, -2.0, 1.0], thrust=0.5)
@@ -86,8 +86,9 @@ async def test_body_rates_and_accelerations_give_what_the_masks_say(tmp_path: Pa
         assert sent.values["yaw"] == pytest.approx(math.pi / 2)
 
 
+@pytest.mark.deep  # flies along each axis
 async def test_axes_are_those_of_the_fleets_frame(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         origin = gcs.daemon.fleet.origin
         assert origin is not None
         turned = Origin(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m, x_heading_deg=0.0)
@@ -121,7 +122,7 @@ async def test_axes_are_those_of_the_fleets_frame(tmp_path: Path) -> None:
 async def test_a_setpoint_beyond_a_limit_is_refused_and_the_one_before_stays(
     tmp_path: Path, setpoint: dict[str, Any], why: str
 ) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.outcome("control.set", mode="raw")
         await gcs.done("control.setpoint", **LEVEL, thrust=0.5)
         outcome = await gcs.outcome("control.setpoint", **setpoint)
@@ -134,14 +135,14 @@ async def test_a_setpoint_beyond_a_limit_is_refused_and_the_one_before_stays(
 
 
 async def test_without_the_order_raw_is_refused(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
         outcome = await gcs.outcome("control.setpoint", **LEVEL, thrust=0.5)
         assert not outcome["ok"] and "control set v1 raw" in outcome["message"], outcome
 
 
 async def test_an_arducopter_whose_thrust_is_a_climb_rate_is_refused(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params={"GUID_OPTIONS": 0}) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params={"GUID_OPTIONS": 0}) as gcs:
         outcome = await gcs.outcome("control.set", mode="raw")
         assert not outcome["ok"] and "GUID_OPTIONS" in outcome["message"], outcome
         assert not gcs.setpoints(0.0)
@@ -152,7 +153,7 @@ async def test_it_is_stopped_before_the_fence_though_the_setpoint_would_lead_out
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     control = {"fence": {"x_m": [-20, 20], "y_m": [-20, 20], "up_m": [0, 90]}, "raw": {"tilt_max_deg": 20}}
-    async with flown(tmp_path, control=control, **kind) as gcs:
+    async with aloft(tmp_path, control=control, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         began = gcs.now
         tilt = math.radians(12)
@@ -168,7 +169,7 @@ async def test_it_is_stopped_before_the_fence_though_the_setpoint_would_lead_out
 
 
 async def test_delay_ends_it_and_only_an_order_begins_it_again(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.outcome("control.set", mode="raw")
         flying = asyncio.create_task(streams(gcs, 8.0, **LEVEL, thrust=0.5))
         await asyncio.sleep(1.0)
@@ -190,7 +191,7 @@ async def test_delay_ends_it_and_only_an_order_begins_it_again(tmp_path: Path) -
 @KINDS
 @pytest.mark.parametrize("order", ["land", "hold"])
 async def test_an_order_ends_it_at_once(tmp_path: Path, kind: dict[str, int], order: str) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         flying = asyncio.create_task(streams(gcs, 3.0, **LEVEL, thrust=0.5))
         await asyncio.sleep(1.0)
@@ -202,7 +203,7 @@ async def test_an_order_ends_it_at_once(tmp_path: Path, kind: dict[str, int], or
 
 @KINDS
 async def test_sigterm_while_it_flies_holds(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         await streams(gcs, 1.0, roll_deg=3.0, pitch_deg=0.0, yaw_deg=90.0, thrust=0.5)
         ended = gcs.now
@@ -211,10 +212,11 @@ async def test_sigterm_while_it_flies_holds(tmp_path: Path, kind: dict[str, int]
         await gcs.ends_safe(within_m=6.0, since=ended)
 
 
+@pytest.mark.deep  # a controller at 50 Hz
 @KINDS
 async def test_an_own_controller_of_accelerations_flies_a_step(tmp_path: Path, kind: dict[str, int]) -> None:
     """PD on position and velocity as reported, in the test; gravity and thrust are the autopilot's."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         goal = (gcs.place()[0] + 2.0, gcs.place()[1], gcs.place()[2])
         for _ in range(600):
@@ -230,7 +232,7 @@ async def test_an_own_controller_of_accelerations_flies_a_step(tmp_path: Path, k
 async def test_body_rates_that_never_end_are_ended_by_the_tilt_that_is_reported(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, control={"raw": {"tilt_max_deg": 10}}, **kind) as gcs:
+    async with aloft(tmp_path, control={"raw": {"tilt_max_deg": 10}}, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         since = gcs.now
         refused = await streams(gcs, 2.0, body_rates_deg_s=[30.0, 0.0, 0.0], thrust=0.5)
@@ -243,7 +245,7 @@ async def test_body_rates_that_never_end_are_ended_by_the_tilt_that_is_reported(
 
 
 async def test_the_trace_has_what_was_sent(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs("control.record", targets="v1", on=True)
         await gcs.outcome("control.set", mode="raw")
         await streams(gcs, 0.3, body_rates_deg_s=[9.0, 0.0, -18.0], thrust=0.5)
@@ -260,7 +262,7 @@ async def test_the_trace_has_what_was_sent(tmp_path: Path) -> None:
 
 
 async def test_messages_that_fly_stay_refused_and_name_the_guarded_way(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         values = {"type_mask": 7, "q": [1.0, 0.0, 0.0, 0.0], "thrust": 0.5}
         with pytest.raises(RefusedError, match="control set raw"):
             await gcs("messages.send", name="SET_ATTITUDE_TARGET", target="v1", fields=values)

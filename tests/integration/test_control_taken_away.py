@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -26,7 +26,7 @@ def px4(gcs: Flown) -> bool:
 async def test_another_ground_station_takes_it_home_in_mid_step(
     tmp_path: Path, kind: dict[str, int], mode: str
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -45,7 +45,7 @@ async def test_another_ground_station_takes_it_home_in_mid_step(
 
 @KINDS
 async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         order = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
         await gcs.until(lambda: gcs.control()["state"] == "engaging")
         await asyncio.sleep(0.2)
@@ -62,7 +62,7 @@ async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_pa
 
 @KINDS
 async def test_disarmed_by_somebody_else(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, height_m=3.0, **kind) as gcs:
+    async with aloft(tmp_path, height_m=3.0, **kind) as gcs:
         await gcs.fly("attitude")
         gone = gcs.now
         gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
@@ -78,7 +78,7 @@ async def test_disarmed_by_somebody_else(tmp_path: Path, kind: dict[str, int]) -
 
 @KINDS
 async def test_rebooted_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, height_m=3.0, **kind) as gcs:
+    async with aloft(tmp_path, height_m=3.0, **kind) as gcs:
         await gcs.fly("attitude")
         await gcs.step(2.0, 0.0, 0.0)
         await asyncio.sleep(0.5)
@@ -95,7 +95,7 @@ async def test_rebooted_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
 
 @KINDS
 async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         await gcs.step(2.0, 0.0, 0.0)
         gone = gcs.now
@@ -110,7 +110,7 @@ async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kin
 
 async def test_a_second_vehicle_of_its_id_elsewhere_ends_nothing(tmp_path: Path) -> None:
     """State and setpoints have one channel; the flight goes on, and nobody else may be taken over by the id."""
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         await gcs.step(2.0, 0.0, 0.0)
         seen = gcs.now
@@ -124,7 +124,7 @@ async def test_a_second_vehicle_of_its_id_elsewhere_ends_nothing(tmp_path: Path)
 
 
 async def test_it_is_heard_in_a_recording_instead(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         order = asyncio.create_task(gcs.actor().offboard.engage(gcs.actor().offboard.controller.wanted))
         await asyncio.sleep(0)

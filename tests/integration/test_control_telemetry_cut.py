@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import HOLDING, flown
+from support.flown import HOLDING, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -19,7 +19,7 @@ KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}]
 async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_there(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -43,7 +43,7 @@ async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_the
 
 
 async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_path: Path) -> None:
-    async with flown(tmp_path, control={"return_after_s": 4.0}) as gcs:
+    async with aloft(tmp_path, control={"return_after_s": 4.0}) as gcs:
         await gcs.fly("attitude")
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -63,7 +63,7 @@ async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_p
 @KINDS
 @pytest.mark.parametrize("cut_s", [2.5, 10.0])
 async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind: dict[str, int], cut_s: float) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind
 
 
 async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("velocity")
         began = gcs.now
         while gcs.now < began + 2.0:
@@ -108,7 +108,7 @@ async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
 
 async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_path: Path) -> None:
     """Seen on real firmware: an event for each of them, five a second."""
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("velocity")
         cut = gcs.now
         gcs.sim().faults.mute = True
@@ -123,7 +123,7 @@ async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_p
 
 @KINDS
 async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -137,7 +137,7 @@ async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind
 
 
 async def test_a_daemon_of_which_a_part_fails_sends_nothing_more(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         failed = gcs.now
         (inner,) = [t for t in asyncio.all_tasks() if t.get_name() == "the daemon"]
@@ -153,7 +153,7 @@ async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
     tmp_path: Path, kind: dict[str, int], mode: str
 ) -> None:
     """An ArduCopter whose attitude ends is level, but not still: what ends that is its failsafe for a lost station."""
-    async with flown(tmp_path, params={"FS_GCS_ENABLE": 1}, **kind) as gcs:
+    async with aloft(tmp_path, params={"FS_GCS_ENABLE": 1}, **kind) as gcs:
         await gcs.fly(mode)
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -170,10 +170,11 @@ async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
         assert gcs.farthest_m(died, of=start) < 16.0
 
 
+@pytest.mark.deep  # as a cut of both ways
 async def test_a_copter_whose_answers_are_lost_holds_where_its_own_failsafe_acts(tmp_path: Path) -> None:
     """BRAKE is not left by the failsafe for a lost ground station (FS_OPTIONS, bit 4): what comes after it must be sent
     although nothing answers."""
-    async with flown(tmp_path, px4=0, ardupilot=1, params={"FS_GCS_ENABLE": 1}) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params={"FS_GCS_ENABLE": 1}) as gcs:
         await gcs.fly("velocity")
         cut = gcs.now
         gcs.sim().faults.mute = True

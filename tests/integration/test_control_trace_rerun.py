@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.control.trace import Trace, TraceEntry, decode, rerun
 from skygcs.runtime.trace_file import TraceFile
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -26,7 +26,7 @@ def read(path: Path) -> tuple[Trace, list[TraceEntry]]:
 
 @KINDS
 async def test_a_flight_with_everything_in_it_runs_again_alike(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs("control.record", targets="v1", on=True)
         await gcs.fly("attitude")
         path = gcs.control()["recording"]
@@ -65,7 +65,7 @@ async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monk
         before(self, *args)
 
     monkeypatch.setattr(TraceFile, "write", write)
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs("control.record", targets="v1", on=True)
         await gcs.fly("attitude")
         start, since = gcs.place(), gcs.now
@@ -81,7 +81,7 @@ async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monk
 
 async def test_a_log_directory_that_cannot_be_written_is_told_and_control_begins(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file where a directory is wanted")
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs("control.record", targets="v1", on=True)
         await gcs.fly("velocity")
         (told,) = gcs.texts(0.0, "warning")

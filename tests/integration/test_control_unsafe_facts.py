@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -39,7 +39,7 @@ async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: floa
 
 @KINDS_AND_MODES
 async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with flown(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
+    async with aloft(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
         await gcs.fly(mode)
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -53,7 +53,7 @@ async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: st
 
 @KINDS_AND_MODES
 async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -67,7 +67,7 @@ async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) 
 @KINDS_AND_MODES
 async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     """Without a position no mode holds one: the autopilot lands, by the order's refusal or by its own failsafe."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -86,7 +86,7 @@ async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> N
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     """Twenty metres to the wall at 3 m/s: setpoints that would carry it out are refused, and it stops before it."""
-    async with flown(tmp_path, control={"fence": {"x_m": [-20.0, 20.0], "y_m": [-20.0, 20.0]}}, **kind) as gcs:
+    async with aloft(tmp_path, control={"fence": {"x_m": [-20.0, 20.0], "y_m": [-20.0, 20.0]}}, **kind) as gcs:
         await gcs.fly(mode)
         began, refused = gcs.now, ""
         while gcs.now < began + 12.0:
@@ -102,7 +102,7 @@ async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: di
 async def test_the_wind_carries_it_out(tmp_path: Path, kind: dict[str, int]) -> None:
     """The law may lean 5 degrees, which does not bear this wind; the autopilot may more."""
     control = {"tilt_max_deg": 3.0, "fence": {"x_m": [-8.0, 8.0], "y_m": [-8.0, 8.0]}}
-    async with flown(tmp_path, control=control, conditions=Conditions(wind_enu_mps=(6.0, 0.0, 0.0)), **kind) as gcs:
+    async with aloft(tmp_path, control=control, conditions=Conditions(wind_enu_mps=(6.0, 0.0, 0.0)), **kind) as gcs:
         await gcs.fly("attitude")
         began = gcs.now
         await held_once(gcs, began, latest_s=60.0, within_m=13.0, why="the vehicle is at x 8.")
@@ -111,7 +111,7 @@ async def test_the_wind_carries_it_out(tmp_path: Path, kind: dict[str, int]) -> 
 @KINDS
 async def test_places_outside_are_refused_and_nothing_moves(tmp_path: Path, kind: dict[str, int]) -> None:
     control = {"fence": {"x_m": [-20.0, 20.0], "y_m": [-20.0, 20.0]}}
-    async with flown(tmp_path, control=control, **kind) as gcs:
+    async with aloft(tmp_path, control=control, **kind) as gcs:
         await gcs.fly("attitude")
         began = gcs.now
         outside = {"beyond the wall": [30.0, 0.0, 10.0], "in the margin": [19.0, 0.0, 10.0], "high": [0.0, 0.0, 19.0]}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -19,7 +19,7 @@ KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}]
 async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
     tmp_path: Path, kind: dict[str, int], phase_s: float
 ) -> None:
-    async with flown(tmp_path, delay_s=0.01, **kind) as gcs:
+    async with aloft(tmp_path, delay_s=0.01, **kind) as gcs:
         await gcs.fly("attitude")
         start = gcs.place()
         await asyncio.sleep(6.0)
@@ -42,7 +42,7 @@ async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
 @pytest.mark.deep
 async def test_five_percent_of_loss_each_way_is_no_delay(tmp_path: Path) -> None:
     links = {"air": {"type": "memory", "role": "radio", "delay_s": 0.01, "loss": 0.05}}
-    async with flown(tmp_path, links=links) as gcs:
+    async with aloft(tmp_path, links=links) as gcs:
         assert (await gcs.outcome("control.set", mode="attitude"))["ok"]
         await gcs.until(lambda: gcs.control()["control_mode"] == "attitude")
         began = gcs.now
@@ -51,7 +51,7 @@ async def test_five_percent_of_loss_each_way_is_no_delay(tmp_path: Path) -> None
 
 
 async def test_the_return_waits_for_twenty_good_pongs_and_then_return_after_s(tmp_path: Path) -> None:
-    async with flown(tmp_path, delay_s=0.01, control={"return_after_s": 2.0}) as gcs:
+    async with aloft(tmp_path, delay_s=0.01, control={"return_after_s": 2.0}) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(6.0)
         gcs.uplink_delay_s = 0.575

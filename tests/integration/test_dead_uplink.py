@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
 
 @pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=str)
 async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, params={"FS_GCS_ENABLE": 1.0}, **kind) as gcs:
+    async with aloft(tmp_path, params={"FS_GCS_ENABLE": 1.0}, **kind) as gcs:
         await asyncio.sleep(20)
         (state,) = await gcs("vehicles.list", targets="all")
         assert state["uplink"]["heard"] is True and state["uplink"]["rtt_s"] < 0.5
@@ -35,7 +35,7 @@ async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: 
 
 
 async def test_a_link_that_is_cut_both_ways_is_a_lost_vehicle_and_no_dead_uplink(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await asyncio.sleep(20)
         gcs.cut = True
         await gcs.until(lambda: any(t.kind == "vehicle_lost" for t in gcs.told), 20.0)

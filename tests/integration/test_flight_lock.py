@@ -12,7 +12,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
 
 pytestmark = pytest.mark.looptime
@@ -103,7 +103,7 @@ async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_pat
 async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
     tmp_path: Path, kind: dict[str, int], flight: str
 ) -> None:
-    async with flown(tmp_path, **kind, conditions=WIND) as gcs:
+    async with aloft(tmp_path, **kind, conditions=WIND) as gcs:
         if flight == "control":
             await gcs.fly("position")
             ends = "`skygcs-cli hold v1`"
@@ -144,7 +144,7 @@ async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
 
 @KINDS
 async def test_a_fence_that_a_flying_vehicle_is_outside_of_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind, conditions=WIND) as gcs:
+    async with aloft(tmp_path, **kind, conditions=WIND) as gcs:
         x, y, up = gcs.place("v1")
         await gcs.done("vehicles.goto", targets="v1", enu_m=[x, y + 15.0, up])
         await gcs.until(lambda: gcs.place("v1")[1] > y + 14.0, 60.0)

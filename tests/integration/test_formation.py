@@ -18,7 +18,7 @@ from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.planned import least_distance
 from support.process import ROOT
 
@@ -41,7 +41,7 @@ async def formed(tmp_path: Path, *, fly: dict[str, Any] | None = None, **kind: A
         return config.model_copy(update={"extensions": {"formation": table}})
 
     acting = {"monitor": {"mode": "acting"}}
-    async with flown(tmp_path, control=WIDE, tables=acting, prepared=prepared, **kind) as gcs:
+    async with aloft(tmp_path, control=WIDE, tables=acting, prepared=prepared, **kind) as gcs:
         yield gcs
 
 
@@ -88,6 +88,7 @@ async def test_a_formation_is_formed_moved_turned_scaled_and_stopped(tmp_path: P
         assert not [t for t in gcs.told if t.kind == "separation" and t.data.get("level") in ("warning", "action")]
 
 
+@pytest.mark.deep  # the way around is held in unit/ext/formation
 async def test_two_that_change_places_get_around_each_other(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=1, ardupilot=1) as gcs:
         since, names = gcs.now, ["v1", "v2"]
@@ -114,6 +115,7 @@ async def test_a_formation_follows_a_vehicle(tmp_path: Path) -> None:
             await gcs("formation.move", to_enu_m=[0.0, 0.0, 12.0])
 
 
+@pytest.mark.deep  # three vehicles fly for a minute
 async def test_nobody_follows_a_leader_down_to_the_ground(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=3) as gcs:
         await gcs("formation.start", targets=["v2", "v3"], shape="line", spacing_m=8.0, leader="v1")
@@ -144,6 +146,7 @@ async def test_who_leaves_stops_the_others(tmp_path: Path) -> None:
             assert math.hypot(*gcs.truth[int(name[1:])][-1].vel_mps) < 0.3
 
 
+@pytest.mark.deep  # ends as when one leaves
 async def test_an_order_to_a_member_takes_it_out(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
@@ -167,6 +170,7 @@ async def test_a_stop_that_comes_while_it_is_being_begun_ends_that(tmp_path: Pat
         assert all(gcs.farthest_m(since, name) < 0.5 for name in ("v1", "v2"))
 
 
+@pytest.mark.deep  # four vehicles fly on for a minute
 async def test_a_velocity_ends_by_itself(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="current")
@@ -291,6 +295,7 @@ async def test_a_gust_that_carries_one_away_stops_all(tmp_path: Path) -> None:
         assert "from its reference" in (await status(gcs))["reason"]
 
 
+@pytest.mark.deep  # the hold at the end is test_shutdown's
 async def test_a_daemon_that_ends_leaves_all_where_they_are(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=10.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -27,7 +27,7 @@ async def lost(gcs: Flown) -> CopterMode:
 
 
 async def test_after_a_hold_its_failsafe_brings_it_back(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
         await gcs.step(30.0, 0.0, 0.0)
         await asyncio.sleep(2)
         since = gcs.now
@@ -39,13 +39,13 @@ async def test_after_a_hold_its_failsafe_brings_it_back(tmp_path: Path) -> None:
 
 
 async def test_after_a_stop_it_stays_while_the_option_is_set(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
         await gcs.done("vehicles.stop", action="hold")
         assert await lost(gcs) == CopterMode.BRAKE
 
 
 async def test_after_a_stop_it_comes_back_once_the_option_is_gone(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params={**WATCHED, "FS_OPTIONS": 0.0}) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params={**WATCHED, "FS_OPTIONS": 0.0}) as gcs:
         await gcs.done("vehicles.stop", action="hold")
         assert await lost(gcs) == CopterMode.RTL
 
@@ -55,7 +55,7 @@ async def test_after_a_stop_it_comes_back_once_the_option_is_gone(tmp_path: Path
 async def test_after_our_end_in_flight_it_holds_and_comes_back(tmp_path: Path, mode: str, delay_s: float) -> None:
     if mode != "position" and delay_s > 0.1:
         pytest.skip("the guard lets no such delay fly by attitude, and velocity is flown by position")
-    async with flown(tmp_path, px4=0, ardupilot=1, params=WATCHED, delay_s=delay_s) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params=WATCHED, delay_s=delay_s) as gcs:
         await gcs.fly(mode)
         await gcs.step(10.0, 0.0, 0.0)
         await asyncio.sleep(1)
@@ -68,6 +68,6 @@ async def test_after_our_end_in_flight_it_holds_and_comes_back(tmp_path: Path, m
 
 
 async def test_the_operator_is_told_what_brake_means_for_its_failsafe(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, params=WATCHED) as gcs:
         await gcs.fly("attitude")
         assert any("FS_OPTIONS is 16" in text and "BRAKE" in text for text in gcs.texts(0.0, "warning"))

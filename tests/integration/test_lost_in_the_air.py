@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import flown
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -17,7 +17,7 @@ KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}]
 @KINDS
 async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path, kind: dict[str, int]) -> None:
     """At 10 s of silence a goto to its place was accepted: true separation 0.00 m."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         there = list(gcs.place("v2"))
         gcs.muted.add(2)
         muted = gcs.now

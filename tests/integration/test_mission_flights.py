@@ -129,6 +129,7 @@ async def test_a_qgc_plan_is_uploaded_flown_paused_and_read_back(tmp_path: Path,
         assert "reached item 5 of 7" in texts and "goes on with item 4" in texts
 
 
+@pytest.mark.deep  # the format is read in unit/core/mission, the flight is the one above
 @BOTH
 async def test_a_wpl_file_is_flown_as_well(tmp_path: Path, name: str) -> None:
     """Mission Planner writes commands without a place in frame 3."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from support.flown import FIELD, flown
+from support.flown import FIELD, aloft, flown
 
 pytestmark = pytest.mark.looptime
 
@@ -64,7 +64,7 @@ async def test_every_order_that_goes_on_with_a_mission_is_checked_as_its_start_i
     tmp_path: Path, px4: int, mode: str
 ) -> None:
     """resume, the mode of missions, and another item while it is flown."""
-    async with flown(tmp_path, px4=px4, ardupilot=2 - px4) as gcs:
+    async with aloft(tmp_path, px4=px4, ardupilot=2 - px4) as gcs:
         x, y, up = gcs.place("v1")
         home = gcs.place_of_home("v1")[:2]
         far = [(x, y + 12.0, up), (x, y + 24.0, up), (x + 20.0, y + 24.0, up)]
@@ -99,7 +99,7 @@ async def test_a_vehicle_lost_in_the_air_is_in_the_way_of_everything_that_goes_o
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     """goto, take-off, mission, trajectory and plan, at every age of its last position."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.done("vehicles.land", targets="v1")
         await gcs.until(lambda: not gcs.sim("v1").armed, 120.0)
         x, y, up = gcs.place("v2")

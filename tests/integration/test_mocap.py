@@ -280,6 +280,7 @@ async def test_each_vehicle_gets_its_own_poses(tmp_path: Path) -> None:
             assert gcs.sim(name).position_ok
 
 
+@pytest.mark.deep  # a minute of poses at 30 Hz
 async def test_the_origin_is_sent_once_and_again_after_a_reboot(tmp_path: Path) -> None:
     async with lab(tmp_path, "ardupilot") as gcs:
         sim = gcs.sim()
@@ -293,6 +294,7 @@ async def test_the_origin_is_sent_once_and_again_after_a_reboot(tmp_path: Path) 
         await gcs.until(lambda: sim.local_zero is not None)
 
 
+@pytest.mark.deep  # half a minute of poses at 30 Hz
 async def test_no_origin_is_sent_if_it_is_not_wanted(tmp_path: Path) -> None:
     async with lab(tmp_path, "ardupilot", set_origin=False) as gcs:
         await asyncio.sleep(30)
@@ -302,6 +304,7 @@ async def test_no_origin_is_sent_if_it_is_not_wanted(tmp_path: Path) -> None:
         assert finding["verdict"] == "fail" and "origin push" in finding["todo"]
 
 
+@pytest.mark.deep  # poses at 30 Hz through a radio
 async def test_a_slow_radio_carries_fewer_poses_and_preflight_says_so(tmp_path: Path) -> None:
     radio = {"role": "radio", "radio": {"air_kbps": 64, "baud": 57600}}
     async with lab(tmp_path, "px4", link=radio, message="odometry") as gcs:

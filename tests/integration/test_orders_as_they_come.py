@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -30,7 +30,7 @@ class Seen:
 
 async def test_a_stop_shows_who_holds_at_once_although_one_does_not_hear_it(tmp_path: Path) -> None:
     """It showed nothing for 30 s: seven had confirmed and two had refused within a second."""
-    async with flown(tmp_path, px4=5, ardupilot=5) as gcs:
+    async with aloft(tmp_path, px4=5, ardupilot=5) as gcs:
         gcs.sim("v3").faults.deaf = True
         gcs.sim("v8").faults.refuse_mode = "requires position"
         seen = Seen(gcs)

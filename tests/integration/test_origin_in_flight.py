@@ -132,6 +132,7 @@ async def test_a_place_in_a_turned_frame_is_the_right_place_on_earth(tmp_path: P
             assert state["position"]["enu_m"] == pytest.approx(goal, abs=HOLDING_M)
 
 
+@pytest.mark.deep  # several vehicles, as the one before
 async def test_several_keep_their_places_to_each_other_in_a_turned_frame(tmp_path: Path) -> None:
     async with flight(tmp_path) as gcs:
         await gcs("origin.from_vehicle", target="1")

@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError
-from support.flown import Flown, flown
+from support.flown import Flown, aloft, flown
 from support.planned import UP_M, run, state, timed
 from support.sim_pilot import int_param
 
@@ -36,7 +36,7 @@ async def raw(gcs: Flown, method: str, **params: Any) -> str:
 async def test_no_order_and_no_raw_door_leads_into_a_mode_by_sticks_or_past_the_list(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         family = gcs.actor().vehicle.family
         former, height_m, sent = gcs.sim().mode, gcs.place()[2], len(gcs.sent)
         # modes, for all and for one
@@ -72,7 +72,7 @@ async def test_no_order_and_no_raw_door_leads_into_a_mode_by_sticks_or_past_the_
 async def test_a_part_of_skygcs_without_a_clearance_sends_what_is_harmless_only(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         hub, dialect = gcs.daemon.hub, gcs.daemon.dialect
         long, ping = dialect.by_name["COMMAND_LONG"], dialect.by_name["PING"]
         disarm = {"target_system": 1, "target_component": 1, "command": 400, "param1": 0.0, "param2": 21196.0}
@@ -88,7 +88,7 @@ async def test_a_part_of_skygcs_without_a_clearance_sends_what_is_harmless_only(
 
 @KINDS
 async def test_a_vehicle_that_has_landed_is_ready_where_takeoff_works(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.done("vehicles.land")
         await gcs.until(lambda: not gcs.sim().armed, 60.0)
         await asyncio.sleep(12)  # its landed state and its arming checks have come
@@ -112,7 +112,7 @@ async def test_a_plan_begins_in_the_mode_that_a_landing_left_to_a_px4(tmp_path: 
 
 
 async def test_every_engagement_says_what_happens_when_this_station_dies(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=0) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=0) as gcs:
         gcs.sim().params.set("COM_OBL_RC_ACT", int_param(0))
         await gcs.fly("position")
         warned = [t.text for t in gcs.told if t.kind == "warning" and "COM_OBL_RC_ACT" in t.text]

@@ -102,6 +102,7 @@ async def test_commands_are_answered_within_two_rounds_while_the_fleet_streams(t
         assert sum(outcome.attempts for outcome in told) / len(told) < 1.3, "and seldom sent twice"
 
 
+@pytest.mark.deep  # ten vehicles on one radio
 async def test_a_vehicle_that_reboots_is_brought_back_to_the_plan(tmp_path: Path) -> None:
     async with on_air(tmp_path, **NAV) as air:
         await air.settled(2)
@@ -113,6 +114,7 @@ async def test_a_vehicle_that_reboots_is_brought_back_to_the_plan(tmp_path: Path
         assert air.rates(1) == air.rates(2) == profile_rates("nav")
 
 
+@pytest.mark.deep  # ten vehicles on one radio
 async def test_a_vehicle_that_leaves_gives_its_room_to_the_others_and_takes_it_back(tmp_path: Path) -> None:
     link = {"stream_profile": "full", "downlink_share": 0.12}
     async with on_air(tmp_path, px4=3, ardupilot=0, link=link) as air:
@@ -141,6 +143,7 @@ async def test_who_is_selected_gets_more(tmp_path: Path) -> None:
         assert air.vehicle(2)["planned_bytes_per_s"] > max(alike) > air.vehicle(1)["planned_bytes_per_s"]
 
 
+@pytest.mark.deep  # ten vehicles on one radio
 async def test_flight_control_gets_its_position_as_fast_as_the_plan_has_room(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
         await air.settled(10)
@@ -157,6 +160,7 @@ async def test_flight_control_gets_its_position_as_fast_as_the_plan_has_room(tmp
         assert air.rates(1)[POSITION] == 2.0
 
 
+@pytest.mark.deep  # ten vehicles on one radio for a minute
 async def test_a_rate_a_person_sets_is_left_to_him(tmp_path: Path) -> None:
     async with on_air(tmp_path, **NAV) as air:
         await air.settled(2)
@@ -172,6 +176,7 @@ async def test_the_state_tells_planned_rates_beside_measured_ones(tmp_path: Path
         assert messages[POSITION]["planned_hz"] == 2.0 and messages["HEARTBEAT"]["planned_hz"] == 0.0
 
 
+@pytest.mark.deep  # ten vehicles on one radio
 async def test_a_vehicle_that_is_heard_badly_is_told_of_once_and_again_when_it_is_well(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=2, ardupilot=0, **NAV) as air:
         await air.settled(2)

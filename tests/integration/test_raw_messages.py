@@ -14,7 +14,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc.dispatch import failure_reply
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -31,7 +31,7 @@ async def refused(gcs: Flown, **params: Any) -> str:
 
 
 async def test_an_attitude_stream_of_a_client_moves_no_vehicle_unless_forced(tmp_path: Path) -> None:
-    async with flown(tmp_path, height_m=8.0, control={"fence": {"up_m": [0.0, 12.0]}}) as gcs:
+    async with aloft(tmp_path, height_m=8.0, control={"fence": {"up_m": [0.0, 12.0]}}) as gcs:
         since = gcs.now
         for _ in range(60):
             assert "armed" in await refused(gcs, name="SET_ATTITUDE_TARGET", fields=CLIMB, target="v1")
@@ -66,7 +66,7 @@ ADDRESSES: list[dict[str, Any]] = [
 async def test_every_address_that_reaches_a_vehicle_in_the_air_is_refused(
     tmp_path: Path, address: dict[str, Any]
 ) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
         since = gcs.now
         fields = address.get("fields", {})
         rest = {k: v for k, v in address.items() if k != "fields"}
@@ -86,7 +86,7 @@ async def test_every_address_that_reaches_a_vehicle_in_the_air_is_refused(
 
 
 async def test_commands_that_pass_the_guards_are_refused_and_those_that_end_a_flight_are_not(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         since = gcs.now
         for command in ("DO_REPOSITION", "DO_FLIGHTTERMINATION", "PREFLIGHT_REBOOT_SHUTDOWN", "DO_SET_HOME", 187, 400):
             outcome = await gcs.outcome("vehicles.command", command=command)
@@ -108,7 +108,7 @@ async def test_commands_that_pass_the_guards_are_refused_and_those_that_end_a_fl
 
 
 async def test_a_vehicle_that_is_lost_is_not_known_to_be_disarmed(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.done("vehicles.land")
         await gcs.until(lambda: not gcs.sim().armed and not gcs.actor().vehicle.armed, 60.0)
         gcs.cut = True

@@ -14,7 +14,7 @@ from skygcs.cli.status import STATUS_COLUMNS, status_cells
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, Told, flown
+from support.flown import Flown, Told, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -38,7 +38,7 @@ async def restarted(gcs: Flown, journal: Callable[[Path], None] = lambda path: N
 async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind: dict[str, int]) -> None:
     """With our heartbeats its failsafe stayed quiet, and an ArduCopter was 30 m away after 10 s."""
     params = {"GUID_TIMEOUT": 1.0, "FS_GCS_ENABLE": 1.0}
-    async with flown(tmp_path, conditions=WINDY, params=params, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, params=params, **kind) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(5)
         told = await restarted(gcs)
@@ -53,7 +53,7 @@ async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind:
 
 
 async def test_what_it_did_not_fly_is_left_alone(tmp_path: Path) -> None:
-    async with flown(tmp_path, **COPTER) as gcs:
+    async with aloft(tmp_path, **COPTER) as gcs:
         await gcs.step(60.0, 0.0, 0.0)
         await asyncio.sleep(3)
         told = await restarted(gcs)
@@ -63,7 +63,7 @@ async def test_what_it_did_not_fly_is_left_alone(tmp_path: Path) -> None:
 
 
 async def test_one_that_is_lost_in_the_air_is_still_shown_and_in_the_way(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         place = gcs.place("v2")
         gcs.muted.add(2)
         await asyncio.sleep(12)
@@ -107,7 +107,7 @@ def aged(path: Path) -> None:
 
 @pytest.mark.parametrize("journal", [spoilt, aged], ids=["it cannot be read", "the clock was set back"])
 async def test_it_is_held_whatever_became_of_the_journal(tmp_path: Path, journal: Callable[[Path], None]) -> None:
-    async with flown(tmp_path, conditions=WINDY, **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **COPTER) as gcs:
         await drifting(gcs)
         told = await restarted(gcs, journal)
         begun = gcs.now
@@ -120,7 +120,7 @@ async def test_it_is_held_whatever_became_of_the_journal(tmp_path: Path, journal
 async def test_what_a_station_flew_through_the_daemon_is_held(tmp_path: Path) -> None:
     """It dies with the daemon; noted was whether it was ours, and the vehicle was left alone."""
     links = {"program": {"type": "memory", "role": "gcs"}}
-    async with flown(tmp_path, conditions=WINDY, links=links, **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, links=links, **COPTER) as gcs:
         port = gcs.daemon.links.link("program").peer  # type: ignore[attr-defined]  # of a memory link
         level = mav.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0.37)
         for _ in range(60):
@@ -136,7 +136,7 @@ async def test_what_a_station_flew_through_the_daemon_is_held(tmp_path: Path) ->
 
 @pytest.mark.parametrize("meanwhile", ["landed", "a pilot took it"])
 async def test_what_was_done_with_it_meanwhile_is_respected(tmp_path: Path, meanwhile: str) -> None:
-    async with flown(tmp_path, **COPTER) as gcs:
+    async with aloft(tmp_path, **COPTER) as gcs:
         await drifting(gcs)
         await gcs.die()
         gcs.other_sets_mode(int(CopterMode.LAND if meanwhile == "landed" else CopterMode.LOITER))
@@ -156,7 +156,7 @@ async def test_what_was_done_with_it_meanwhile_is_respected(tmp_path: Path, mean
 
 async def test_a_link_that_is_silent_at_the_begin_is_no_reason_to_forget(tmp_path: Path) -> None:
     """It is heard 12 s after the restart: it was reported as lost, and is held then."""
-    async with flown(tmp_path, conditions=conditions_of(wind_mps=2.0), **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=conditions_of(wind_mps=2.0), **COPTER) as gcs:
         await drifting(gcs)
         await gcs.die()
         await asyncio.sleep(2)

@@ -9,7 +9,7 @@ import pytest
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import GOING_HOME, Flown, flown
+from support.flown import GOING_HOME, Flown, aloft, flown
 from support.planned import MARGIN_M, least_distance
 
 COSTS = "returns of several vehicles one after another, each from its take-off to its landing"
@@ -44,7 +44,7 @@ async def all_down(gcs: Flown, seconds: float = 300.0) -> None:
 @KINDS
 async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind: dict[str, int]) -> None:
     """They passed at .10 m (PX4) and .21 m (ArduCopter)."""
-    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         await swapped(gcs)
         since = gcs.now
         outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
@@ -58,7 +58,7 @@ async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind
 @pytest.mark.deep
 async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
     settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}
-    async with flown(tmp_path, px4=1, ardupilot=1, settings=settings, conditions=WINDY) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=1, settings=settings, conditions=WINDY) as gcs:
         await swapped(gcs)
         await gcs.fly("position", "v1,v2")
         since = gcs.now
@@ -67,8 +67,9 @@ async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> Non
         assert any("rtl for v1, v2" in t.text for t in gcs.told if t.kind == "warning")
 
 
+@pytest.mark.deep  # flies home what nothing is in the way of
 async def test_one_alone_and_those_in_nobodys_way_leave_at_once_as_before(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=2) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=2) as gcs:
         for name in ("v1", "v2", "v3"):
             await gcs.step(0.0, 20.0, 0.0, name=name)
         await asyncio.sleep(12.0)
@@ -83,7 +84,7 @@ async def test_one_alone_and_those_in_nobodys_way_leave_at_once_as_before(tmp_pa
 
 async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_path: Path) -> None:
     """While it waits its battery becomes critical: nothing holds it, and the other leaves when it is clear."""
-    async with flown(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
         await swapped(gcs)
         outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
         waits = next(name for name, outcome in outcomes.items() if "it holds until" in outcome["message"])
@@ -99,7 +100,7 @@ async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_pat
 
 @pytest.mark.deep
 async def test_what_waits_for_one_that_does_not_move_is_given_up_with_a_word(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=WINDY) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=WINDY) as gcs:
         await swapped(gcs)
         since = gcs.now
         await gcs("vehicles.rtl", targets="all")
@@ -119,8 +120,9 @@ async def test_what_waits_for_one_that_does_not_move_is_given_up_with_a_word(tmp
         assert gcs.sim(other).mode in GOING_HOME
 
 
+@pytest.mark.deep  # flies several up again
 async def test_another_order_takes_one_that_waits(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=WINDY) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=WINDY) as gcs:
         await swapped(gcs)
         outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
         waiting = [name for name, outcome in outcomes.items() if "it holds until" in outcome["message"]]

@@ -14,7 +14,7 @@ from skygcs.errors import RefusedError
 from skygcs.runtime.undo_journal import MAX_ENTRIES
 from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.vehicle import SimVehicle
-from support.flown import HOLDING, Flown, flown
+from support.flown import HOLDING, Flown, aloft
 from support.grounded import on_the_ground
 
 COSTS = "each of its daemons is ended in another order under way"
@@ -84,6 +84,7 @@ async def test_on_a_bad_link_it_is_undone_or_it_is_on_disk(tmp_path: Path, name:
             assert held(gcs.sim(name)) == before and "as before" in message
 
 
+@pytest.mark.deep  # as in the middle of the fence test
 @BOTH
 async def test_in_the_middle_of_setting_the_fence_as_well(tmp_path: Path, name: str) -> None:
     for at in range(1, 12):
@@ -242,6 +243,7 @@ async def test_a_take_off_that_has_armed_only_is_disarmed_again(tmp_path: Path, 
     assert {"climbing", "armed"} <= seen, seen
 
 
+@pytest.mark.deep  # as a daemon that ends there
 async def test_a_caller_that_goes_between_arming_and_climbing_leaves_no_armed_vehicle(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path, delay_s=0.15) as gcs:
         sim = gcs.sim("v1")
@@ -257,7 +259,7 @@ async def test_a_caller_that_goes_between_arming_and_climbing_leaves_no_armed_ve
 @pytest.mark.parametrize("after_s", [0.0, 0.3, 1.0, 1.5, 2.0, 4.0])
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_vehicle_that_is_being_taken_over_is_left_holding(tmp_path: Path, mode: str, after_s: float) -> None:
-    async with flown(tmp_path, px4=0, ardupilot=1, delay_s=0.02) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=1, delay_s=0.02) as gcs:
         taking = asyncio.create_task(gcs.outcome("control.set", "v1", mode=mode))
         await asyncio.sleep(after_s)
         since = gcs.now

@@ -19,7 +19,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import RefusedError
 from skygcs.links.memory import MemoryLink
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import FIELD, Flown, flown
+from support.flown import FIELD, Flown, aloft
 from support.pymav import PymavPeer
 
 COSTS = "vehicles that are heard over two links until one of them is left"
@@ -119,7 +119,7 @@ class Other:
 @contextlib.asynccontextmanager
 async def beside(tmp_path: Path, *, height_m: float = 10.0, **kind: Any) -> AsyncIterator[tuple[Flown, Other]]:
     other = {"other": {"type": "memory", "role": "peer", "cost": 20}}  # as "air": nobody is preferred
-    async with flown(tmp_path, height_m=height_m, links=other, **kind) as gcs:
+    async with aloft(tmp_path, height_m=height_m, links=other, **kind) as gcs:
         somebody = Other(gcs)
         try:
             yield gcs, somebody
@@ -209,6 +209,7 @@ async def test_a_disarmed_heartbeat_on_the_vehicles_own_channel_ends_in_a_hold(
         assert gcs.texts(seen)[0].startswith("holding, nothing more is sent: its heartbeat shows it disarmed, but")
 
 
+@pytest.mark.deep  # as a forged arming state
 @KINDS
 async def test_a_forged_mode_on_the_vehicles_own_channel_ends_in_a_hold(tmp_path: Path, kind: dict[str, int]) -> None:
     """Control ends, for a pilot may have taken over; but when the next heartbeat shows it was none, it holds."""
@@ -362,6 +363,7 @@ async def test_two_radios_are_one_vehicle_and_each_takes_over_for_the_other(
         assert not [t for t in gcs.told if t.at >= seen and t.kind in ("reboot", "vehicle_lost")]
 
 
+@pytest.mark.deep  # three changes of mode over two links
 async def test_two_radios_one_of_them_slow_are_no_duplicate_when_the_mode_changes(tmp_path: Path) -> None:
     async with beside(tmp_path, **COPTER) as (gcs, other):
         both_ways(gcs, other)
@@ -380,6 +382,7 @@ async def test_two_radios_one_of_them_slow_are_no_duplicate_when_the_mode_change
 # -- it restarts
 
 
+@pytest.mark.deep  # a minute over two links
 @KINDS
 @pytest.mark.parametrize("where", ["same channel", "other channel"])
 async def test_a_reboot_is_seen_on_the_same_and_on_another_channel(

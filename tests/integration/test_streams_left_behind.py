@@ -62,6 +62,7 @@ async def test_the_streams_that_a_program_asked_for_end_when_it_is_gone(tmp_path
         assert not air.events("warning")
 
 
+@pytest.mark.deep  # a minute with a second program
 async def test_a_program_that_is_connected_is_not_fought(tmp_path: Path) -> None:
     async with by_cable(tmp_path, stations=2) as air:
         before = air.rates(COPTER)
@@ -78,6 +79,7 @@ async def test_a_program_that_is_connected_is_not_fought(tmp_path: Path) -> None
         assert air.rates(COPTER) == before
 
 
+@pytest.mark.deep  # a minute with a second program
 async def test_the_position_does_not_pause_when_streams_are_put_back(tmp_path: Path) -> None:
     async with by_cable(tmp_path) as air:
         station = mavproxy(air)
@@ -140,6 +142,7 @@ def without_position(vehicle: SimVehicle) -> None:
     vehicle.builders["GLOBAL_POSITION_INT"] = lambda *a: None  # type: ignore[assignment,return-value]
 
 
+@pytest.mark.deep  # two minutes
 async def test_a_px4_that_has_no_position_yet_keeps_its_own_rate(tmp_path: Path) -> None:
     """It was asked down to 2 Hz of 5, for every program, as it had nothing to send when it was met."""
     async with on_air(tmp_path, link={"role": "vehicle", "radio": None}, ardupilot=0) as air:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -33,7 +33,7 @@ async def left_alone(gcs: Flown, by: Callable[[], object]) -> float:
 
 @KINDS
 async def test_control_that_ends_without_a_word(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, conditions=WINDY, **kind) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         since = await left_alone(gcs, lambda: gcs.actor().offboard.release("a fault"))
         if kind == COPTER:
             (first, *_) = [t for t in gcs.told if t.kind == "unattended"]
@@ -44,7 +44,7 @@ async def test_control_that_ends_without_a_word(tmp_path: Path, kind: dict[str, 
 
 async def test_control_that_ends_before_the_mode_it_ordered_was_seen(tmp_path: Path) -> None:
     """The watch had seen it in GUIDED only after its control had ended, and took it for somebody else's."""
-    async with flown(tmp_path, conditions=WINDY, setpoints_end=False, **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, setpoints_end=False, **COPTER) as gcs:
         gcs.other_sets_mode(int(CopterMode.LOITER))
         await asyncio.sleep(10)
         engaging = asyncio.create_task(gcs("control.set", targets="v1", mode="attitude"))
@@ -59,7 +59,7 @@ async def test_control_that_ends_before_the_mode_it_ordered_was_seen(tmp_path: P
 
 async def test_the_mode_that_it_is_in_is_ordered_by_a_person(tmp_path: Path) -> None:
     """ArduCopter accepts GUIDED in GUIDED and changes nothing: its last attitude would be flown."""
-    async with flown(tmp_path, conditions=WINDY, **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, **COPTER) as gcs:
         await gcs.fly("attitude")
         await asyncio.sleep(5)
         since = gcs.now
@@ -69,7 +69,7 @@ async def test_the_mode_that_it_is_in_is_ordered_by_a_person(tmp_path: Path) -> 
 
 
 async def test_a_pilot_who_takes_it_is_not_fought(tmp_path: Path) -> None:
-    async with flown(tmp_path, **COPTER) as gcs:
+    async with aloft(tmp_path, **COPTER) as gcs:
         await gcs.fly("attitude")
         taken = gcs.now
         gcs.other_sets_mode(int(CopterMode.LOITER))
@@ -80,7 +80,7 @@ async def test_a_pilot_who_takes_it_is_not_fought(tmp_path: Path) -> None:
 
 
 async def test_a_goto_and_a_hold_are_left_alone(tmp_path: Path) -> None:
-    async with flown(tmp_path, **COPTER) as gcs:
+    async with aloft(tmp_path, **COPTER) as gcs:
         await gcs.fly("attitude")
         await gcs.done("vehicles.hold")
         await asyncio.sleep(10)
@@ -94,7 +94,7 @@ async def test_a_goto_and_a_hold_are_left_alone(tmp_path: Path) -> None:
 async def test_the_stream_of_another_program_that_ends(tmp_path: Path) -> None:
     """It flies by attitude through us and dies."""
     links = {"program": {"type": "memory", "role": "gcs"}}
-    async with flown(tmp_path, conditions=WINDY, links=links, **COPTER) as gcs:
+    async with aloft(tmp_path, conditions=WINDY, links=links, **COPTER) as gcs:
         port = gcs.daemon.links.link("program").peer  # type: ignore[attr-defined]  # of a memory link
         level = mav.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0.37)
         for _ in range(100):

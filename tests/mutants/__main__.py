@@ -37,8 +37,8 @@ def equivalent() -> dict[str, dict[str, str]]:
 
 
 def measure(modules: dict[str, tuple[str, ...]], count: int | None) -> dict[str, str]:
-    """What became of each mutant, by module and key. Raises SystemExit where a test fails without a mutant, and where
-    one was not measured."""
+    """What became of each mutant, by module and key; after Ctrl-C of those measured by then. Raises SystemExit
+    where a test fails without a mutant, and where one was not measured."""
     known = equivalent()
     tasks = [Task(SRC / name, None) for name in modules]
     tasks += [
@@ -54,12 +54,14 @@ def measure(modules: dict[str, tuple[str, ...]], count: int | None) -> dict[str,
     code = pytest.main(["-q", "--no-header", *plugins, *tests], plugins=[run])
     if run.errors:
         raise SystemExit("\n".join(run.errors))
-    if code or len(run.results) < len(tasks):
+    if code == pytest.ExitCode.INTERRUPTED and run.results:
+        print(f"ended by Ctrl-C: {len(run.results)} of {len(tasks)} were measured")
+    elif code or len(run.results) < len(tasks):
         raise SystemExit("the tests do not pass without a mutant")
     return {
         f"{_module(task)} {task.mutant.key}": run.results[number]
         for number, task in enumerate(tasks)
-        if task.mutant is not None
+        if task.mutant is not None and number in run.results
     }
 
 

@@ -94,6 +94,13 @@ class MutantRun:
         running: dict[int, tuple[int, float]] = {}  # process -> number of its task, end of its wall time
         waiting = list(range(len(self._tasks)))
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
+        try:
+            self._measure(session, waiting, running)
+        finally:
+            for pid in running:
+                os.kill(pid, signal.SIGKILL)
+
+    def _measure(self, session: pytest.Session, waiting: list[int], running: dict[int, tuple[int, float]]) -> None:
         while waiting or running:
             while waiting and len(running) < AT_ONCE:
                 number = waiting.pop(0)

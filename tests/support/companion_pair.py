@@ -25,16 +25,17 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RpcError, SkygcsError
-from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig
+from skygcs.ext.companions.companion_table import CompanionConfig
 from skygcs.ext.companions.companions_table import CompanionsConfig
 from skygcs.ext.companions.ground import Companions
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import as_companion
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.dispatch import REFUSED
 from support.called import call
-from support.flown import FIELD, Flown, Told, flown, let_its_disk_finish
+from support.flown import FIELD, Flown, Told, aloft, let_its_disk_finish
 
 
 class CallsByMemory:
@@ -234,9 +235,8 @@ async def companion_pair(
     air = {"ground": {"type": "memory", "role": "gcs"}, "others": {"type": "memory", "role": "gcs"}}
     (tmp_path / "pi").mkdir()
     (tmp_path / "ground").mkdir()
-    async with flown(
-        tmp_path / "pi", control=control, tables=tables, links=air, prepared=with_our_ground_link, **vehicle
-    ) as pi:
+    flying = {"control": control, "tables": tables, "links": air, "prepared": with_our_ground_link, **vehicle}
+    async with aloft(tmp_path / "pi", **flying) as pi:
         config = _ground_config(tmp_path / "ground", delay_s, loss, control, ground_links, streams[0])
         ground = Daemon(config, load_dialect(config.dialect))
         calls = CallsByMemory(pi.daemon, delay_s=delay_s, loss=loss)

@@ -37,6 +37,11 @@ def searches() -> bool:
     return bool(os.environ.get(SEARCH))
 
 
+def is_deep() -> bool:
+    """True in `make test-deep`, which says how many examples it takes."""
+    return bool(_multiple())
+
+
 def _multiple() -> int:
     return int(os.environ.get(VARIABLE, "0"))
 

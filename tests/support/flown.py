@@ -35,6 +35,7 @@ from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
 from support.called import call
+from support.examples import is_deep
 from support.pymav import PymavPeer
 from support.sim_pilot import int_param
 
@@ -50,6 +51,10 @@ SYSID_BYTE = 5
 
 UNIX_S = 1_700_000_000.0
 """The wall clock at the begin of virtual time."""
+
+CONVERGED_S = 10.0
+"""Vehicles that a test brings into the air have been switched on for so long: the estimators of both firmwares have
+converged (7 s and a fifth more), and their home is on the ground."""
 
 SPOOLED_UP_S = 10.0
 """Its motors have run for so long."""
@@ -408,6 +413,7 @@ async def flown(
     loop = asyncio.get_running_loop()
     with mock.patch("time.time", lambda: UNIX_S + loop.time()):
         daemon = Daemon(config, load_dialect(config.dialect))
+        before_s = CONVERGED_S if in_air else 0.0
         sims = make_vehicles(
             load_dialect("ardupilotmega"),
             px4=px4,
@@ -415,11 +421,12 @@ async def flown(
             **(others or {}),
             first_sysid=1,
             home=FIELD,
-            now=daemon.now(),
-            unix_us=1_700_000_000_000_000,
+            now=daemon.now() - before_s,
+            unix_us=1_700_000_000_000_000 - round(before_s * 1e6),
             conditions=conditions,
         )
         for sim in sims:
+            sim.skip_to(daemon.now())
             if sim.autopilot == mav.MAV_AUTOPILOT_PX4:
                 sim.params.set("COM_OBL_RC_ACT", int_param(5))  # as docs/explanation/flight-control.md asks for
             for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
@@ -432,7 +439,7 @@ async def flown(
         living = asyncio.create_task(gcs.live())
         try:
             await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
-            await asyncio.sleep(7)  # the estimators converge
+            await asyncio.sleep(3.0 if in_air else 7.0)  # the estimators converge, and the daemon asks
             if in_air:
                 for sim in sims:
                     _put_up(sim, height_m, daemon.now())
@@ -452,3 +459,9 @@ async def flown(
             assert gcs.running is not None
             with contextlib.suppress(asyncio.CancelledError):
                 await gcs.running
+
+
+def aloft(tmp_path: Path, **options: Any) -> contextlib.AbstractAsyncContextManager[Flown]:
+    """`flown` for tests of what happens in the air: in `make test` without the order to take off and its climb, a third
+    of what such a flight costs; in `make test-deep` with them."""
+    return flown(tmp_path, **{"in_air": not is_deep(), **options})

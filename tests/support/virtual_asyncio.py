@@ -13,13 +13,17 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
-from looptime._internal import loops
+from looptime._internal import loops, plugin
 
 BLOCKED_S = 60.0
 """Of true time: a thread that is not done by then waits for something that only virtual time could bring. The longest
 piece of work in `make test` took less than half a second on a busy machine (none of 1,130 tests waited longer)."""
 
 Ready = list[tuple[Any, Any]]
+
+
+def _makes_loops(fixturedef: Any, request: Any) -> bool:
+    return bool(fixturedef.func.__module__ == "pytest_asyncio.plugin")
 
 
 class _InThreads(set[asyncio.Future[Any]]):
@@ -31,8 +35,11 @@ class _InThreads(set[asyncio.Future[Any]]):
 
 
 def install() -> None:
-    """Every loop of looptime that is made from now on stands still while a thread works."""
+    """Every loop of looptime that is made from now on stands still while a thread works.
+
+    looptime looks through all of pytest-asyncio's names at each fixture of each test for those that make a loop."""
     loops.weakref = SimpleNamespace(WeakSet=_InThreads)
+    plugin._should_patch = _makes_loops
     set_up = loops.LoopTimeEventLoop.setup_looptime
 
     def setup_looptime(self: Any, **options: Any) -> None:

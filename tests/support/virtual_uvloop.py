@@ -120,13 +120,6 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         return True
 
 
-class VirtualUvloopPolicy(asyncio.DefaultEventLoopPolicy):
-    """Makes such loops."""
-
-    def new_event_loop(self) -> asyncio.AbstractEventLoop:
-        return VirtualUvloop()  # type: ignore[no-any-return]
-
-
 def _fire(handle: asyncio.Handle, callback: Callable[..., Any], args: tuple[Any, ...]) -> None:
     """Unless it was cancelled since the clock has reached it; libuv's timer is of no use from now on."""
     if not handle.cancelled():

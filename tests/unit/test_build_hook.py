@@ -74,6 +74,7 @@ def test_it_is_compiled_and_hardened(hook: Any, monkeypatch: pytest.MonkeyPatch)
     assert b"PyInit__fast_path" in raw
 
 
+@pytest.mark.deep  # compiles
 @linux
 def test_a_compiler_that_does_not_know_the_flags_compiles_without_them(
     hook: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -103,6 +104,7 @@ def test_what_is_required_and_fails_fails_the_installation(
         run(hook)
 
 
+@pytest.mark.deep  # compiles
 @linux
 def test_warnings_are_errors_where_it_is_required(hook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     source = Path(hook.root) / "src" / "skygcs" / "links" / "_fast_path.c"

@@ -16,6 +16,7 @@ from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
 from skygcs.core.geo import EAST_DEG
+from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
 
@@ -84,7 +85,7 @@ class DaemonConfig(Model):
     """A new tlog is begun at this size ..."""
     record_max_minutes: Annotated[float, Field(ge=0.01, le=1e6)] = 60.0
     """... or at this age."""
-    vehicle_timeout_s: Annotated[float, Field(ge=1, le=3600)] = 5.0
+    vehicle_timeout_s: Annotated[float, Field(ge=1, le=3600)] = DEFAULT_LOST_S
     """Without a heartbeat for this long a vehicle is lost."""
     route_timeout_s: TimeoutS = 60.0
     goto_limit_m: Annotated[float, Field(gt=0)] = 1000.0

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from bench.commanded_daemon import Column, Measured, percentile
 from bench.radio import report
 from bench.radio.cell import measure
@@ -20,6 +22,7 @@ def test_a_planned_cell_is_measured_whole() -> None:
     assert told["usable_s"] < 10 and told["emergency_max_s"] < 1.0
 
 
+@pytest.mark.deep  # seconds of a whole cell; make test measures the planned one
 def test_a_plain_cell_leaves_the_streams_as_they_are_and_downloads_parameters() -> None:
     told = measure("plain", 2, 64.0, settle_s=5.0, measure_s=5.0).as_dict()
     assert told["positions_per_vehicle_per_s"] > 2.2, "an ArduCopter's four a second"
@@ -89,6 +92,7 @@ def test_the_table_has_both_columns_of_each_number_side_by_side() -> None:
     assert lines["all usable after (s)"] == ["never", "5.0"]
 
 
+@pytest.mark.deep  # matplotlib draws
 def test_the_picture_is_drawn_of_cells_with_gaps(tmp_path: Path) -> None:
     rows = [cell(column, n, air) for air in (64.0, 125.0) for n in (4, 10) for column in ("plain", "skygcs")]
     rows[0] |= {"age_p95_s": None, "emergency_max_s": None}

@@ -24,6 +24,7 @@ def heartbeat(sysid: int, armed: bool, custom_mode: int) -> bytes:
     return bytes(sender.heartbeat_encode(2, 3, base, custom_mode, 4).pack(sender))
 
 
+@pytest.mark.deep  # starts a process
 def test_without_binaries_the_suite_says_what_to_install() -> None:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SKYGCS_")}
     environment["PYTHONPATH"] = str(ROOT / "tests")
@@ -35,6 +36,7 @@ def test_without_binaries_the_suite_says_what_to_install() -> None:
     assert "waf copter" in done.stdout
 
 
+@pytest.mark.deep  # starts a process
 def test_a_binary_that_is_not_there_fails_the_suite(tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SKYGCS_")}
     environment |= {"PYTHONPATH": str(ROOT / "tests"), "SKYGCS_PX4": str(tmp_path / "no")}

@@ -90,7 +90,7 @@ def test_eq_16_is_reported_row_by_row_and_y_as_unstable() -> None:
 
 @each("args", [("--xy", "0.95,0.09,0.02"), ("--z", "1,0.2,0.02"), ("--plant-gain", "9.81,1")])
 def test_eq_16_is_not_reported_of_other_gains(args: tuple[str, str]) -> None:
-    assert answer(*args)["utias_eq16"] is None
+    assert answer(*args, *SHORT)["utias_eq16"] is None
     assert "Eq. 16" not in run(*args, *SHORT)
 
 
@@ -269,13 +269,14 @@ def test_png_is_a_picture_with_lines_in_it(tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     file = tmp_path / "steps.PNG"
-    run("--plot", str(file), "--plant-gain", "21.8")
+    run("--plot", str(file), "--plant-gain", "21.8", *SHORT)
     picture = imread(file, format="png")
     assert picture.shape[0] > 600 and picture.shape[1] > 600
     blue = (abs(picture[..., :3] - (0, 0x72 / 255, 0xB2 / 255)) < 0.02).all(axis=2)
     assert blue.sum() > 300  # of the curves, and not only of the legend
 
 
+@pytest.mark.deep  # draws, as the two above
 def test_json_and_plot_go_together_and_stdout_stays_json(tmp_path: Path) -> None:
     assert answer("--plot", str(tmp_path / "x.svg"), *SHORT)["loops"]
     assert (tmp_path / "x.svg").exists()

@@ -90,6 +90,7 @@ def test_an_unknown_name_says_what_there_is(cache: Path) -> None:
         load_dialect("qqqqqqq")
 
 
+@pytest.mark.deep  # parses some 30 files; make test those that are shipped
 def test_every_packaged_dialect_loads(cache: Path) -> None:
     for path in sorted(dialects.packaged_dialects_dir().glob("*.xml")):
         if path.stem == "paparazzi":  # redefines ids of common with other names' layouts

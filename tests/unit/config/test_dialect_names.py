@@ -33,10 +33,16 @@ WRONG = {
 """What is not there, and the text that says so."""
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that is empty at first: each table is made once, by whichever spelling asks first."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture
-def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of a user's own, where commands are given: without a checkout, and with an empty cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def empty(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of a user's own, where commands are given: without a checkout."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     folder = tmp_path / "lab"
     folder.mkdir()
     monkeypatch.chdir(folder)

@@ -12,6 +12,7 @@ from skygcs.core.monitor.trajectory_check import Course, bow_m, find_conflicts
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from support.examples import seeds
 
 MARGIN = pair_margin(Footprint(), Footprint())
 NEED_M = MARGIN.total_m
@@ -39,7 +40,7 @@ def conflicts(*courses: Course, end_s: float) -> dict[int, str]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", seeds(60))
 def test_it_agrees_with_dense_sampling(seed: int) -> None:
     rng = random.Random(seed)
     loaded = [LoadedTrajectory(curve(rng, rng.uniform(5.0, 20.0))) for _ in range(2)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+from functools import cache
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -17,7 +18,12 @@ from support.extension_parts import ALL_METHODS
 from support.fake_daemon import FakeDaemon
 from support.table import each
 
-DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(ALL_METHODS.values())))
+
+@cache
+def document() -> dict[str, Any]:
+    made: dict[str, Any] = json.loads(json.dumps(openrpc.document(ALL_METHODS.values())))
+    return made
+
 
 CONTRACT = {
     "daemon": "info",
@@ -33,7 +39,7 @@ CONTRACT = {
 
 
 def test_every_method_of_the_contract_is_there_and_described() -> None:
-    described = {m["name"]: m for m in DOCUMENT["methods"]}
+    described = {m["name"]: m for m in document()["methods"]}
     names = {f"{area}.{verb}" for area, verbs in CONTRACT.items() for verb in verbs.split()}
     assert names | {"subscribe", "unsubscribe"} <= described.keys()
     for name, method in described.items():
@@ -43,9 +49,9 @@ def test_every_method_of_the_contract_is_there_and_described() -> None:
 
 
 def test_required_members_of_openrpc_are_there() -> None:
-    assert DOCUMENT["openrpc"].startswith("1.")
-    assert {"title", "version"} <= DOCUMENT["info"].keys()
-    for method in DOCUMENT["methods"]:
+    assert document()["openrpc"].startswith("1.")
+    assert {"title", "version"} <= document()["info"].keys()
+    for method in document()["methods"]:
         assert method["paramStructure"] in ("by-name", "by-position", "either")
         names = [p["name"] for p in method["params"]]
         assert len(set(names)) == len(names)
@@ -62,14 +68,14 @@ def test_every_reference_leads_somewhere() -> None:
             return own + [r for v in node.values() for r in references(v)]
         return [r for v in node for r in references(v)] if isinstance(node, list) else []
 
-    found = references(DOCUMENT)
+    found = references(document())
     assert found
     for reference in found:
-        assert reference.removeprefix("#/components/schemas/") in DOCUMENT["components"]["schemas"]
+        assert reference.removeprefix("#/components/schemas/") in document()["components"]["schemas"]
 
 
 def test_every_group_of_the_state_is_described() -> None:
-    state = DOCUMENT["components"]["schemas"]["VehicleState"]
+    state = document()["components"]["schemas"]["VehicleState"]
     assert list(state["properties"]) == list(VehicleState.__annotations__)
     assert state["properties"]["gps"]["description"].startswith("fix, fix_type")
     assert state["properties"]["status_texts"]["items"] == {"$ref": "#/components/schemas/StatusTextEntry"}

@@ -336,6 +336,7 @@ async def test_a_tcp_client_with_the_token_can_stop_though_all_places_are_taken(
     assert (await late.answer())["error"]["code"] == -32004
 
 
+@pytest.mark.deep  # the same again on the other loop
 @pytest.mark.parametrize(
     "scenario",
     [

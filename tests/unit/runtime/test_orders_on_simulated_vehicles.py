@@ -123,6 +123,7 @@ async def test_a_setpoint_that_arrives_after_a_goto_does_not_end_it() -> None:
             assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
 
 
+@pytest.mark.deep  # places are held in test_fleet.py
 async def test_several_vehicles_sent_to_one_place_keep_their_distance() -> None:
     async with Field(px4=1, ardupilot=2) as field:
         fleet = field.fleet
@@ -139,6 +140,7 @@ async def test_several_vehicles_sent_to_one_place_keep_their_distance() -> None:
         assert middle == pytest.approx([40.0, 30.0, 12.0], abs=1.5)
 
 
+@pytest.mark.deep  # four minutes of a return
 async def test_return_to_launch_ends_where_it_began() -> None:
     async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet

@@ -29,7 +29,7 @@ PARAMETERS = {"parameters": [{"name": "MPC_XY_CRUISE", "min": 1, "max": 7, "unit
 
 
 def packed(document: Any) -> bytes:
-    return lzma.compress(json.dumps(document).encode(), preset=9)
+    return lzma.compress(json.dumps(document).encode(), preset=1)
 
 
 def mavlink_crc(data: bytes) -> int:

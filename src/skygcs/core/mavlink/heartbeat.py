@@ -38,7 +38,8 @@ NOT_VEHICLES = frozenset({6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 38, 39, 40, 41,
 log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) and undefined values count as airframes."""
 
 DEFAULT_LOST_S = 5.0
-"""Without a heartbeat of its own for this time the vehicle is lost, and the next one identifies it again."""
+"""Without a heartbeat of its own for this time the vehicle is lost, and the next one identifies it again.
+The default of ``vehicle_timeout_s`` in the fleet file."""
 
 TYPE_CHANGE_S = 4.0
 """How long the known type must be silent before another type of the same autopilot is accepted (PX4 changes MAV_TYPE

@@ -44,13 +44,13 @@ from collections.abc import Callable, Collection
 from functools import partial
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS, SYSTEM_TIME
 from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
 from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, RoutingVerdict
 from skygcs.core.routing.duplicates import CHANNEL_SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
-from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, SourceReport, StateSource
+from skygcs.core.routing.state_source import Known, SourceReport, StateSource
 from skygcs.core.routing.table_room import RouteRoom
 
 FORGOTTEN_S = 10.0

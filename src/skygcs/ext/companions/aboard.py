@@ -10,7 +10,8 @@ from skygcs.config.addresses import host_and_port
 from skygcs.config.tables import Problem
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.ext.companions import methods
-from skygcs.ext.companions.companion_table import GROUND_LINK, MDNS, CompanionConfig
+from skygcs.ext.companions.companion_table import MDNS, CompanionConfig
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.ground_finder import GroundFinder
 from skygcs.ext.companions.ground_orders import GroundOrders
 from skygcs.ext.companions.role import as_companion, companion_problems

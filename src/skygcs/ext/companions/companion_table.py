@@ -16,9 +16,6 @@ from skygcs.ext.companions.ground_contact import GroundLost
 COMPANION_COMPID = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER."""
 
-GROUND_LINK = "ground"
-"""Name of the link to the ground, which the companion opens itself."""
-
 MDNS = "mdns"
 
 

@@ -24,6 +24,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
+GROUND_LINK = "ground"
+"""Name of the link to the ground, which the companion opens itself."""
+
 GroundLost = Literal["return", "hold", "land", "finish"]
 """The configured reaction."""
 

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.errors import LinkError, SkygcsError
 from skygcs.events import Event
-from skygcs.ext.companions.companion_table import GROUND_LINK, CompanionConfig, GroundAddress
+from skygcs.ext.companions.companion_table import CompanionConfig, GroundAddress
 from skygcs.ext.companions.ground_choice import Candidate, GroundChoice
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import ground_link
 from skygcs.runtime.linktable import LinkTable
 

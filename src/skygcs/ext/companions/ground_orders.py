@@ -22,8 +22,7 @@ from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, T
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event
 from skygcs.ext.companions import wire
-from skygcs.ext.companions.companion_table import GROUND_LINK
-from skygcs.ext.companions.ground_contact import Action, GroundContact, GroundLost
+from skygcs.ext.companions.ground_contact import GROUND_LINK, Action, GroundContact, GroundLost
 from skygcs.ext.companions.order_book import Fresh, Known, OrderBook
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet

@@ -6,13 +6,8 @@ from __future__ import annotations
 from skygcs.config.models import FleetConfig, LinkConfig, TcpClientLinkConfig, UdpClientLinkConfig
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Problem
-from skygcs.ext.companions.companion_table import (
-    COMPANION_COMPID,
-    GROUND_LINK,
-    CompanionConfig,
-    GroundAddress,
-    ground_address,
-)
+from skygcs.ext.companions.companion_table import COMPANION_COMPID, CompanionConfig, GroundAddress, ground_address
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 
 
 def companion_problems(companion: CompanionConfig, config: FleetConfig) -> list[Problem]:

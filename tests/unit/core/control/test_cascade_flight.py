@@ -271,7 +271,9 @@ def test_a_z_that_swings_is_a_third_of_the_overshoot_at_three_tenths_of_a_second
     assert 100 * overshoot(flight, 0, 3.0) == pytest.approx(44.1, abs=0.1)
 
 
-@pytest.mark.parametrize(("lag_s", "stable", "unstable"), [(0.0, 0.45, 0.5), (0.15, 0.3, 0.4)])
+@pytest.mark.parametrize(
+    ("lag_s", "stable", "unstable"), [pytest.param(0.0, 0.45, 0.5, marks=pytest.mark.deep), (0.15, 0.3, 0.4)]
+)
 def test_horizontally_the_loop_bears_a_delay_up_to_its_margin_and_no_more(lag_s, stable, unstable):
     """With z slowed four times: at its own gains it swings from 0.25 s on and takes the thrust from x and y."""
 

@@ -8,6 +8,7 @@ import pytest
 
 from skygcs.ext.formation.evasion import Evasion, straight_to
 from skygcs.ext.formation.separation_filter import Member, MotionBounds, Moving, Obstacle, SeparationFilter, Vector
+from support.examples import seeds
 from support.formation_encounters import encounter
 
 BOUNDS = MotionBounds()
@@ -87,7 +88,7 @@ def test_the_velocity_towards_a_place_lets_it_stop_there() -> None:
     assert math.dist(moving.pos_enu_m, (20.0, -10.0, 14.0)) < 0.01
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(6))
 def test_vehicles_in_the_wind_keep_their_footprints_clear(seed: int) -> None:
     outcome = encounter(seed, seconds=25.0, strangers=False)
     assert outcome.references_m >= 0.0

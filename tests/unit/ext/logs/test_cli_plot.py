@@ -89,6 +89,7 @@ def test_rows_without_reference_or_estimate_are_drawn_as_gaps(tmp_path: Path) ->
     assert "position: no loop here" in words(tmp_path / "x.svg")
 
 
+@pytest.mark.deep  # draws
 def test_an_axis_that_follows_a_velocity_has_no_error(tmp_path: Path) -> None:
     here = Estimate((3.0, 4.0, 5.0), (0.0, 0.0, 0.0))
     level = Reference((0.0, 0.0, 4.0), velocity_only_xy=True)
@@ -96,6 +97,7 @@ def test_an_axis_that_follows_a_velocity_has_no_error(tmp_path: Path) -> None:
     assert "error 1.00 m rms, 1.00 m at most" in run(path, "-o", tmp_path / "x.svg")
 
 
+@pytest.mark.deep  # draws
 def test_a_pause_breaks_the_curves_and_counts_no_row(tmp_path: Path) -> None:
     here, there = Estimate((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), Reference((1.0, 0.0, 5.0))
     path = file_of(tmp_path, *(row(t, "position", there, here) for t in (0.0, 0.02, 60.0, 60.02)))
@@ -112,7 +114,7 @@ def test_what_cannot_be_drawn_is_one_line(trace: Path, tmp_path: Path, monkeypat
     assert "no row in it" in run(tmp_path / "empty.csv", code=FAILED)
     cut = tmp_path / "cut.csv"
     cut.write_text(flown_trace(1.0)[:-9])
-    assert "was cut off and is left out" in run(cut)
+    assert "was cut off and is left out" in run(cut, "-o", tmp_path / "cut.svg")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "pip install 'skygcs[plot]'" in run(trace, "-o", tmp_path / "y.png", code=FAILED)
     assert not (tmp_path / "y.png").exists()

@@ -79,14 +79,16 @@ def read(path: Path) -> list[tuple[Any, Any, Any]]:
 @pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4])
 def test_a_record_with_a_wrong_time_ends_no_export(wrong_us: int, tmp_path: Path) -> None:
     log = FLIGHT.with_name("px4-mission-flight.tlog")
-    data = log.read_bytes()
+    data = log.read_bytes()[:12_000]
+    begin = tmp_path / "begin.tlog"
+    begin.write_bytes(data)
     damaged = tmp_path / "damaged.tlog"
     damaged.write_bytes(wrong_us.to_bytes(8, "big") + data[8:])
-    whole, rest = read(exported(tmp_path, log)), read(exported(tmp_path, damaged))
+    whole, rest = read(exported(tmp_path, begin)), read(exported(tmp_path, damaged))
     assert 0 < len(whole) - len(rest) < 10
 
 
-@pytest.mark.parametrize("log", thinned(LOGS, 4, turn=1), ids=lambda p: p.stem)
+@pytest.mark.parametrize("log", thinned(LOGS, 2, turn=1), ids=lambda p: p.stem)
 def test_mcap_has_the_log_s_counts_and_every_message_fits_its_schema(log: Path, tmp_path: Path) -> None:
     counts, topics = census(log), Counter[str]()
     schemas: dict[int, Any] = {}

@@ -41,7 +41,7 @@ def tlog(path: Path, *frames: bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=7))
+@pytest.mark.parametrize("name", thinned(captures("tlog"), 3, turn=7))
 def test_a_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     answer = info(public_file(f"tlog/{name}"), capsys)
     wanted = expected()[name]
@@ -58,7 +58,7 @@ def test_a_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]
         assert count == wanted["types"][kind] or (count < wanted["types"][kind] and status.get("badcrc"))
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=8))
+@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 3, turn=8))
 def test_vehicles_are_the_autopilots_and_nothing_else(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """No radio, no companion 1/0, no flood of 2/2, no GCS that calls itself ArduPilot."""
     answer = info(public_file(f"tlog/{name}"), capsys)

@@ -119,7 +119,7 @@ def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> 
     assert out.read_bytes() == first
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=4))
+@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 2, turn=4))
 def test_every_log_has_a_picture(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.svg"
     run(public_file(f"tlog/{name}"), "-o", out)

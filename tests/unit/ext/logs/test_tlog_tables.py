@@ -85,7 +85,7 @@ def same(cell: str, wanted: Any) -> bool:
     return cell == str(wanted)
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=2))
+@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 3, turn=2))
 def test_every_log_makes_flights_and_tables_of_the_counts_expected(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
     reported = run(path, "-o", tmp_path)

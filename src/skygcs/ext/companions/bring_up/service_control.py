@@ -10,6 +10,7 @@ from skygcs.core.vehicle.state import AIRBORNE
 from skygcs.errors import CompanionError
 from skygcs.ext.companions.bring_up.probe import FOLDER, SYSTEM_SOCKET, CompanionFacts
 from skygcs.ext.companions.bring_up.ssh_session import Session, printable, quoted
+from skygcs.ext.companions.ground_contact import GROUND_LINK
 
 UNIT = "skygcs"
 
@@ -64,8 +65,6 @@ async def active_vehicles(session: Session, facts: CompanionFacts) -> list[str]:
 
     A vehicle that it hears by way of the ground alone is another companion's.
     """
-    from skygcs.ext.companions.companion_table import GROUND_LINK
-
     if facts.state != "active":
         return []
     vehicles = await ask(session, facts, "status")

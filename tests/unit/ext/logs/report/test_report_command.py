@@ -8,6 +8,7 @@ import os
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -85,13 +86,23 @@ def table(folder: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@cache
+def two_minutes() -> bytes:
+    return FlightLog(2, 2.0).content(60.0)
+
+
+@cache
+def four_seconds() -> str:
+    return flown_trace(4.0)
+
+
 @pytest.fixture
 def day(tmp_path: Path) -> Path:
     """Two vehicles of two minutes, with a trace of the first."""
     folder = tmp_path / "logs"
     folder.mkdir()
-    (folder / "20260528T202640Z-0001.tlog").write_bytes(FlightLog(2, 2.0).content(60.0))
-    (folder / "control-v1-20260528-202700.csv").write_text(flown_trace(4.0))
+    (folder / "20260528T202640Z-0001.tlog").write_bytes(two_minutes())
+    (folder / "control-v1-20260528-202700.csv").write_text(four_seconds())
     return folder
 
 
@@ -342,7 +353,7 @@ def test_texts_of_vehicles_are_text(day: Path, tmp_path: Path) -> None:
     assert evil in texts and "'=HYPERLINK(1)" in texts  # no formula in a spreadsheet
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=3))
+@pytest.mark.parametrize("name", thinned(captures("tlog"), 3, turn=3))
 def test_every_log_has_a_report(name: str, tmp_path: Path) -> None:
     folder = make(tmp_path / "logs")
     (folder / name).symlink_to(public_file(f"tlog/{name}"))
