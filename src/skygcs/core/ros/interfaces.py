@@ -13,6 +13,7 @@ A message is a dictionary of its fields by name; what is left out is zero, "" or
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 import struct
@@ -214,12 +215,14 @@ def _as_dict(message: Any) -> Any:
     if isinstance(message, list):
         return [_as_dict(one) for one in message]
     if hasattr(message, "__msgtype__"):
-        return {
-            name: _as_dict(getattr(message, name))
-            for name in message.__dataclass_fields__
-            if name not in ("__msgtype__", EMPTY_MEMBER)
-        }
+        return {name: _as_dict(getattr(message, name)) for name in _field_names(type(message))}
     return message
+
+
+@functools.cache
+def _field_names(cls: type[Any]) -> tuple[str, ...]:
+    """Its fields without its constants, which rosbags' classes have as variables of the class."""
+    return tuple(field.name for field in dataclasses.fields(cls) if field.name != EMPTY_MEMBER)
 
 
 def dds_type_name(type_: str) -> str:
