@@ -65,6 +65,7 @@ class EveryTopicNode:
 
     def _say(self, line: str) -> None:
         assert self.process.stdin is not None
+        assert self.process.poll() is None, (self.process.returncode, line)
         self.process.stdin.write(line + "\n")
         self.process.stdin.flush()
 

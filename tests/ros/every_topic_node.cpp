@@ -214,6 +214,7 @@ static thread_local std::string taken;
 class Support : public types::DynamicPubSubType {
 public:
   explicit Support(types::DynamicType_ptr type) : types::DynamicPubSubType(type) {
+    m_typeSize = 1024;  // to begin with: that of Fast DDS is of a hundred elements in each sequence of each sequence
     auto_fill_type_information(false);
     auto_fill_type_object(false);
   }
@@ -228,7 +229,7 @@ public:
   }
 };
 
-static std::mutex mutex;
+static std::mutex mutex;  // of what is kept, and of Fast DDS' dynamic data, which several threads may not make at once
 
 class Reader : public DataReaderListener {
 public:
@@ -240,24 +241,27 @@ public:
   DataReader* reader = nullptr;
 
   void on_data_available(DataReader* from) override {
+    std::lock_guard<std::mutex> lock(mutex);
     auto* made = types::DynamicDataFactory::get_instance();
-    DynamicData* data = made->create_data(of->type);
-    SampleInfo info;
-    while (from->take_next_sample(data, &info) == ReturnCode_t::RETCODE_OK) {
-      if (!info.valid_data) continue;
-      std::ostringstream json;
-      show_struct(json, data, *of);
-      std::lock_guard<std::mutex> lock(mutex);
-      if (is_reply) {
-        if (data->get_uint64_value(0) == CLIENT)
-          std::printf("reply %lld %s %s\n", (long long)data->get_int64_value(1), taken.c_str(), json.str().c_str());
-        continue;
-      }
+    for (bool more = true; more;) {
+      DynamicData* data = made->create_data(of->type);
+      SampleInfo info;
+      more = from->take_next_sample(data, &info) == ReturnCode_t::RETCODE_OK;
+      if (more && info.valid_data) take(data);
+      made->delete_data(data);
+    }
+  }
+
+  void take(DynamicData* data) {
+    std::ostringstream json;
+    show_struct(json, data, *of);
+    if (!is_reply) {
       count++;
       last.push_back(taken + " " + json.str());
       if (last.size() > KEPT) last.pop_front();
+    } else if (data->get_uint64_value(0) == CLIENT) {
+      std::printf("reply %lld %s %s\n", (long long)data->get_int64_value(1), taken.c_str(), json.str().c_str());
     }
-    made->delete_data(data);
   }
 };
 
@@ -279,7 +283,7 @@ public:
     qos.reliability().kind = reliable ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
     qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
     qos.history().depth = depth;
-    qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
+    qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
     made->reader = subscriber->create_datareader(topic(dds_name, type), qos, made.get());
     (is_reply ? replies : readers)[name] = std::move(made);
   }
@@ -289,7 +293,7 @@ public:
     qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
     qos.durability().kind = VOLATILE_DURABILITY_QOS;
     qos.history().depth = 10;
-    qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
+    qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
     writers[name] = {publisher->create_datawriter(topic(dds_name, type), qos), type};
   }
 
@@ -300,6 +304,8 @@ public:
 
   void write(const std::string& name, long long number, std::istream& fields) {
     auto [writer, type] = writers.at(name);
+    for (int i = 0; i < 3000 && !matched(name, writer); i++) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    std::lock_guard<std::mutex> lock(mutex);
     DynamicData* data = types::DynamicDataFactory::get_instance()->create_data(structs[type].type);
     if (replies.count(name)) {
       data->set_uint64_value(CLIENT, 0);
@@ -307,7 +313,6 @@ public:
     }
     for (std::string word; fields >> word;)
       set_path(data, structs[type], word.substr(0, word.find('=')), word.substr(word.find('=') + 1));
-    for (int i = 0; i < 3000 && !matched(name, writer); i++) std::this_thread::sleep_for(std::chrono::milliseconds(10));
     writer->write(data);
     types::DynamicDataFactory::get_instance()->delete_data(data);
   }

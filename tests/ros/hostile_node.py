@@ -152,7 +152,9 @@ class Attack:
         try:
             for n in range(MOST_WRITERS):
                 name, type_ = names[n % len(names)]
-                kept.append(DataWriter(self.node.participant, self.node.topic(f"rt{name}", type_), qos=_qos("default", b"")))
+                kept.append(
+                    DataWriter(self.node.participant, self.node.topic(f"rt{name}", type_), qos=_qos("default", b""))
+                )
                 if n % 50 == 0:
                     await asyncio.sleep(0.01)
             for n in range(FOREIGN_TOPICS):

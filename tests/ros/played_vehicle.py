@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import threading
 import time
 from collections import Counter
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mav
-
 from support.pymav import UdpPeer
+from support.pymav_filled import filled
 
 PX4, ARDUPILOT = 12, 3
 """MAV_AUTOPILOT."""
@@ -29,6 +29,7 @@ class PlayedVehicle(UdpPeer):
         super().__init__(sysid, 1, port)
         self.autopilot = autopilot
         self.began = time.monotonic()
+        self._chance = random.Random(sysid)
         self._ended = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -39,9 +40,10 @@ class PlayedVehicle(UdpPeer):
         return 60_000 + int(1000 * (time.monotonic() - self.began))
 
     def play(self, name: str, **fields: Any) -> None:
-        """Send one message: values that are not given are small numbers."""
+        """Send one message: values that are not given are small numbers at random."""
+        stamps = {"time_boot_ms": self.boot_ms, "time_usec": 1000 * self.boot_ms}
         with self._lock:
-            self.send(self.pack(made(name, self.boot_ms, **fields)))
+            self.send(self.pack(filled(name, self._chance, **stamps | fields)))
 
     def _run(self) -> None:
         next_s = 0.0
@@ -72,18 +74,3 @@ class PlayedVehicle(UdpPeer):
         self._ended.set()
         self._thread.join()
         super().close()
-
-
-def made(name: str, boot_ms: int, **fields: Any) -> Any:
-    """A message of pymavlink."""
-    cls = next(cls for cls in mav.mavlink_map.values() if cls.msgname == name)
-    values = {}
-    for n, (field, kind, order) in enumerate(zip(cls.fieldnames, cls.fieldtypes, cls.orders, strict=True), 1):
-        length = cls.array_lengths[order]
-        one: Any = 0.25 * n if kind in ("float", "double") else n
-        value = one if not length else [one] * length
-        values[field] = b"text" if kind == "char" else value
-    own = {"time_boot_ms": boot_ms, "event_time_boot_ms": boot_ms, "time_usec": 1000 * boot_ms}
-    own |= {"time_unix_usec": time.time_ns() // 1000, "fix_type": 3, "fields_updated": 0xFFFF, "port": 0}
-    values |= {key: value for key, value in own.items() if key in values} | fields
-    return cls(*(values[field] for field in cls.fieldnames))

@@ -255,9 +255,7 @@ class Bridge:
             "domain": self.config.domain or 0,
             "network": self.config.network if self.config.version == 2 else f"ROS 1, {self.config.network}",
             "commands": self.config.commands,
-            "vehicles": [
-                {"name": v.name, "root": v.root, **self._control_of(v.name)} for v in self.vehicles.values()
-            ],
+            "vehicles": [{"name": v.name, "root": v.root, **self._control_of(v.name)} for v in self.vehicles.values()],
             "topics": topics,
             "rejected": sum(s.rejected for s in self.node.subscribers.values())
             + sum(s.rejected for s in self.node.services.values()),
