@@ -37,8 +37,8 @@ async def graph_of(config: RosConfig, vehicles: Mapping[str, tuple[int, str]]) -
 
 
 def table(known: Interfaces, graph: Graph) -> Iterator[str]:
-    """The lines that `every_topic_node` reads. Services come first: a bridge that knows the readers of all topics knows the
-    clients of all services."""
+    """The lines that `every_topic_node` reads. Services come first: a bridge that knows the readers of all topics knows
+    the clients of all services."""
     types = [type_ for type_, _ in graph.topics.values()] + list(graph.inputs.values())
     yield from lines(known, types, dict.fromkeys(graph.services.values()))
     for name, type_ in graph.services.items():

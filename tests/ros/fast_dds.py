@@ -54,7 +54,7 @@ def built(name: str) -> Path:
 
 
 def built_alone(name: str) -> Path:
-    """A program that makes its types when it runs, by its name. Raises CalledProcessError with what the compiler said."""
+    """A program that makes its types when it runs. Raises CalledProcessError with what the compiler said."""
     source = HERE / f"{name}.cpp"
     program = BUILD / f"{name}_{_digest(source.read_text())}"
     if not program.exists():

@@ -1,4 +1,4 @@
-"""A participant of DDS that means harm: `python -m ros.hostile_node DOMAIN COMMANDS VEHICLE…`, one attack after the other.
+"""A participant of DDS that means harm: `python -m ros.hostile_node DOMAIN COMMANDS VEHICLE…`, attack after attack.
 
 It knows all names and types. Where services are allowed it calls none rightly: who may call them may fly.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from cyclonedds.pub import DataWriter
 from ros.bridge_graph import Graph, graph_of
 from skygcs.core.ros.interfaces import Interfaces, ros2_interfaces
 from skygcs.ext.ros.config import RosConfig
-from skygcs.ext.ros.dds import SERVICE_HEADER, DdsNode, Network, Publication, _qos
+from skygcs.ext.ros.dds import SERVICE_HEADER, DdsNode, Network, Publication, _qos, network_config
 
 SETPOINTS_EACH = 40
 WRONG_EACH = 12
@@ -35,7 +36,10 @@ class Attack:
 
     def __init__(self, domain: int, graph: Graph, calls: bool) -> None:
         self.known: Interfaces = ros2_interfaces("1.16")
-        self.node = DdsNode(Network(domain, True, ()), self.known, asyncio.get_running_loop())
+        self.network = Network(domain, True, ())
+        config = re.sub("<Internal>.*</Internal>", "", network_config(self.network))  # no limit of what it sends
+        os.environ["CYCLONEDDS_URI"] = config  # of both of its participants
+        self.node = DdsNode(self.network, self.known, asyncio.get_running_loop())
         self.graph = graph
         self.calls = calls
         self.random = random.Random(1)
@@ -135,7 +139,7 @@ class Attack:
     async def wrong_types(self) -> None:
         """The names with types of others."""
         kept = []
-        other = DdsNode(self.node_network, self.known, asyncio.get_running_loop())
+        other = DdsNode(self.network, self.known, asyncio.get_running_loop())
         for name in self.graph.inputs:
             writer = Publication(other, f"rt{name}", WRONG_TYPE, "default", b"")
             writer.write({"data": "fly"})
@@ -167,20 +171,12 @@ class Attack:
         print(f"{len(kept)} writers", flush=True)
         await asyncio.sleep(5)
 
-    @property
-    def node_network(self) -> Network:
-        return self._network
-
-    _network = Network(0, True, ())
-
 
 async def main(words: list[str]) -> None:
     domain, commands, *vehicles = words
     everything = RosConfig(commands="all", px4_msgs="1.16")
     autopilots = {name: (n, "px4" if n < 3 else "ardupilot") for n, name in enumerate(vehicles, 1)}
-    attack = Attack(int(domain), await graph_of(everything, autopilots), commands == "all")
-    attack._network = Network(int(domain), True, ())
-    await attack.run()
+    await Attack(int(domain), await graph_of(everything, autopilots), commands == "all").run()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""ROS 2's types for Fast DDS, made from the same table as the topics: IDL, which fastddsgen compiles, and lines, of which
-a program makes types when it runs (`every_topic_node.cpp`)."""
+"""ROS 2's types for Fast DDS, made from the same table as the topics: IDL, which fastddsgen compiles, and lines, of
+which a program makes types when it runs (`every_topic_node.cpp`)."""
 
 from __future__ import annotations
 

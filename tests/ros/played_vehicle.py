@@ -6,29 +6,57 @@ import random
 import threading
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
+from support.process import DaemonProcess, free_port, wait_until
 from support.pymav import UdpPeer
 from support.pymav_filled import filled
 
 PX4, ARDUPILOT = 12, 3
 """MAV_AUTOPILOT."""
 
+FLEET = """
+[origin]
+lat_deg = 43.7806
+lon_deg = -79.4653
+alt_amsl_m = 180.0
+[links.field]
+type = "udp_server"
+host = "127.0.0.1"
+port = {port}
+role = "vehicle"
+[vehicles.alpha]
+sysid = 1
+[vehicles.bravo]
+sysid = 2
+[vehicles.charlie]
+sysid = 3
+[ros]
+domain = {domain}
+commands = "{commands}"
+px4_msgs = "1.16"
+"""
+
+VEHICLES = {"alpha": PX4, "bravo": PX4, "charlie": ARDUPILOT}
+
 TURN_S = 0.02
 
 CARRIES_NOTHING = frozenset({"HEARTBEAT", "SYSTEM_TIME", "TIMESYNC", "PING", "REQUEST_DATA_STREAM"})
 READS = frozenset({"PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "MISSION_REQUEST_LIST", "LOG_REQUEST_LIST"})
-REQUESTS = frozenset({511, 512, 519, 520})
-"""MAV_CMD: SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_PROTOCOL_VERSION, REQUEST_AUTOPILOT_CAPABILITIES."""
+REQUESTS = frozenset({510, 511, 512, 519, 520, 42428})
+"""MAV_CMD: GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_PROTOCOL_VERSION,
+REQUEST_AUTOPILOT_CAPABILITIES, DO_SEND_BANNER."""
 
 
 class PlayedVehicle(UdpPeer):
-    """A vehicle that stands disarmed on the ground: heartbeats and a position, from a thread of its own until `close`."""
+    """A vehicle that stands disarmed on the ground: heartbeats and a position, from its own thread until `close`."""
 
     def __init__(self, sysid: int, autopilot: int, port: int) -> None:
         super().__init__(sysid, 1, port)
         self.autopilot = autopilot
         self.began = time.monotonic()
+        self.sent: list[Any] = []
         self._chance = random.Random(sysid)
         self._ended = threading.Event()
         self._lock = threading.Lock()
@@ -43,7 +71,9 @@ class PlayedVehicle(UdpPeer):
         """Send one message: values that are not given are small numbers at random."""
         stamps = {"time_boot_ms": self.boot_ms, "time_usec": 1000 * self.boot_ms}
         with self._lock:
-            self.send(self.pack(filled(name, self._chance, **stamps | fields)))
+            message = filled(name, self._chance, **stamps | fields)
+            self.sent.append(message)
+            self.send(self.pack(message))
 
     def _run(self) -> None:
         next_s = 0.0
@@ -74,3 +104,27 @@ class PlayedVehicle(UdpPeer):
         self._ended.set()
         self._thread.join()
         super().close()
+
+
+class PlayedFleet(DaemonProcess):
+    """A daemon with ROS and three vehicles on UDP."""
+
+    def __init__(self, folder: Path, commands: str) -> None:
+        self.domain = random.SystemRandom().randrange(50, 200)
+        self.commands = commands
+        self.port = free_port()
+        super().__init__(folder, FLEET.format(port=self.port, domain=self.domain, commands=commands))
+        self.start()
+        wait_until(lambda: all(link["state"] == "up" for link in self.call("links.list")), "the link is up")
+        self.wire = {name: PlayedVehicle(n, kind, self.port) for n, (name, kind) in enumerate(VEHICLES.items(), 1)}
+        wait_until(self.is_up, "the process of ROS has all vehicles")
+
+    def is_up(self) -> bool:
+        report = self.call("ros.status")["report"]
+        heard = [state for state in self.vehicles().values() if state["connected"] and state["autopilot"]]
+        return report is not None and {v["name"] for v in report["vehicles"]} == VEHICLES.keys() and len(heard) == 3
+
+    def close(self) -> None:
+        for vehicle in self.wire.values():
+            vehicle.close()
+        self.stop()

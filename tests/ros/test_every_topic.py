@@ -1,5 +1,5 @@
-"""A program on Fast DDS alone reads every topic that the bridge publishes for three vehicles, writes every topic that it
-reads and calls every service. What there is comes from the bridge itself, so none is left out."""
+"""A program on Fast DDS alone reads every topic that the bridge publishes for three vehicles, writes every topic that
+it reads and calls every service. What there is comes from the bridge itself, so none is left out."""
 
 from __future__ import annotations
 
@@ -192,8 +192,8 @@ def test_every_service_is_called(node: EveryTopicNode, fleet: RosFleet) -> None:
 
 
 def test_every_topic_is_read(node: EveryTopicNode, fleet: RosFleet) -> None:
-    """After the flights. What rosbags reads in the bytes of each message is what Fast DDS read; a topic without messages
-    is one of whose MAVLink messages the vehicle has sent none."""
+    """After the flights. What rosbags reads in the bytes of each message is what Fast DDS read; a topic without
+    messages is one of whose MAVLink messages the vehicle has sent none."""
     came = node.dump()
     assert came.keys() == node.graph.topics.keys()
     silent: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """What MAVROS publishes of a MAVLink message: its plugins' conversions, written a second time with numpy's matrices.
 
-Messages are those that pymavlink decoded; nothing of skygcs is used. Every field that MAVROS sets is here; what is not is
-zero. Known differences (`docs/howto/ros.md`): stamps, and the geoid, which is the receiver's in place of EGM96.
+Messages are those that pymavlink decoded; nothing of skygcs is used. Every field that MAVROS sets is here; what is not
+is zero. Known differences (`docs/howto/ros.md`): stamps, and the geoid, which is the receiver's in place of EGM96.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pymap3d
+import pytest
 from pymavlink import mavutil
 
 ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
@@ -70,6 +71,37 @@ def diagonal(*values: float) -> list[float]:
 def upper(row: int, column: int, size: int = 9) -> int:
     """Where an element of a symmetric matrix is, of which the upper right triangle is written row by row."""
     return [(r, c) for r in range(size) for c in range(r, size)].index((row, column))
+
+
+def like(found: Any, wanted: Any, where: str) -> None:
+    """Assert that a message is the wanted one, which may lack what is zero."""
+    if isinstance(wanted, tuple) and wanted[0] == "rotation":
+        assert of_quaternion(*(found[name] for name in "wxyz")) == pytest.approx(wanted[1], abs=1e-5, nan_ok=True), (
+            where
+        )
+    elif isinstance(wanted, tuple):
+        assert abs(math.remainder(found - wanted[1], 2 * math.pi)) < 1e-5 or math.isnan(found) == math.isnan(
+            wanted[1]
+        ), where
+    elif isinstance(found, dict):
+        assert wanted.keys() <= found.keys(), where
+        for name, value in found.items():
+            like(value, wanted.get(name, blank(value)), f"{where}.{name}")
+    elif isinstance(found, list):
+        assert np.shape(found) == np.shape(wanted), where
+        assert np.asarray(found, float) == pytest.approx(np.asarray(wanted, float), rel=1e-6, abs=1e-6, nan_ok=True), (
+            where
+        )
+    elif isinstance(found, float):
+        assert found == pytest.approx(wanted, rel=1e-6, abs=1e-5, nan_ok=True), where
+    else:
+        assert found == wanted, where
+
+
+def blank(value: Any) -> Any:
+    if isinstance(value, list):
+        return [0.0] * len(value)
+    return {} if isinstance(value, dict) else type(value)()
 
 
 class Mavros:

@@ -1,11 +1,10 @@
-"""Every topic, field by field, against MAVROS' conversions of the same bytes (`mavros_oracle`), which pymavlink decodes:
-recorded flights, and messages that pymavlink packed of those that no recording has."""
+"""Every topic, field by field, against MAVROS' conversions of the same bytes (`mavros_oracle`), which pymavlink
+decodes: recorded flights, and messages that pymavlink packed of those that no recording has."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-import math
 import random
 import struct
 from collections import Counter
@@ -14,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -25,7 +23,7 @@ from skygcs.core.ros.memory import VehicleMemory
 from skygcs.core.ros.topics import SOURCES, TELEMETRY, samples
 from skygcs.tlog.files import opened_log
 from support.pymav_filled import filled
-from unit.core.ros.mavros_oracle import Mavros, of_quaternion
+from unit.core.ros.mavros_oracle import Mavros, like
 
 DATA = Path(__file__).parents[3] / "data"
 DIALECT = load_dialect(("ardupilotmega", "px4-extras"))
@@ -65,7 +63,7 @@ def recorded(name: str) -> Iterator[Heard]:
         for entry in log.entries():
             frame = entry.frame
             if frame is not None and frame.info is not None and frame.name in SOURCES:
-                own = frame.compid == 1 and frame.sysid <= 250 or frame.name == "RADIO_STATUS"
+                own = (frame.compid == 1 and frame.sysid <= 250) or frame.name == "RADIO_STATUS"
                 if own:
                     yield Heard(frame.sysid, entry.unix_us, bytes(frame.raw))
 
@@ -126,37 +124,6 @@ class Clock:
 
     def least(self, arrival_us: int) -> float | None:
         return min((delay + DRIFT * max(arrival_us - at, 0) for at, delay in self.seen), default=None)
-
-
-def like(found: Any, wanted: Any, where: str) -> None:
-    """``wanted`` may lack what is zero."""
-    if isinstance(wanted, tuple) and wanted[0] == "rotation":
-        assert of_quaternion(*(found[name] for name in "wxyz")) == pytest.approx(wanted[1], abs=1e-5, nan_ok=True), (
-            where
-        )
-    elif isinstance(wanted, tuple):
-        assert abs(math.remainder(found - wanted[1], 2 * math.pi)) < 1e-5 or math.isnan(found) == math.isnan(
-            wanted[1]
-        ), where
-    elif isinstance(found, dict):
-        assert wanted.keys() <= found.keys(), where
-        for name, value in found.items():
-            like(value, wanted.get(name, blank(value)), f"{where}.{name}")
-    elif isinstance(found, list):
-        assert np.shape(found) == np.shape(wanted), where
-        assert np.asarray(found, float) == pytest.approx(np.asarray(wanted, float), rel=1e-6, abs=1e-6, nan_ok=True), (
-            where
-        )
-    elif isinstance(found, float):
-        assert found == pytest.approx(wanted, rel=1e-6, abs=1e-5, nan_ok=True), where
-    else:
-        assert found == wanted, where
-
-
-def blank(value: Any) -> Any:
-    if isinstance(value, list):
-        return [0.0] * len(value)
-    return {} if isinstance(value, dict) else type(value)()
 
 
 def compared(heard: Iterator[Heard]) -> Counter[str]:
