@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ros.idl import cpp_type, lines
 from skygcs.core.ros.interfaces import Interfaces
-from skygcs.core.ros.topics import DEPTHS, LATCHED
+from skygcs.core.ros.topics import LATCHED
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
 from support.ros_node import KeptNode
@@ -45,7 +45,6 @@ def table(known: Interfaces, graph: Graph) -> Iterator[str]:
         yield f"service {name} {cpp_type(f'{type_}_Request')} {cpp_type(f'{type_}_Response')}"
     for name, (type_, quality) in graph.topics.items():
         reliable, latched = quality not in ("sensor", "px4"), quality in LATCHED or quality == "px4"
-        depth = max(DEPTHS[quality], 10)  # type: ignore[index]
-        yield f"topic {name} {cpp_type(type_)} {reliable:d} {latched:d} {depth}"
+        yield f"topic {name} {cpp_type(type_)} {reliable:d} {latched:d}"
     for name, type_ in graph.inputs.items():
         yield f"input {name} {cpp_type(type_)}"

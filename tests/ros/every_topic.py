@@ -33,7 +33,10 @@ class EveryTopicNode:
         self._table = folder / "every_topic.table"
         self._table.write_text("\n".join(table(known, graph)) + "\n")
         self._domain = domain
-        self._lines: list[str] = []
+        self._said: list[str] = []
+        self._replies: dict[int, str] = {}
+        self._messages: list[str] = []
+        self._dumped: list[list[str]] = []
         self._number = 0
 
     def __enter__(self) -> EveryTopicNode:
@@ -41,7 +44,7 @@ class EveryTopicNode:
         self.process = subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._reading = threading.Thread(target=self._read, daemon=True)
         self._reading.start()
-        wait_until(lambda: "ready" in self._lines, "the program of Fast DDS is ready")
+        wait_until(lambda: "ready" in self._said, "the program of Fast DDS is ready")
         return self
 
     def wait_for_the_bridge(self, fleet: DaemonProcess) -> None:
@@ -61,7 +64,16 @@ class EveryTopicNode:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            self._lines.append(line.rstrip("\n"))
+            word, _, rest = line.rstrip("\n").partition(" ")
+            if word == "reply":
+                number, _, text = rest.partition(" ")
+                self._replies[int(number)] = text
+            elif word == "message":
+                self._messages.append(rest)
+            elif word == "done":
+                self._dumped, self._messages = [self._messages], []
+            elif word != "topic":
+                self._said.append(f"{word} {rest}".strip())
 
     def _say(self, line: str) -> None:
         assert self.process.stdin is not None
@@ -80,11 +92,8 @@ class EveryTopicNode:
 
     def reply(self, number: int, service: str) -> Fields:
         """The response, once it is there: rosbags reads the same in its bytes."""
-        start = f"reply {number} "
-        line = wait_until(
-            lambda: next((line for line in list(self._lines) if line.startswith(start)), None), f"{service} answers"
-        )
-        text, _, rest = line[len(start) :].partition(" ")
+        line = wait_until(lambda: self._replies.get(number), f"{service} answers; {self._said}")
+        text, _, rest = line.partition(" ")
         data, fields = bytes.fromhex(text), json.loads(rest)
         assert SERVICE_HEADER.unpack_from(data, 4) == (fields.pop("client_guid"), fields.pop("sequence_number"))
         message = Message(data[:4] + data[4 + SERVICE_HEADER.size :], fields)
@@ -95,14 +104,13 @@ class EveryTopicNode:
 
     def dump(self) -> dict[str, list[Message]]:
         """The last messages of every topic."""
-        begun = len(self._lines)
+        self._dumped = []
         self._say("dump")
-        wait_until(lambda: "done" in self._lines[begun:], "the program of Fast DDS has shown what came")
+        wait_until(lambda: self._dumped, f"the program of Fast DDS has shown what came; {self._said}")
         found: dict[str, list[Message]] = {name: [] for name in self.graph.topics}
-        for line in self._lines[begun:]:
-            if line.startswith("message "):
-                _, name, text, fields = line.split(" ", 3)
-                found[name].append(Message(bytes.fromhex(text), json.loads(fields)))
+        for line in self._dumped[0]:
+            name, text, fields = line.split(" ", 2)
+            found[name].append(Message(bytes.fromhex(text), json.loads(fields)))
         return found
 
     def checked(self, type_: str, message: Message) -> Fields:

@@ -6,7 +6,7 @@
 // The table, a line each; a struct comes before those that have it:
 //
 //   struct TYPE                           member NAME BASE plain|array|sequence COUNT
-//   topic NAME TYPE RELIABLE LATCHED DEPTH
+//   topic NAME TYPE RELIABLE LATCHED
 //   service NAME REQUEST RESPONSE         their first two members are rmw_cyclonedds' header
 //   input NAME TYPE                       a topic that is written
 //
@@ -274,7 +274,7 @@ public:
   }
 
   void read(const std::string& dds_name, const std::string& name, const std::string& type, bool reliable, bool latched,
-            int depth, bool is_reply) {
+            bool is_reply) {
     auto made = std::make_unique<Reader>();
     made->name = name;
     made->of = &structs.at(type);
@@ -282,7 +282,8 @@ public:
     DataReaderQos qos = DATAREADER_QOS_DEFAULT;
     qos.reliability().kind = reliable ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
     qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
-    qos.history().depth = depth;
+    // Fast DDS 2.9 uses a sample of several fragments after it has freed it when the last ones only are kept
+    qos.history().kind = KEEP_ALL_HISTORY_QOS;
     qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
     made->reader = subscriber->create_datareader(topic(dds_name, type), qos, made.get());
     (is_reply ? replies : readers)[name] = std::move(made);
@@ -299,7 +300,7 @@ public:
 
   void client(const std::string& name, const std::string& request, const std::string& response) {
     input("rq" + name + "Request", name, request);
-    read("rr" + name + "Reply", name, response, true, false, 10, true);
+    read("rr" + name + "Reply", name, response, true, false, true);
   }
 
   void write(const std::string& name, long long number, std::istream& fields) {
@@ -369,9 +370,9 @@ int main(int argc, char** argv) {
       words >> m.base >> m.shape >> m.count;
       structs[last].members.push_back(m);
     } else if (what == "topic") {
-      int reliable, latched, depth;
-      words >> type >> reliable >> latched >> depth;
-      node.read("rt" + name, name, type, reliable, latched, depth, false);
+      int reliable, latched;
+      words >> type >> reliable >> latched;
+      node.read("rt" + name, name, type, reliable, latched, false);
     } else if (what == "service") {
       words >> type >> other;
       node.client(name, type, other);

@@ -16,10 +16,10 @@ from support.process import wait_until
 ATTACK_S = 600
 
 MOST_GROWTH_KB = 60_000
-"""Of a wave of 2,500 writers: a few kB of each, and samples of 1 MiB at most that wait to be read."""
+"""Growth by a wave of 2,500 writers: a few kB of each, and samples of 1 MiB at most that wait to be read."""
 
 AGAIN_GROWTH_KB = 20_000
-"""Of the same wave once more: what was kept of participants that have gone is used again."""
+"""Growth by the same wave once more: what was kept of participants that have gone is used again."""
 
 
 class Attacked(PlayedFleet):

@@ -262,7 +262,7 @@ class Bridge:
         }
 
     def _control_of(self, name: str) -> dict[str, Any]:
-        """What nodes ask of a vehicle, and what became of it."""
+        """Return the state of its setpoints as text, and how many setpoints and commands were taken and refused."""
         control = self.controls.get(name)
         stream = None if control is None else control.stream
         return {

@@ -178,12 +178,12 @@ class Kept:
         self.messages: deque[Any] = deque(maxlen=most)
 
     def peer_subscribe(self, topic_name: str, topic_publish: Any, peer_publish: Any) -> None:
-        """Of rospy: a reader is there. It may get the newest twice, if that goes out meanwhile."""
+        """Called by rospy when a reader is there. It may get the newest twice, if that goes out meanwhile."""
         for message in list(self.messages):
             peer_publish(message)
 
     def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
-        """Of rospy: a reader has gone."""
+        """Called by rospy when a reader has gone."""
 
 
 class Call:

@@ -40,7 +40,7 @@ DRIFT, STEP_US = 2e-4, 1_000_000
 """Stamps: a vehicle's clock may drift by so much, and is begun anew after a step of so much (`core.ros.stamps`)."""
 
 MOST_FRAMES = 3000
-"""Of one recording."""
+"""Frames of one recording that are compared."""
 
 DRIFT_US = 200
 """The drift of a second: a recorder may write two links' frames in another order than they came in."""
