@@ -14,6 +14,7 @@
 // "write TOPIC PATH=VALUE...", "dump", "end".
 // Standard output: "reply NUMBER HEX JSON"; of a dump "topic NAME COUNT", then "message NAME HEX JSON" for the last ones:
 // the bytes as they came, and what Fast DDS reads in them; "done".
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -208,9 +209,8 @@ static void set_path(DynamicData* data, const Struct& of, const std::string& pat
   data->return_loaned_value(inner);
 }
 
-// The bytes of the sample that this thread read last.
-static thread_local std::string taken;
-
+// Readers get the bytes alone, as a std::string: to decode every sample of 160 topics takes more than one core. What is
+// shown is decoded by the same type.
 class Support : public types::DynamicPubSubType {
 public:
   explicit Support(types::DynamicType_ptr type) : types::DynamicPubSubType(type) {
@@ -218,50 +218,83 @@ public:
     auto_fill_type_information(false);
     auto_fill_type_object(false);
   }
-  bool deserialize(eprosima::fastrtps::rtps::SerializedPayload_t* payload, void* data) override {
-    static const char digits[] = "0123456789abcdef";
-    taken.clear();
-    for (uint32_t i = 0; i < payload->length; i++) {
-      taken += digits[payload->data[i] >> 4];
-      taken += digits[payload->data[i] & 15];
-    }
-    return types::DynamicPubSubType::deserialize(payload, data);
+  bool deserialize(eprosima::fastrtps::rtps::SerializedPayload_t* payload, void* bytes) override {
+    static_cast<std::string*>(bytes)->assign(reinterpret_cast<char*>(payload->data), payload->length);
+    return true;
+  }
+  void decode(const std::string& bytes, DynamicData* data) {
+    eprosima::fastrtps::rtps::SerializedPayload_t payload(uint32_t(bytes.size()));
+    std::copy(bytes.begin(), bytes.end(), payload.data);
+    payload.length = uint32_t(bytes.size());
+    types::DynamicPubSubType::deserialize(&payload, data);
   }
 };
 
-static std::mutex mutex;  // of what is kept, and of Fast DDS' dynamic data, which several threads may not make at once
+static std::mutex kept_mutex;     // of messages that are kept
+static std::mutex dynamic_mutex;  // of Fast DDS' dynamic data, which several threads may not make at once
+
+static std::string hex(const std::string& bytes) {
+  static const char digits[] = "0123456789abcdef";
+  std::string text;
+  for (unsigned char c : bytes) {
+    text += digits[c >> 4];
+    text += digits[c & 15];
+  }
+  return text;
+}
 
 class Reader : public DataReaderListener {
 public:
   std::string name;
   const Struct* of = nullptr;
+  Support* support = nullptr;
   bool is_reply = false;
   long count = 0;
   std::deque<std::string> last;
   DataReader* reader = nullptr;
 
   void on_data_available(DataReader* from) override {
-    std::lock_guard<std::mutex> lock(mutex);
-    auto* made = types::DynamicDataFactory::get_instance();
-    for (bool more = true; more;) {
-      DynamicData* data = made->create_data(of->type);
-      SampleInfo info;
-      more = from->take_next_sample(data, &info) == ReturnCode_t::RETCODE_OK;
-      if (more && info.valid_data) take(data);
-      made->delete_data(data);
+    std::string bytes;
+    SampleInfo info;
+    while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+      if (!info.valid_data) continue;
+      if (is_reply) {
+        answer(bytes);
+        continue;
+      }
+      std::lock_guard<std::mutex> lock(kept_mutex);
+      count++;
+      last.push_back(bytes);
+      if (last.size() > KEPT) last.pop_front();
     }
   }
 
-  void take(DynamicData* data) {
+  std::string shown(const std::string& bytes) {
+    return with(bytes, [](DynamicData*) { return true; });
+  }
+
+private:
+  void answer(const std::string& bytes) {
+    long long number = 0;
+    std::string text = with(bytes, [&number](DynamicData* data) {
+      number = data->get_int64_value(1);
+      return data->get_uint64_value(0) == CLIENT;
+    });
+    if (!text.empty()) std::printf("reply %lld %s\n", number, text.c_str());
+  }
+
+  template <class Wanted>
+  std::string with(const std::string& bytes, Wanted wanted) {
+    std::lock_guard<std::mutex> lock(dynamic_mutex);
+    DynamicData* data = types::DynamicDataFactory::get_instance()->create_data(of->type);
+    support->decode(bytes, data);
     std::ostringstream json;
-    show_struct(json, data, *of);
-    if (!is_reply) {
-      count++;
-      last.push_back(taken + " " + json.str());
-      if (last.size() > KEPT) last.pop_front();
-    } else if (data->get_uint64_value(0) == CLIENT) {
-      std::printf("reply %lld %s %s\n", (long long)data->get_int64_value(1), taken.c_str(), json.str().c_str());
+    if (wanted(data)) {
+      json << hex(bytes) << ' ';
+      show_struct(json, data, *of);
     }
+    types::DynamicDataFactory::get_instance()->delete_data(data);
+    return json.str();
   }
 };
 
@@ -279,13 +312,15 @@ public:
     made->name = name;
     made->of = &structs.at(type);
     made->is_reply = is_reply;
+    auto* described = topic(dds_name, type);
+    made->support = static_cast<Support*>(supports.at(type).get());
     DataReaderQos qos = DATAREADER_QOS_DEFAULT;
     qos.reliability().kind = reliable ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
     qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
     // Fast DDS 2.9 uses a sample of several fragments after it has freed it when the last ones only are kept
     qos.history().kind = KEEP_ALL_HISTORY_QOS;
     qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
-    made->reader = subscriber->create_datareader(topic(dds_name, type), qos, made.get());
+    made->reader = subscriber->create_datareader(described, qos, made.get());
     (is_reply ? replies : readers)[name] = std::move(made);
   }
 
@@ -306,7 +341,7 @@ public:
   void write(const std::string& name, long long number, std::istream& fields) {
     auto [writer, type] = writers.at(name);
     for (int i = 0; i < 3000 && !matched(name, writer); i++) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    std::lock_guard<std::mutex> lock(mutex);
+    std::lock_guard<std::mutex> lock(dynamic_mutex);
     DynamicData* data = types::DynamicDataFactory::get_instance()->create_data(structs[type].type);
     if (replies.count(name)) {
       data->set_uint64_value(CLIENT, 0);
@@ -319,10 +354,12 @@ public:
   }
 
   void dump() {
-    std::lock_guard<std::mutex> lock(mutex);
     for (auto& [name, reader] : readers) {
+      std::unique_lock<std::mutex> lock(kept_mutex);
+      auto last = reader->last;
       std::printf("topic %s %ld\n", name.c_str(), reader->count);
-      for (auto& message : reader->last) std::printf("message %s %s\n", name.c_str(), message.c_str());
+      lock.unlock();
+      for (auto& bytes : last) std::printf("message %s %s\n", name.c_str(), reader->shown(bytes).c_str());
     }
     std::puts("done");
   }

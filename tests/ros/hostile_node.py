@@ -126,15 +126,22 @@ class Attack:
 
     async def huge(self) -> None:
         """A length that is true: megabytes of text in the frame of a header, or of waypoints."""
+        made: dict[str, bytes] = {}
         for name, (writer, type_) in self.writers.items():
             if "setpoint" in name or name.endswith("mission/push"):
-                fields = self.known.fields_of(type_)
-                if "header" in fields:
-                    writer.write_bytes(self.known.encode(type_, {"header": {"frame_id": "x" * HUGE_BYTES}}))
-                elif "waypoints" in fields:
-                    data = self.known.encode(type_, {"waypoints": [{}] * (HUGE_BYTES // 64)})
-                    writer.write_bytes(data[:4] + SERVICE_HEADER.pack(7, 1) + data[4:])
+                if type_ not in made:
+                    made[type_] = self._huge(type_)
+                writer.write_bytes(made[type_])
                 await asyncio.sleep(0.1)
+
+    def _huge(self, type_: str) -> bytes:
+        fields = self.known.fields_of(type_)
+        if "waypoints" in fields:
+            data = self.known.encode(type_, {"waypoints": [{}] * (HUGE_BYTES // 64)})
+            return data[:4] + SERVICE_HEADER.pack(7, 1) + data[4:]
+        if "header" in fields:
+            return self.known.encode(type_, {"header": {"frame_id": "x" * HUGE_BYTES}})
+        return self.known.encode(type_, {}) + bytes(HUGE_BYTES)
 
     async def wrong_types(self) -> None:
         """The names with types of others."""

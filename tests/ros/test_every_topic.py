@@ -29,6 +29,10 @@ SUCCEEDED, CANCELED = 4, 5
 """action_msgs' GoalStatus."""
 
 
+pytestmark = pytest.mark.timeout(1200)
+"""Three vehicles fly twice, in real time."""
+
+
 @pytest.fixture(scope="module")
 def node(fleet: RosFleet, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EveryTopicNode]:
     needs("g++", "libfastrtps-dev")

@@ -39,6 +39,10 @@ class Attacked(PlayedFleet):
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
 
 
+pytestmark = pytest.mark.timeout(1200)
+"""Two attacks, each of a minute."""
+
+
 @pytest.fixture(params=["none", "setpoints", "all"])
 def attacked(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Attacked]:
     made = Attacked(tmp_path, request.param)
