@@ -53,6 +53,18 @@ def built(name: str) -> Path:
     return program
 
 
+def built_alone(name: str) -> Path:
+    """A program that makes its types when it runs. Raises CalledProcessError with what the compiler said."""
+    source = HERE / f"{name}.cpp"
+    program = BUILD / f"{name}_{_digest(source.read_text())}"
+    if not program.exists():
+        BUILD.mkdir(parents=True, exist_ok=True)
+        part = BUILD / f"{name}.part"
+        _run(BUILD, *COMPILER, "-o", part.name, str(source), "-lfastrtps", "-lfastcdr", "-lpthread")
+        part.rename(program)
+    return program
+
+
 def _types(text: str) -> Path:
     """The types of an IDL text as an archive: they take a minute, and serve every program."""
     folder = BUILD / _digest(text)

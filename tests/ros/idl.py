@@ -1,4 +1,5 @@
-"""IDL of ROS 2's types, made from the same table as the topics: what fastddsgen compiles for Fast DDS."""
+"""ROS 2's types for Fast DDS, made from the same table as the topics: IDL, which fastddsgen compiles, and lines, of
+which a program makes types when it runs (`every_topic_node.cpp`)."""
 
 from __future__ import annotations
 
@@ -34,6 +35,40 @@ def idl(known: Interfaces, types: Iterable[str], services: Iterable[str]) -> str
         for part in ("Request", "Response"):
             _add(known, f"{service}_{part}", done, header)
     return "\n".join(done.values())
+
+
+HEADER = (("client_guid", "uint64"), ("sequence_number", "int64"))
+"""rmw_cyclonedds puts it before requests and responses."""
+
+
+def lines(known: Interfaces, types: Iterable[str], services: Iterable[str]) -> list[str]:
+    """Structs and their members for types, those that they need, and requests and responses of services."""
+    done: dict[str, list[str]] = {}
+    for type_ in types:
+        _add_lines(known, type_, done)
+    for service in services:
+        for part in ("Request", "Response"):
+            _add_lines(known, f"{service}_{part}", done)
+            head = [f"member {name} {base} plain 0" for name, base in HEADER]
+            struct, *members = done[f"{service}_{part}"]
+            done[f"{service}_{part}"] = [struct, *head, *members]
+    return [line for made in done.values() for line in made]
+
+
+def _add_lines(known: Interfaces, type_: str, done: dict[str, list[str]]) -> None:
+    if type_ in done:
+        return
+    made = [f"struct {cpp_type(type_)}"]
+    for name, description in known.store.fielddefs[type_][1]:
+        kind, what = description
+        shape, count = "plain", 0
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            shape, count = ("array", what[1]) if kind == Nodetype.ARRAY else ("sequence", 0)
+            kind, what = what[0]
+        if kind == Nodetype.NAME:
+            _add_lines(known, what, done)
+        made.append(f"member {name} {cpp_type(what) if kind == Nodetype.NAME else what[0]} {shape} {count}")
+    done[type_] = made
 
 
 def cpp_type(type_: str) -> str:

@@ -4,6 +4,7 @@
     echo SECONDS NAMESPACE…  what comes of some topics, as JSON lines
     fly NAMESPACE MODE       MAVROS' offboard example: stream, OFFBOARD, arm, a square, MODE, until it is disarmed
     flood TOPIC SECONDS      setpoints as fast as rospy sends them, and others that are no numbers
+    late TOPIC COUNT         how many messages of before a reader gets that comes later; COUNT are waited for
 
 MAVROS' own interfaces are made of their definitions by genpy, as a package of them would be.
 """
@@ -210,6 +211,16 @@ def flood(topic: str, seconds: float) -> None:
     print(sent)
 
 
+def late(topic: str, count: int) -> None:
+    """Messages of before; of a type that nothing here has."""
+    came: list[object] = []
+    rospy.Subscriber(topic, rospy.AnyMsg, came.append)
+    end = time.monotonic() + 60
+    while len(came) < count and time.monotonic() < end:
+        time.sleep(0.05)
+    print(len(came))
+
+
 def main() -> None:
     word, *rest = sys.argv[1:]
     if word == "sums":
@@ -222,6 +233,8 @@ def main() -> None:
         Flight(rest[0]).fly(rest[1])
     elif word == "flood":
         flood(rest[0], float(rest[1]))
+    elif word == "late":
+        late(rest[0], int(rest[1]))
     elif word == "trigger":
         print(rospy.ServiceProxy(rest[0], Trigger)().success)
     elif word == "param":

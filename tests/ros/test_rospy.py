@@ -104,6 +104,11 @@ def test_ros_s_own_programs_see_the_topics(master: Master, fleet: Ros1Fleet) -> 
     assert "ROS 1" in fleet.call("ros.status")["report"]["network"]
 
 
+def test_a_reader_that_comes_later_gets_the_events_of_before(master: Master, fleet: Ros1Fleet) -> None:
+    count = int(master.node("late", "/skygcs/events", "5").stdout)
+    assert count >= 5
+
+
 @pytest.mark.parametrize(("name", "land"), [("alpha", "AUTO.LAND"), ("charlie", "LAND")])
 def test_an_offboard_node_flies_a_square_and_lands(master: Master, fleet: Ros1Fleet, name: str, land: str) -> None:
     """A PX4 and an ArduCopter, by the node that MAVROS' documentation has: stream, OFFBOARD, arm, fly, land."""

@@ -94,8 +94,23 @@ class Interfaces:
             message = read(data, type_)
         except Exception as error:  # rosbags raises its own and several of Python's: none is about us
             raise InterfaceError(f"{type_}: {error}") from None
-        fields: dict[str, Any] = _as_dict(message)
+        fields: dict[str, Any] = self._plain(message)
         return fields
+
+    def _plain(self, message: Any) -> Any:
+        """Dictionaries and lists in place of rosbags' classes, which have an interface's constants as fields, too."""
+        if isinstance(message, np.ndarray):
+            return message.tolist()
+        if isinstance(message, list):
+            return [self._plain(one) for one in message]
+        type_ = getattr(message, "__msgtype__", None)
+        if type_ is None:
+            return message
+        return {
+            name: self._plain(getattr(message, name))
+            for name, _ in self.store.fielddefs[type_][1]
+            if name != EMPTY_MEMBER
+        }
 
     def fields_of(self, type_: str) -> tuple[str, ...]:
         """The names of the fields of a type. Raises KeyError."""
@@ -206,20 +221,6 @@ def _parsed(text: str, name: str) -> dict[str, Any]:
         return list(map(renamed, part)) if isinstance(part, list) else part
 
     return {renamed(key): renamed(value) for key, value in get_types_from_msg(text, name).items()}
-
-
-def _as_dict(message: Any) -> Any:
-    if isinstance(message, np.ndarray):
-        return message.tolist()
-    if isinstance(message, list):
-        return [_as_dict(one) for one in message]
-    if hasattr(message, "__msgtype__"):
-        return {
-            name: _as_dict(getattr(message, name))
-            for name in message.__dataclass_fields__
-            if name not in ("__msgtype__", EMPTY_MEMBER)
-        }
-    return message
 
 
 def dds_type_name(type_: str) -> str:

@@ -255,18 +255,22 @@ class Bridge:
             "domain": self.config.domain or 0,
             "network": self.config.network if self.config.version == 2 else f"ROS 1, {self.config.network}",
             "commands": self.config.commands,
-            "vehicles": [
-                {"name": v.name, "root": v.root, "setpoints": self._setpoints_of(v.name)}
-                for v in self.vehicles.values()
-            ],
+            "vehicles": [{"name": v.name, "root": v.root, **self._control_of(v.name)} for v in self.vehicles.values()],
             "topics": topics,
             "rejected": sum(s.rejected for s in self.node.subscribers.values())
             + sum(s.rejected for s in self.node.services.values()),
         }
 
-    def _setpoints_of(self, name: str) -> str:
+    def _control_of(self, name: str) -> dict[str, Any]:
+        """Return the state of its setpoints as text, and how many setpoints and commands were taken and refused."""
         control = self.controls.get(name)
-        return "" if control is None else control.stream.status()
+        stream = None if control is None else control.stream
+        return {
+            "setpoints": "" if stream is None else stream.status(),
+            "setpoints_sent": 0 if stream is None else stream.sent,
+            "setpoints_refused": 0 if stream is None else stream.refused,
+            "commands_rejected": 0 if control is None else control.commands_rejected,
+        }
 
     def diagnostics(self) -> list[dict[str, Any]]:
         """The state of each vehicle, for /diagnostics."""

@@ -71,14 +71,20 @@ def status_lines(state: Mapping[str, Any]) -> Iterator[str]:
         f"{plural(state['restarts'], 'restart')}{age}"
     )
     for vehicle in report["vehicles"]:
-        yield f"{vehicle['name']}  {vehicle['root']}  {vehicle['setpoints']}".rstrip()
+        counts = {
+            "setpoints sent": vehicle["setpoints_sent"],
+            "setpoints refused": vehicle["setpoints_refused"],
+            "commands rejected": vehicle["commands_rejected"],
+        }
+        shown = [vehicle["name"], vehicle["root"], vehicle["setpoints"]]
+        yield "  ".join(filter(None, [*shown, *(f"{count} {what}" for what, count in counts.items() if count)]))
     width = max((len(topic["name"]) for topic in report["topics"]), default=0)
     for topic in report["topics"]:
         refused = f"  {topic['refused']} refused" if topic["refused"] else ""
         readers = f"  {plural(topic['readers'], 'reader')}" if topic["readers"] else ""
         yield f"  {topic['name']:{width}}  {topic['rate_hz']:6.1f} Hz{readers}{refused}"
     if report["rejected"]:
-        yield f"{plural(report['rejected'], 'sample')} of other types were dropped"
+        yield f"{plural(report['rejected'], 'sample')} of other types dropped"
 
 
 def add_to(main: typer.Typer) -> None:

@@ -42,6 +42,10 @@ ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 SERVICE_HEADER = struct.Struct("<QQ")
 """rmw_cyclonedds puts it before a request and its reply: the client, and the number of its request."""
 
+MOST_SAMPLE_BYTES = 1 << 20
+"""A longer sample is dropped, of Cyclone before it is put together; the longest of MAVROS' interfaces that is read here
+has some 100 kB, and so has the longest that is sent."""
+
 MOST_SEQUENCE = 1 << 40
 """A larger number is no number of a request: another layer of ROS sends requests without this header."""
 
@@ -64,6 +68,7 @@ def network_config(network: Network) -> str:
         f"<General>{interfaces if network.localhost else ''}{multicast}</General>"
         "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>99</MaxAutoParticipantIndex>"
         f"<Peers>{peers}</Peers></Discovery>"
+        f"<Internal><MaxSampleSize>{MOST_SAMPLE_BYTES} B</MaxSampleSize></Internal>"
         "</Domain></CycloneDDS>"
     )
 
@@ -134,6 +139,8 @@ class Subscriber:
                 continue
             self.received += 1
             try:
+                if len(data) > MOST_SAMPLE_BYTES:  # with a configuration of the user's own
+                    raise InterfaceError(f"{self.name}: {len(data)} bytes")
                 self._on_bytes(bytes(data))
             except InterfaceError:
                 self.rejected += 1

@@ -33,6 +33,9 @@ class RosVehicle(MethodParams):
     name: Text
     root: Text
     setpoints: Text = Field(description="What becomes of its setpoints.")
+    setpoints_sent: int = Field(description="Setpoints that the daemon took, since the process began.")
+    setpoints_refused: int = Field(description="Setpoints that were refused, by the process or by the daemon.")
+    commands_rejected: int = Field(description="Commands of vehicle_command that were dropped: too many waited.")
 
 
 class RosReport(MethodParams):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
+import resource
 import signal
 import sys
 from collections.abc import Mapping
@@ -25,6 +26,10 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 
 FAREWELL_S = 0.2
 """Time before the node is closed, in which the results of goals that ended with the connection go out."""
+
+MOST_MEMORY_BYTES = 1 << 30
+"""Limit of this process: DDS keeps something of every endpoint that any participant of the network announces, and of no
+more than this. A process that needs more ends, and is started again. With 250 vehicles it needs 200 MiB."""
 
 _log = structlog.get_logger(__name__)
 
@@ -62,6 +67,7 @@ def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosCo
 async def serve_ros(options: Options) -> None:
     """Run until SIGINT or SIGTERM; supervised also until the daemon has gone. Raises SkygcsError."""
     config = with_environment(options.config, os.environ)
+    limit_memory()
     loop = asyncio.get_running_loop()
     stopping = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -84,6 +90,13 @@ async def serve_ros(options: Options) -> None:
         node.close()
         if running is not None:
             await ended(running)
+
+
+def limit_memory() -> None:
+    """Limit the data of this process to MOST_MEMORY_BYTES, or to less if that is its limit already."""
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    most = MOST_MEMORY_BYTES if most == resource.RLIM_INFINITY else min(most, MOST_MEMORY_BYTES)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _node_of(config: RosConfig, loop: asyncio.AbstractEventLoop) -> tuple[Node, asyncio.Task[None] | None]:

@@ -15,6 +15,7 @@ import contextlib
 import json
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,11 @@ END_S = 3.0
 _log = structlog.get_logger(__name__)
 
 
+def kept_messages(quality: Quality) -> int:
+    """Number of messages that a later reader gets: of a latched topic the newest, as of MAVROS 1; of events all."""
+    return (DEPTHS[quality] if quality == "events" else 1) if quality in LATCHED else 0
+
+
 class RospyPublication:
     """A topic that is published."""
 
@@ -57,8 +63,8 @@ class RospyPublication:
         self.readers = 0
         self.sent = 0
         self.dropped = 0
-        self.last = b""
-        """Newest message of a latched topic, for a process that is started again."""
+        self.kept: deque[bytes] = deque(maxlen=kept_messages(quality))
+        """Messages for later readers, and for a process that is started again."""
         self._node = node
         self._number = number
 
@@ -70,8 +76,7 @@ class RospyPublication:
     def write(self, fields: Fields) -> None:
         """Send one message. Raises InterfaceError."""
         data = ros1.encode(self._node.interfaces, self.type, fields, self.sent)
-        if self.latched:
-            self.last = data
+        self.kept.append(data)
         if self._node.send({"do": "send", "id": self._number}, data):
             self.sent += 1
         else:
@@ -168,7 +173,7 @@ class RospyNode:
         """A publication of this topic."""
         made = RospyPublication(self, len(self._declared), name, type_, quality)
         self.publications[name] = made
-        more = {"latch": made.latched, "queue": DEPTHS[quality]}
+        more = {"keep": kept_messages(quality), "queue": DEPTHS[quality]}
         self._declare(made, {"do": "publish", "name": name, **self._described(ros1.ros1_type(type_)), **more})
         return made
 
@@ -283,8 +288,8 @@ class RospyNode:
             for declared in self._declared:
                 self.send(declared, drop=False)
             for number, made in self._by_number.items():
-                if isinstance(made, RospyPublication) and made.last:
-                    self.send({"do": "send", "id": number}, made.last, drop=False)
+                for data in made.kept if isinstance(made, RospyPublication) else ():
+                    self.send({"do": "send", "id": number}, data, drop=False)
             return
         made = self._by_number[head["id"]]
         if kind == "message":

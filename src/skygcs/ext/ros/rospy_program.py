@@ -3,7 +3,7 @@
 Messages are bytes here, encoded by the process that started it (`rospy_node`). Each frame on standard input and output
 is the lengths of its two parts (HEAD), JSON, and bytes:
 
-    in     {"do": "publish", "id", "name", "type", "md5", "text", "latch", "queue"}
+    in     {"do": "publish", "id", "name", "type", "md5", "text", "keep", "queue"}     keep: messages for later readers
            {"do": "subscribe", "id", "name", "type", "md5", "text", "queue"}
            {"do": "serve", "id", "name", "type", "md5", "request", "response"}
            {"do": "send", "id"} message            {"do": "answer", "call"} response
@@ -26,6 +26,7 @@ import struct
 import sys
 import threading
 import time
+from collections import deque
 from importlib import import_module
 from typing import Any, BinaryIO
 
@@ -77,7 +78,7 @@ class Program:
         self._rospy = rospy
         self._out = out
         self._lock = threading.Lock()
-        self._publishers: dict[int, tuple[Any, Any]] = {}
+        self._publishers: dict[int, tuple[Any, Any, Kept | None]] = {}
         self._counts: dict[int, int] = {}
         self._kept: list[Any] = []
         self._calls: dict[int, Call] = {}
@@ -93,16 +94,23 @@ class Program:
         """Do what a frame says."""
         what = head["do"]
         if what == "send":
-            publisher, cls = self._publishers[head["id"]]
-            publisher.publish(_filled(cls, body))
+            publisher, cls, kept = self._publishers[head["id"]]
+            message = _filled(cls, body)
+            if kept is not None:
+                kept.messages.append(message)
+            publisher.publish(message)
         elif what == "answer":
             call = self._calls.get(head["call"])
             if call is not None:
                 call.end(body)
         elif what == "publish":
             cls = self._message_class(head["type"], head["md5"], head["text"])
-            publisher = self._rospy.Publisher(head["name"], cls, latch=head["latch"], queue_size=head["queue"])
-            self._publishers[head["id"]] = publisher, cls
+            kept = Kept(head["keep"]) if head["keep"] > 1 else None
+            latch = head["keep"] == 1
+            publisher = self._rospy.Publisher(
+                head["name"], cls, subscriber_listener=kept, latch=latch, queue_size=head["queue"]
+            )
+            self._publishers[head["id"]] = publisher, cls, kept
         elif what == "subscribe":
             cls = self._message_class(head["type"], head["md5"], head["text"])
             self._kept.append(
@@ -115,7 +123,7 @@ class Program:
 
     def count_readers(self) -> None:
         """Tell whose number of readers has changed."""
-        for number, (publisher, _) in list(self._publishers.items()):
+        for number, (publisher, _, _) in list(self._publishers.items()):
             count = publisher.get_num_connections()
             if count != self._counts.get(number, 0):
                 self._counts[number] = count
@@ -161,6 +169,21 @@ class Program:
         if response is None:
             raise self._rospy.ServiceException("no answer")
         return response
+
+
+class Kept:
+    """The last messages of a topic, which every later reader gets: rospy's latch has the newest only."""
+
+    def __init__(self, most: int) -> None:
+        self.messages: deque[Any] = deque(maxlen=most)
+
+    def peer_subscribe(self, topic_name: str, topic_publish: Any, peer_publish: Any) -> None:
+        """Called by rospy when a reader is there. It may get the newest twice, if that goes out meanwhile."""
+        for message in list(self.messages):
+            peer_publish(message)
+
+    def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
+        """Called by rospy when a reader has gone."""
 
 
 class Call:

@@ -68,6 +68,11 @@ class VehicleControl:
             sysid = self._vehicle.sysid
             self._px4_commands = Px4Commands(self._node, known, root, sysid, self._services, boot_us, self._log)
 
+    @property
+    def commands_rejected(self) -> int:
+        """Commands by PX4's own topic that were dropped."""
+        return 0 if self._px4_commands is None else self._px4_commands.rejected
+
     def on_state(self) -> None:
         """A state of the vehicle has come."""
         if self.actions is not None:

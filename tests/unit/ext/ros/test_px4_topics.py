@@ -9,7 +9,9 @@ from typing import Any
 
 from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.ext.ros.bridge import Bridge
+from skygcs.ext.ros.commands import status_lines
 from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.methods import RosReport
 from support.ros_node import KeptNode
 
 NOW_NS = 1_700_000_000 * 10**9
@@ -184,6 +186,10 @@ def test_a_flood_of_commands_is_bounded() -> None:
         for _ in range(1000):
             rig.command(400, 0)
         assert rig.acks().count((400, 1)) == 1000 - 8
+        report = RosReport(**rig.bridge.report(1.0))
+        assert {vehicle.name: vehicle.commands_rejected for vehicle in report.vehicles}["alpha"] == 1000 - 8
+        shown = "\n".join(status_lines({"report": report.model_dump(), "age_s": 0.0, "restarts": 0}))
+        assert "alpha  /alpha  off  992 commands rejected\n" in shown and "setpoints" not in shown
         rig.daemon.gate.set()
         await settle()
         assert len(rig.daemon.orders) == 8

@@ -206,17 +206,30 @@ def test_the_program_declares_publishes_and_counts() -> None:
     rospy, out = FakeRospy(), io.BytesIO()
     program = Program(rospy, out)
     about = {"name": "/a", "type": "std_msgs/String", "md5": "1", "text": "string data"}
-    program.on_frame({"do": "publish", "id": 3, "latch": True, "queue": 10, **about}, b"")
+    program.on_frame({"do": "publish", "id": 3, "keep": 1, "queue": 10, **about}, b"")
     program.on_frame({"do": "send", "id": 3}, b"abc")
     program.count_readers()
     program.count_readers()
     (name, cls, more), sent = rospy.made
     assert (name, cls._type, cls._md5sum, cls._full_text) == ("/a", "std_msgs/String", "1", "string data")
-    assert more == {"latch": True, "queue_size": 10} and sent == b"abc"
+    assert more == {"latch": True, "queue_size": 10, "subscriber_listener": None} and sent == b"abc"
     out.seek(0)
     assert read_frame(out) == ({"is": "readers", "id": 3, "count": 1}, b"")
     assert read_frame(out) is None
     program.on_frame({"do": "answer", "call": 99}, b"")  # of a call that has ended
+
+
+def test_a_later_reader_of_events_gets_the_last_hundred() -> None:
+    rospy = FakeRospy()
+    program = Program(rospy, io.BytesIO())
+    about = {"name": "/a", "type": "std_msgs/String", "md5": "1", "text": "string data"}
+    program.on_frame({"do": "publish", "id": 0, "keep": 100, "queue": 100, **about}, b"")
+    for n in range(130):
+        program.on_frame({"do": "send", "id": 0}, bytes([n]))
+    more, got = rospy.made[0][2], []
+    assert not more["latch"]
+    more["subscriber_listener"].peer_subscribe("/a", None, lambda message: got.append(message._buff[0]))
+    assert got == list(range(30, 130))
 
 
 @pytest.mark.parametrize(
