@@ -1,6 +1,6 @@
 """How closely a vehicle follows a target that moves: SET_POSITION_TARGET_* sent straight to it, simulated or real.
 
-python -m support.followed_targets simulated|FIRMWARE [WAY...]      the table of docs/explanation/simulator.md
+python -m support.followed_targets simulated|FIRMWARE [WAY...]      the table of docs/developers/control-figures.md
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from skygcs.spelling import near_names
 MOST_WIDTH = 110
 """Columns of a page on a wide terminal."""
 
-FOLDERS = ("", "tutorial", "howto", "reference", "explanation", "decisions")
+FOLDERS = ("", "tutorial", "howto", "reference", "explanation", "developers", "decisions")
 """In the order in which a new reader needs them."""
 
 _HEADING = re.compile(r"^#{1,6} (.+)$")

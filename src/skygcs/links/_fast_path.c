@@ -10,7 +10,7 @@
  * What Python would do per frame is collected. The newest frame of each message goes to Python at the end of each
  * burst. Counters, sequence numbers, times of the last frame and tlog records go to Python when it needs them
  * (`Table.take`: once a second, and before anything is recorded, shown or handled in Python). So a frame that is alone
- * in its burst, as at 1,000 a second, costs no call of Python. Measurements: docs/performance.md; reasons:
+ * in its burst, as at 1,000 a second, costs no call of Python. Measurements: docs/developers/costs.md; reasons:
  * docs/decisions/0003-fast-path.md.
  */
 #define PY_SSIZE_T_CLEAN

@@ -26,7 +26,7 @@ LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 what fifty cost."""
 HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
 OUT = ROOT / "build" / "bench"
-DOCS = ROOT / "docs" / "explanation" / "control-figures.md"
+DOCS = ROOT / "docs" / "developers" / "control-figures.md"
 WHAT = (
     "steps, moving: virtual time; fleet: processes and sockets; hundred: that with 100 vehicles that are not simulated"
 )

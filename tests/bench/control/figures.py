@@ -51,7 +51,7 @@ class Section:
 
 
 def virtual_sections() -> Iterator[Section]:
-    """In the order of docs/explanation/control-figures.md."""
+    """In the order of docs/developers/control-figures.md."""
     dialect = load_dialect(["ardupilotmega", "px4-extras"])
     yield east_steps()
     yield up_steps()

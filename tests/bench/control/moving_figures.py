@@ -47,7 +47,7 @@ ENTRY_M, ENTRY_UP_M = 0.25, 0.1
 
 
 def moving_sections() -> Iterator[Section]:
-    """In the order of docs/explanation/control-figures.md."""
+    """In the order of docs/developers/control-figures.md."""
     yield modes()
     yield paths()
     yield wrong_delay()

@@ -12,7 +12,7 @@ from bench.control.figures import Section
 from bench.control.moving import Path3, circle, figure_of_eight, rounded_square, sharp_square
 from support.table import each
 
-PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "control-figures.md"
+PAGE = Path(__file__).parents[3] / "docs" / "developers" / "control-figures.md"
 KEYS = ("circle", "paths", "wrong_delay", "climb", "uplink_step", "loss", "rates", "entry")
 STEP_S = 1e-4
 

@@ -1,7 +1,7 @@
 """SET_POSITION_TARGET_* as PX4 1.16 and ArduCopter 4.6 follow it: what is taken, how it is followed, when it ends.
 
 The circle's figures were flown with the firmwares' own simulators, without wind and radio
-(docs/explanation/simulator.md).
+(docs/developers/control-figures.md).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ them, by a model of the autopilot's velocity loop, to the moment at which this t
 
 A predictor that leaves out the disturbance is worse than none at short delays: gusts that the vehicle has felt already
 would be ignored until they are measured as position. So there is no prediction here without the observer.
-Derivation, source and figures: docs/explanation/velocity-prediction.md. Its delay margin: `predictor_margin`.
+Derivation, source and figures: docs/developers/velocity-prediction.md. Its delay margin: `predictor_margin`.
 Measured: 25 us a tick at 0.8 s of delay and 10 Hz (CPython 3.11).
 """
 
