@@ -45,7 +45,7 @@ PAGES_NOT_RUN = {
     "docs/explanation/plans.md": "the reader's goals; tests/unit/cli/test_cli_plan.py",
     "docs/howto/calibration.md": "a person who turns the vehicle",
     "docs/howto/clients.md": "test_docs_programs.py flies its pymavlink program on this link",
-    "docs/howto/companion.md": "companions with SSH; tests/lab/test_companions_up.py, tests/system/test_companion_process.py",
+    "docs/howto/companion.md": "companions with SSH; tests/lab/test_companions_up.py and test_companion_process.py",
     "docs/howto/corrections.md": "a source of RTCM corrections; tests/integration/test_corrections.py",
     "docs/howto/federation.md": "a hub; tests/federation/test_processes.py",
     "docs/howto/fly-real-firmware.md": "autopilot firmware; make test-firmware",
