@@ -18,7 +18,7 @@ pytestmark = pytest.mark.system
 
 PROGRAMS = {
     "README.md": 0,
-    "docs/howto/own-program.md": 0,
+    "docs/howto/clients.md": 0,
     "docs/reference/rpc.md": 0,
     "docs/howto/fly-setpoints.md": 0,
 }
@@ -29,7 +29,6 @@ NOT_RUN = {
     "docs/explanation/control-law.md": "a fragment, without the numbers that it takes",
     "docs/howto/logs.md": "needs pandas",
     "docs/howto/federation.md": "run in tests/federation/test_how_to.py, where there is a hub",
-    "docs/howto/clients.md": "flown in test_the_pymavlink_program_arms_its_vehicle",
 }
 """Further pages with Python."""
 
@@ -88,9 +87,9 @@ def test_every_page_with_python_is_run_or_says_why_not() -> None:
     assert sorted(page for page in pages if python_blocks(page)) == sorted([*PROGRAMS, *NOT_RUN])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/howto/own-program.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/howto/clients.md"])
 def test_the_first_program_takes_off_and_prints_heights(page: str, daemon: DaemonProcess) -> None:
-    (program,) = python_blocks(page)
+    program = python_blocks(page)[PROGRAMS[page]]
     process = start(program, daemon)
     try:
         wait_until(lambda: min(altitude_m(daemon, n) for n in ("alpha", "bravo")) > 4.0, "both have taken off")
@@ -121,7 +120,7 @@ def test_the_circle_is_flown(daemon: DaemonProcess) -> None:
 
 
 def test_the_pymavlink_program_arms_its_vehicle(daemon: DaemonProcess) -> None:
-    (program,) = python_blocks("docs/howto/clients.md")
+    _, program = python_blocks("docs/howto/clients.md")
     port = re.search(r"port = (\d+)", daemon.file.read_text(encoding="utf-8"))
     assert port is not None
     wait_until(lambda: daemon.cli("preflight", "bravo").returncode == 0, "bravo is ready")

@@ -45,8 +45,7 @@ PAGES_NOT_RUN = {
     "docs/explanation/plans.md": "the reader's goals; tests/unit/ext/plans/commands/test_cli_plan.py",
     "docs/howto/calibration.md": "a person who turns the vehicle",
     "docs/howto/clients.md": "test_docs_programs.py flies its pymavlink program on this link",
-    "docs/howto/companion.md": "a vehicle's computer; tests/system/test_companion_process.py",
-    "docs/howto/companions-bring-up.md": "companions with SSH; tests/lab/test_companions_up.py",
+    "docs/howto/companion.md": "companions with SSH; tests/lab/test_companions_up.py and test_companion_process.py",
     "docs/howto/corrections.md": "a source of RTCM corrections; tests/integration/test_corrections.py",
     "docs/howto/federation.md": "a hub; tests/federation/test_processes.py",
     "docs/howto/fly-real-firmware.md": "autopilot firmware; make test-firmware",
@@ -57,7 +56,6 @@ PAGES_NOT_RUN = {
     "docs/howto/motion-capture.md": "cameras; tests/integration/test_mocap.py",
     "docs/howto/own-controller.md": "the reader's own controller",
     "docs/howto/own-message.md": "a vehicle that sends a message of its own",
-    "docs/howto/radio-setup.md": "SiK radios; tests/system/test_radio_setup.py",
     "docs/howto/service.md": "systemd; tests/lab/test_systemd.py",
     "docs/howto/web.md": "a browser; tests/web",
     "docs/howto/xbee.md": "an XBee module; tests/system/test_xbee.py",
@@ -75,10 +73,12 @@ NOT_RUN = {
     "skygcs sim --pty": "runs until it is ended; tests/system/test_sim_process.py",
     "skygcs-cli events -f": "runs until Ctrl-C",
     "skygcs-cli fence test": "a person who says that the propellers are off; tests/unit/cli/test_cli_mission_flight.py",
+    "skygcs-cli link plan 8 --timing": "the timing file of two radios; tests/system/test_radio_measure.py",
     "skygcs-cli link select": "a link with a radio",
     "skygcs-cli mission watch": "runs until Ctrl-C; tests/unit/cli/test_cli_mission_flight.py",
     "skygcs-cli message watch ATTITUDE": "runs until Ctrl-C",
     "skygcs-cli plot": "the trace of a flight; tests/unit/cli/test_cli_plot.py",
+    "skygcs-cli radio": "SiK radios; tests/system/test_radio_setup.py",
     "skygcs-cli table": "a flight of minutes; tests/unit/ext/plans/commands/test_cli_table.py",
     "skygcs-cli tlog play": "takes as long as the flight did; tests/unit/cli/test_tlog_play.py",
     "skygcs-cli track": "runs until Ctrl-C",
@@ -98,8 +98,8 @@ FOLLOWED = ("docs/tutorial/first-flight.md",)
 REFUSED = ("skygcs-cli goto alpha 0 0 10",)
 """What such a page shows to be refused."""
 
-ANSWERS = ("fence status", "param diff", "preflight")
-"""What exits 1 for its answer: outside the fence, different, not ready."""
+ANSWERS = ("fence status", "link plan", "param diff", "preflight")
+"""What exits 1 for its answer: outside the fence, does not fit, different, not ready."""
 
 FLEET = """
 [origin]

@@ -167,3 +167,10 @@ def test_every_link_leads_somewhere(page: Path) -> None:
         assert target.exists(), f"{link or picture} in {label(page)}"
         if anchor and target.suffix == ".md":
             assert anchor in anchors(target), f"{link} in {label(page)}"
+
+
+def test_every_page_of_the_site_is_in_its_index() -> None:
+    index = ROOT / "docs" / "index.md"
+    links = [link.partition("#")[0] for link, _ in LINK.findall(index.read_text(encoding="utf-8"))]
+    linked = {(index.parent / link).resolve() for link in links}
+    assert [label(page) for page in sorted((ROOT / "docs").rglob("*.md")) if page not in {*linked, index}] == []

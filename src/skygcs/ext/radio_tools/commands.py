@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig, SerialLinkConfig
 
 radios = typer.Typer(
-    help="Show and set up SiK and RFD900x radios without the vendor's tool; see docs/howto/radio-setup.md.",
+    help="Show and set up SiK and RFD900x radios without the vendor's tool; see docs/howto/radio.md.",
     no_args_is_help=True,
 )
 

@@ -41,7 +41,7 @@ def companion_file(companion: Companion, fleet_folder: Path, given: Path | None 
         with source.open("rb") as file:
             text = file.read(MAX_BYTES + 1).decode("utf-8")
     except FileNotFoundError:
-        todo = f"write {own}, or {fleet_folder / FOR_ALL} for all: docs/howto/companions-bring-up.md"
+        todo = f"write {own}, or {fleet_folder / FOR_ALL} for all: docs/howto/companion.md"
         raise CompanionError("configure", f"there is no {source}", todo) from None
     except (OSError, UnicodeDecodeError) as error:
         raise CompanionError("configure", f"{source} cannot be read: {error}") from None

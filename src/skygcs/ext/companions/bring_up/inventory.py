@@ -64,7 +64,7 @@ def load_inventory(path: Path) -> Inventory:
     """The companions of a fleet file. Raises ConfigError, also for a file without any."""
     inventory = load_vehicles(path)
     if not inventory.companions:
-        raise ConfigError(str(path), ["has no table [companions.NAME]: docs/howto/companions-bring-up.md"])
+        raise ConfigError(str(path), ["has no table [companions.NAME]: docs/howto/companion.md"])
     return inventory
 
 
