@@ -145,6 +145,10 @@ class MethodTable(Mapping[str, Method[C]]):
             assert isinstance(found, Method), f"{name} is no method of its module"
         return found
 
+    def __contains__(self, name: object) -> bool:
+        """True if it has this method; nothing is imported for it."""
+        return name in self._methods
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._methods)
 

@@ -60,6 +60,8 @@ async def answered(reply: Reply) -> Any:
 def test_the_table_has_names_and_flags_before_anything_is_imported(module: Path) -> None:
     methods_of = table()
     assert (list(methods_of), methods_of.always) == (["here", "part.set", "part.get"], {"part.get"})
+    assert "part.set" in methods_of and "part.none" not in methods_of
+    assert not Dispatcher(methods_of).outlives_client(request("part.set"))
     assert PART.module not in sys.modules
     assert methods_of["part.set"].name == "part.set"  # to read one imports it
     assert PART.module in sys.modules

@@ -23,10 +23,9 @@ from skygcs.ext.plans.flight.execution import (
     Order,
     OrderKind,
     PlanState,
-    _pairs_text,
 )
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
-from skygcs.ext.plans.flight.sights import Left, Pair, Sight, Tubes, Why, pairs_near
+from skygcs.ext.plans.flight.sights import Left, Pair, Sight, Tubes, Why, pairs_near, pairs_text
 from support.examples import examples
 from support.table import each
 
@@ -632,6 +631,6 @@ def test_a_landing_goes_on_below_nobody_that_is_forgotten(last: bool) -> None:
 def test_a_pair_that_keeps_its_margin_is_the_nearest_and_not_too_near() -> None:
     """Of two vehicles 8.5 m apart under a margin of 3.3 m it said "near each other"."""
     apart, near = Pair(("a", "b"), 8.5, 3.3), Pair(("a", "c"), 3.2, 3.3)
-    assert _pairs_text(()) == ""
-    assert _pairs_text((apart,)) == "; the nearest to each other: a and b (8.5 m, margin 3.3 m)"
-    assert _pairs_text((near, apart)) == "; too near each other: a and c (3.2 m, margin 3.3 m)"
+    assert pairs_text(()) == ""
+    assert pairs_text((apart,)) == "; the nearest to each other: a and b (8.5 m, margin 3.3 m)"
+    assert pairs_text((near, apart)) == "; too near each other: a and c (3.2 m, margin 3.3 m)"
