@@ -105,7 +105,11 @@ def _where(link: LinkConfig) -> str:
         case ReplayLinkConfig():
             return str(link.file)
         case SimulatedLinkConfig():
-            return f"{link.px4} PX4 and {link.ardupilot} ArduPilot from system id {link.first_sysid}"
+            counts = {kind: count for kind, count in link.counts.items() if count or kind in ("px4", "ardupilot")}
+            names = {"px4": "PX4", "ardupilot": "ArduPilot", "px4_plane": "PX4 planes"}
+            names |= {"ardupilot_plane": "ArduPlanes", "rover": "rovers"}
+            of_each = [f"{count} {names[kind]}" for kind, count in counts.items()]
+            return f"{', '.join(of_each[:-1])} and {of_each[-1]} from system id {link.first_sysid}"
         case MemoryLinkConfig():
             return "in memory"
     return f"{link.host}:{link.port}"
