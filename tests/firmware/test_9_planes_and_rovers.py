@@ -159,3 +159,24 @@ def test_a_vtol_rises_on_its_rotors_holds_and_lands(field: Field, figures: dict[
     field.order("vehicles.land", name)
     assert field.truth(name).mode == ("LAND" if px4 else "QLAND")
     figures["landing s"] = field.wait(lambda: not field.truth(name).armed, 120, "it has landed and disarmed")
+
+
+@pytest.mark.only("rover")
+def test_a_rover_drives_a_mission_from_disarmed(field: Field, figures: dict[str, Any]) -> None:
+    name = field.one
+
+    def item(seq: int, east_m: float, north_m: float) -> str:
+        lat, lon = HOME[0] + north_m / 111_132.0, HOME[1] + east_m / 111_319.5 / math.cos(math.radians(HOME[0]))
+        return f"{seq}\t0\t3\t16\t0\t0\t0\t0\t{lat:.7f}\t{lon:.7f}\t0\t1"
+
+    places = [(15, 15), (15, 40), (0, 40)]
+    lines = ["QGC WPL 110", item(0, 0, 0), *(item(seq, *place) for seq, place in enumerate(places, 1))]
+    field.order("missions.upload", name, plan="\n".join(lines), force=True)
+    field.order("missions.start", name)
+    assert field.truth(name).mode == "AUTO" and field.truth(name).armed
+    began = time.monotonic()
+    for east_m, north_m in places:
+        field.wait(lambda e=east_m, n=north_m: away_m(field, e, n) < 6, 90, "it is at its next place")  # type: ignore[misc]
+    field.wait(lambda: field.truth(name).speed_mps < 0.2, 30, "it stands at its end")
+    figures["mission s"] = round(time.monotonic() - began, 1)
+    field.order("vehicles.disarm", name)

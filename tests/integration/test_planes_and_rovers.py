@@ -163,20 +163,21 @@ async def test_an_arduplane_lands_by_its_mission(tmp_path: Path) -> None:
 
 
 async def test_a_px4_plane_takes_off_goes_holds_returns_and_lands(tmp_path: Path) -> None:
-    async with flown(tmp_path, **EMPTY, others={"px4_plane": 1}) as gcs:
+    async with flown(tmp_path, **EMPTY, others={"px4_plane": 1}, params={"NAV_LOITER_RAD": 50.0}) as gcs:
         plane = gcs.sims[0]
+        await gcs.until(lambda: gcs.actor().vehicle.param("NAV_LOITER_RAD") == 50.0)  # it is asked for
         await gcs.done("vehicles.takeoff", height_m=40, wait_s=60.0)
         await gcs.until(lambda: mode_of(plane) == "LOITER", 90.0)
         assert plane.motion.up_m > 35
         await gcs.done("vehicles.goto", enu_m=[200, 200, 60])
-        await gcs.until(lambda: away_m(plane, 200, 200) < 85, 120.0)
+        await gcs.until(lambda: away_m(plane, 200, 200) < 55, 120.0)
         await asyncio.sleep(30)
-        assert 70 < away_m(plane, 200, 200) < 90 and abs(plane.motion.up_m - 60) < 3
+        assert 45 < away_m(plane, 200, 200) < 55 and abs(plane.motion.up_m - 60) < 3
         outcome = await gcs.outcome("vehicles.hold")
-        assert outcome["ok"] and "circling in AUTO.LOITER, 80 m about where it was" in outcome["message"]
+        assert outcome["ok"] and "circling in AUTO.LOITER, 50 m about where it was" in outcome["message"]
         await gcs.done("vehicles.rtl")
         assert mode_of(plane) == "RTL"
-        await gcs.until(lambda: away_m(plane, 0, 0) < 85, 120.0)
+        await gcs.until(lambda: away_m(plane, 0, 0) < 55, 120.0)
         await gcs.done("vehicles.land")
         assert mode_of(plane) == "LAND"
         await gcs.until(lambda: not plane.armed, 240.0)

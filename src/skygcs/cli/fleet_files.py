@@ -105,7 +105,7 @@ def _where(link: LinkConfig) -> str:
         case ReplayLinkConfig():
             return str(link.file)
         case SimulatedLinkConfig():
-            return f"{link.px4} PX4 and {link.ardupilot} ArduPilot from system id {link.first_sysid}"
+            return f"{_simulated(link)} from system id {link.first_sysid}"
         case MemoryLinkConfig():
             return "in memory"
     return f"{link.host}:{link.port}"
@@ -218,3 +218,15 @@ def _write_new(path: Path, text: str, *, force: bool) -> None:
         raise ConfigError(str(path), ["exists already; --force overwrites it"]) from None
     except OSError as error:
         raise ConfigError(str(path), [error.strerror or str(error)]) from None
+
+
+def _simulated(link: SimulatedLinkConfig) -> str:
+    """Numbers of simulated vehicles by kind; both copters, if there is one, and the others that there are."""
+    names = {"px4": "PX4", "ardupilot": "ArduPilot", "px4_plane": "PX4 plane"}
+    names |= {"ardupilot_plane": "ArduPlane", "rover": "rover"}
+    copters = link.px4 or link.ardupilot
+    kinds = {k: n for k, n in link.counts.items() if n or (copters and k in ("px4", "ardupilot"))}
+    if not kinds:
+        return "no vehicles"
+    *parts, last = (f"{count} {names[kind]}" for kind, count in kinds.items())
+    return f"{', '.join(parts)} and {last}" if parts else last

@@ -260,10 +260,11 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
     for name, link in config.links.items():
         if not isinstance(link, SimulatedLinkConfig) or not link.enabled:
             continue
-        sysids = range(link.first_sysid, link.first_sysid + link.px4 + link.ardupilot)
+        sysids = range(link.first_sysid, link.first_sysid + link.vehicle_count)
         path = ("links", name, "first_sysid")
         if not sysids:
-            yield Problem(("links", name), "has no vehicles: give their number with px4 and ardupilot")
+            *kinds, last = link.counts
+            yield Problem(("links", name), f"has no vehicles: give their number with {', '.join(kinds)} or {last}")
         elif sysids[-1] > MAX_SYSID:
             yield Problem(path, f"{len(sysids)} vehicles from {sysids[0]} on need system ids above {MAX_SYSID}")
         elif config.daemon.sysid in sysids and config.aboard is None:
@@ -283,7 +284,7 @@ def _radios(config: FleetConfig) -> Iterator[Problem]:
                     ("links", name, key), f'has an effect only with role = "radio"; the role is "{link.role}"'
                 )
         if isinstance(link, SimulatedLinkConfig) and link.radio is not None:
-            nodes = link.px4 + link.ardupilot + 1
+            nodes = link.vehicle_count + 1
             if link.radio.nodes is not None and link.radio.nodes < nodes:
                 text = f"{link.radio.nodes} nodes are too few for {nodes - 1} vehicles and the ground"
                 yield Problem(("links", name, "radio", "nodes"), text)

@@ -299,6 +299,17 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
     radio: EmulatedRadio | None = None
     """Radios between the daemon and the vehicles; None: a wire without end. Paced while the role is "radio"."""
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many vehicles of each kind, in the order of their system ids."""
+        kinds = ("px4", "ardupilot", "px4_plane", "ardupilot_plane", "rover")
+        return {kind: getattr(self, kind) for kind in kinds}
+
+    @property
+    def vehicle_count(self) -> int:
+        """How many there are."""
+        return sum(self.counts.values())
+
 
 LinkConfig = (
     SerialLinkConfig

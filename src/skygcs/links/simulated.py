@@ -231,11 +231,7 @@ class SimulatedVehiclesLink(Link):
             params = [] if config.params is None else [load_param_set(config.params)]
             vehicles = make_vehicles(
                 dialect,
-                px4=config.px4,
-                ardupilot=config.ardupilot,
-                px4_plane=config.px4_plane,
-                ardupilot_plane=config.ardupilot_plane,
-                rover=config.rover,
+                **config.counts,
                 first_sysid=config.first_sysid,
                 home=LocalFrame(config.lat_deg, config.lon_deg, config.alt_amsl_m),
                 seed=config.seed,

@@ -210,7 +210,15 @@ sysid = 1
             "[links.s]\ntype='simulated'\npx4=3\n[links.t]\ntype='simulated'\npx4=3\nfirst_sysid=3",
             "links.t.first_sysid (line 7): 3 is also a vehicle of the simulated link s",
         ),
-        ("[links.s]\ntype='simulated'", "links.s (line 1): has no vehicles: give their number with px4 and ardupilot"),
+        (
+            "[links.s]\ntype='simulated'",
+            "links.s (line 1): has no vehicles: give their number with px4, ardupilot, px4_plane, "
+            "ardupilot_plane or rover",
+        ),
+        (
+            "[links.s]\ntype='simulated'\nrover=3\nardupilot_plane=3\nfirst_sysid=251",
+            "links.s.first_sysid (line 5): 6 vehicles from 251 on need system ids above 255",
+        ),
         # messages
         (
             SERIAL + 'allow_msg_id_in = ["HEARTBEAT", "ATITUDE"]',
