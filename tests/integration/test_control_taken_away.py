@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, aloft
+from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
 
@@ -62,7 +62,7 @@ async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_pa
 
 @KINDS
 async def test_disarmed_by_somebody_else(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, height_m=3.0, **kind) as gcs:
+    async with flown(tmp_path, height_m=3.0, **kind) as gcs:
         await gcs.fly("attitude")
         gone = gcs.now
         gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))

@@ -131,10 +131,6 @@ OF_BOTH = {
 }
 
 
-def test_there_are_twenty_and_more() -> None:
-    assert len(FAULTS) + len(OF_BOTH) >= 20
-
-
 async def test_vehicles_as_their_firmware_ships_them_are_ready() -> None:
     async with PreflightField() as field:
         assert await field.complaints("papa") == {}

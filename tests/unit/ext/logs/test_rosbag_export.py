@@ -40,20 +40,20 @@ COSTS = "whole logs through the live node's bridge and through rosbag2, read aga
 
 LOGS = [name for name in captures("tlog") if (OWN / name).is_file()]
 PUBLIC = [name for name in captures("tlog") if name not in LOGS]
-SHORT = ("px4-late-frames.tlog", "second-heartbeat-1hz.tlog")
-"""Both firmwares, and two vehicles of one id: the others go the same way, and take up to 40 s."""
-BEGIN_BYTES = 60_000
-"""`make test` takes the beginning of a log, cut within a record; `make test-deep` exports them whole."""
+PART_BYTES = 60_000
+PARTS = {"px4-late-frames.tlog": 0, "second-heartbeat-1hz.tlog": 80_000}
+"""Both firmwares, and two vehicles of one id, whose second begins 15,000 bytes after this place. `make test` exports
+`PART_BYTES` from here, cut within records; `make test-deep` every log as it is."""
 PX4 = Naming(px4_msgs="1.16")
 
 Messages = dict[str, list[tuple[int, Any]]]
 """By topic: bag time and message."""
 
 
-def begin_of(log: Path, tmp_path: Path, size: int = BEGIN_BYTES) -> Path:
-    begin = tmp_path / log.name
-    begin.write_bytes(log.read_bytes()[:size])
-    return begin
+def part_of(log: Path, tmp_path: Path, begin: int = 0, size: int = PART_BYTES) -> Path:
+    part = tmp_path / log.name
+    part.write_bytes(log.read_bytes()[begin : begin + size])
+    return part
 
 
 def exported(tmp_path: Path, log: Path = CAPTURE, **wanted: Any) -> Path:
@@ -149,9 +149,9 @@ def live(log: Path, **config: Any) -> KeptNode:
     return node
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize("name", PARTS)
 def test_every_topic_of_a_cut_log_has_what_the_live_node_publishes(name: str, tmp_path: Path) -> None:
-    compare_with_the_live_node(begin_of(OWN / name, tmp_path), tmp_path)
+    compare_with_the_live_node(part_of(OWN / name, tmp_path, PARTS[name]), tmp_path)
 
 
 @pytest.mark.deep  # seconds of each
@@ -305,11 +305,19 @@ def test_names_are_those_of_the_fleet_file(tmp_path: Path) -> None:
     fleet = tmp_path / "fleet.toml"
     ros = '[ros]\nroot = "/uav_{sysid}"\nframe_prefix = "{name}/"\npx4_msgs = "1.14"\n'
     fleet.write_text(f"[vehicles]\nalpha_1 = {{ sysid = 1 }}\ndelta = {{ sysid = 4 }}\n{ros}")
-    log, out = begin_of(CAPTURE, tmp_path, 150_000), tmp_path / "bag"
+    place = {"time_boot_ms": 1000, "x": 1.0, "y": 2.0, "z": -3.0, "vx": 0.0, "vy": 0.0, "vz": 0.0}
+    log = made_log(
+        tmp_path,
+        (0.0, 1, "HEARTBEAT", heartbeat(autopilot=3)),
+        (0.1, 1, "LOCAL_POSITION_NED", place),
+        (0.2, 4, "HEARTBEAT", heartbeat()),
+        (0.3, 1, "HEARTBEAT", heartbeat(autopilot=3)),
+    )
+    out = tmp_path / "bag"
     arguments = ["tlog", "export", str(log), "--rosbag2", "--fleet", str(fleet), "-o", str(out)]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
-    assert "5 vehicles" in done.stdout
+    assert "2 vehicles" in done.stdout
     found = read(out)
     assert found["/uav_1/mavros/local_position/pose"][0][1]["header"]["frame_id"] == "alpha_1/map"
     assert "/uav_4/fmu/out/vehicle_status" in found  # without a version, as 1.14 has it
@@ -327,7 +335,7 @@ def test_vehicles_with_one_name_in_ros_are_named(tmp_path: Path, capsys: pytest.
 
 @pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4, (1 << 31) * 10**6 - 1])
 def test_a_record_with_a_wrong_time_ends_no_export(wrong_us: int, tmp_path: Path) -> None:
-    damaged = begin_of(OWN / "px4-mission-flight.tlog", tmp_path, 12_000)
+    damaged = part_of(OWN / "px4-mission-flight.tlog", tmp_path, size=12_000)
     damaged.write_bytes(wrong_us.to_bytes(8, "big") + damaged.read_bytes()[8:])
     assert len(read(exported(tmp_path, damaged, naming=PX4))) > 10
 
