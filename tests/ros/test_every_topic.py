@@ -260,11 +260,8 @@ def test_values_are_those_of_the_daemon(node: EveryTopicNode, fleet: RosFleet, v
     home = last("mavros/home_position/home")["geo"]
     assert home["latitude"] == pytest.approx(state["home"]["lat_deg"], abs=1e-6)
     fleet_row = next(one for one in last("/skygcs/fleet")["vehicles"] if one["name"] == vehicle)
-    assert (fleet_row["system_id"], fleet_row["mode"], fleet_row["namespace_root"]) == (
-        state["sysid"],
-        state["mode"],
-        f"/{vehicle}",
-    )
+    row = fleet_row["system_id"], fleet_row["mode"], fleet_row["namespace_root"]
+    assert row == (state["sysid"], state["mode"], f"/{vehicle}")
     assert {one["child_frame_id"] for m in came["/tf"] for one in m.fields["transforms"]} <= {
         f"{name}/base_link" for name in VEHICLES
     }
