@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import threading
@@ -60,6 +61,10 @@ class EveryTopicNode:
         self.process.kill()
         self.process.wait()
         self._reading.join()
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdout.close()
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -102,12 +107,12 @@ class EveryTopicNode:
     def call(self, service: str, **request: Any) -> Fields:
         return self.reply(self.begin(service, request), service)
 
-    def dump(self) -> dict[str, list[Message]]:
-        """The last messages of every topic."""
+    def dump(self, start: str = "/") -> dict[str, list[Message]]:
+        """The last messages of every topic whose name begins so."""
         self._dumped = []
-        self._say("dump")
+        self._say(f"dump {start}")
         wait_until(lambda: self._dumped, f"the program of Fast DDS has shown what came; {self._said}")
-        found: dict[str, list[Message]] = {name: [] for name in self.graph.topics}
+        found: dict[str, list[Message]] = {name: [] for name in self.graph.topics if name.startswith(start)}
         for line in self._dumped[0]:
             name, text, fields = line.split(" ", 2)
             found[name].append(Message(bytes.fromhex(text), json.loads(fields)))

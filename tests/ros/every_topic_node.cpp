@@ -11,7 +11,7 @@
 //   input NAME TYPE                       a topic that is written
 //
 // Standard input: "call NUMBER SERVICE PATH=VALUE..." (PATH: waypoints.0.frame; VALUE of an array: 1,2,3),
-// "write TOPIC PATH=VALUE...", "dump", "end".
+// "write TOPIC PATH=VALUE...", "dump START" (of names), "end".
 // Standard output: "reply NUMBER HEX JSON"; of a dump "topic NAME COUNT", then "message NAME HEX JSON" for the last ones:
 // the bytes as they came, and what Fast DDS reads in them; "done".
 #include <algorithm>
@@ -49,7 +49,7 @@ using namespace eprosima::fastdds::dds;
 namespace types = eprosima::fastrtps::types;
 using types::DynamicData;
 
-static const size_t KEPT = 8;  // messages of each topic
+static const size_t KEPT = 3;  // messages of each topic
 static const uint64_t CLIENT = 0x5afe000000000002;
 
 struct Member {
@@ -353,8 +353,9 @@ public:
     types::DynamicDataFactory::get_instance()->delete_data(data);
   }
 
-  void dump() {
+  void dump(const std::string& start) {
     for (auto& [name, reader] : readers) {
+      if (name.rfind(start, 0) != 0) continue;
       std::unique_lock<std::mutex> lock(kept_mutex);
       auto last = reader->last;
       std::printf("topic %s %ld\n", name.c_str(), reader->count);
@@ -425,7 +426,7 @@ int main(int argc, char** argv) {
     long long number;
     words >> what;
     try {
-      if (what == "dump") node.dump();
+      if (what == "dump") node.dump(words >> name ? name : "/");
       else if (what == "call" && words >> number >> name) node.write(name, number, words);
       else if (what == "write" && words >> name) node.write(name, 0, words);
       else if (what == "end") break;

@@ -56,7 +56,6 @@ class PlayedVehicle(UdpPeer):
         super().__init__(sysid, 1, port)
         self.autopilot = autopilot
         self.began = time.monotonic()
-        self.sent: list[Any] = []
         self._chance = random.Random(sysid)
         self._ended = threading.Event()
         self._lock = threading.Lock()
@@ -71,9 +70,7 @@ class PlayedVehicle(UdpPeer):
         """Send one message: values that are not given are small numbers at random."""
         stamps = {"time_boot_ms": self.boot_ms, "time_usec": 1000 * self.boot_ms}
         with self._lock:
-            message = filled(name, self._chance, **stamps | fields)
-            self.sent.append(message)
-            self.send(self.pack(message))
+            self.send(self.pack(filled(name, self._chance, **stamps | fields)))
 
     def _run(self) -> None:
         next_s = 0.0
