@@ -290,6 +290,30 @@ def test_unknown_id_signed_is_taken_with_its_signature() -> None:
     assert [f.raw for f in frames if f.info is None] == [signed]
 
 
+def test_unknown_id_of_a_verified_source_is_found_behind_garbage() -> None:
+    unknown = unknown_frame(sysid=5, compid=7, version=1)
+    frames, parser = parsed(heartbeat(5, 7) + b"\x00" + unknown + heartbeat(5, 7))
+    assert [f.raw for f in frames] == [heartbeat(5, 7), unknown, heartbeat(5, 7)]
+    assert (parser.stats.unknown, parser.stats.unverified, parser.stats.skipped_bytes) == (1, 0, 1)
+
+
+def test_a_frame_that_is_rescued_is_counted_once() -> None:
+    parser = FrameParser(dialect())
+    assert len(parser.feed(heartbeat(1) + unknown_frame())) == 1 and parser.pending
+    assert [f.raw for f in parser.rescue()] == [unknown_frame()]
+    assert (parser.stats.good, parser.stats.unknown) == (1, 1)
+
+
+def test_the_beginning_of_a_datagram_is_counted_and_verified_and_damage_at_first_is_harmless() -> None:
+    parser = FrameParser(dialect())
+    damaged = bytearray(heartbeat(1))
+    damaged[-1] ^= 0x10
+    assert parser.feed_datagram(bytes(damaged), search=False) == []
+    assert [f.raw for f in parser.feed_datagram(heartbeat(1) + b"xx", search=False)] == [heartbeat(1)]
+    assert (parser.stats.good, parser.stats.bad_crc, parser.stats.skipped_bytes) == (1, 1, len(damaged) + 2)
+    assert parser.verified == {1 << 8 | 1}
+
+
 def test_verification_belongs_to_one_parser() -> None:
     """A link, or one UDP peer: what another one verified does not count here."""
     assert parsed(heartbeat(1))[1].verified == {1 << 8 | 1}

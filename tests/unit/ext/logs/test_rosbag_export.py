@@ -36,7 +36,7 @@ from support.examples import thinned
 from support.public_data import CAPTURE, OWN, captures, public_file
 from support.ros_node import KeptNode
 
-COSTS = "whole logs through the live node's bridge and through rosbag2, read again by rosbags"
+COSTS = "logs through the live node's bridge and through rosbag2, read again by rosbags"
 
 LOGS = [name for name in captures("tlog") if (OWN / name).is_file()]
 PUBLIC = [name for name in captures("tlog") if name not in LOGS]
