@@ -57,7 +57,8 @@ def test_an_overlap_is_refused_and_uploaded_when_it_is_held(station, open_page) 
     assert not page.errors
 
 
-@pytest.mark.parametrize(("width", "height", "theme"), [(1600, 900, "dark"), (390, 844, "light")])
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
 def test_the_paths_of_a_formation_are_drawn_and_uploaded(station, open_page, shot, width, height, theme) -> None:
     page = open_page(station, width=width, height=height, theme=theme)
     phone = width < 500

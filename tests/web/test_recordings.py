@@ -30,7 +30,8 @@ def opened(page: Page) -> None:
     expect(page.get_by_role("table")).to_contain_text(NAME)
 
 
-@pytest.mark.parametrize(("width", "height", "theme"), [(1600, 900, "dark"), (390, 844, "light")])
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize(("width", "height"), [(1600, 900), (390, 844)])
 def test_recordings_are_listed(recorded, open_page, shot, width, height, theme) -> None:
     page = open_page(recorded, width=width, height=height, theme=theme)
     opened(page)
