@@ -48,7 +48,7 @@ class TileRefusedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TileSetInfo:
-    """What a file holds. ``tile_px``: pixels across one tile. ``bounds_deg``: west, south, east, north; None: unknown."""
+    """What a file holds. ``tile_px``: pixels across one tile. ``bounds_deg``: west, south, east, north, if known."""
 
     min_zoom: int
     max_zoom: int
