@@ -60,7 +60,7 @@ class MapTiles:
             raise TileFileError(path, error.strerror or str(error)) from None
 
     def as_dict(self) -> dict[str, Any]:
-        """What a page is told of them. The address changes with the file: a browser keeps tiles."""
+        """Description for pages. The address changes with the file: a browser keeps tiles."""
         info = self._tiles.info
         return {
             "url": f"/tiles/{self._mtime_ns:x}",
