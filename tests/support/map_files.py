@@ -1,4 +1,4 @@
-"""Files of map tiles for tests: MBTiles by its specification, PMTiles by the package of its authors, and pictures for both."""
+"""Files of map tiles for tests: MBTiles by its specification, PMTiles by its authors' package, and pictures."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
     request -> waiting (MAX_WAITING at most, else none) -> read -> a picture within the limits, or none
 
-No tile is kept here: the system keeps what was read of the file, a browser what it has drawn. A tile that cannot be read is
-none; the first one of each reason is logged, with the file and the key.
+No tile is kept here: the system keeps what was read of the file, a browser what it has drawn. A tile that cannot be
+read is none; the first one of each reason is logged, with the file and the key.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def open_tiles(path: Path) -> TileSet:
 
 
 class MapTiles:
-    """Serves the tiles of an open file. `close` ends it."""
+    """Serves the tiles of an open file. `close` ends it. Raises TileFileError."""
 
     def __init__(self, tiles: TileSet, path: Path) -> None:
         self.counts = {"served": 0, "none": 0, "refused": 0, "overrun": 0}
@@ -54,10 +54,13 @@ class MapTiles:
         self._waiting = 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="map tiles")
         self._logged: set[str] = set()
-        self._mtime_ns = path.stat().st_mtime_ns
+        try:
+            self._mtime_ns = path.stat().st_mtime_ns
+        except OSError as error:
+            raise TileFileError(path, error.strerror or str(error)) from None
 
     def as_dict(self) -> dict[str, Any]:
-        """What a page is told of them. The address changes with the file: a browser keeps tiles."""
+        """Description for pages. The address changes with the file: a browser keeps tiles."""
         info = self._tiles.info
         return {
             "url": f"/tiles/{self._mtime_ns:x}",

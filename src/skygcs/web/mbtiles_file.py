@@ -27,8 +27,8 @@ from skygcs.web.tile_set import (
 MAGIC = b"SQLite format 3\0"
 
 STEPS_A_CALL, MAX_CALLS = 100_000, 50
-"""Steps of SQLite's machine between two looks at the query, and how many looks it may take: half a second of a processor.
-A tile that an index finds takes some twenty steps."""
+"""Steps of SQLite's machine between two looks at the query, and how many looks it may take: half a second of a
+processor. A tile that an index finds takes some twenty steps."""
 
 CACHE_KIB = 2048
 
@@ -98,7 +98,7 @@ class MbtilesFile:
         return int(self._calls > MAX_CALLS)
 
     def _ask(self, query: str, *values: int) -> list[tuple[Any, ...]]:
-        """All rows; each query has a limit of them. Raises TileFileError, and TileRefusedError for a value too large."""
+        """All rows; each query has a limit of them. Raises TileFileError; TileRefusedError for a value too large."""
         self._calls = 0
         try:
             return self._base.execute(query, values).fetchall()

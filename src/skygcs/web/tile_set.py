@@ -20,7 +20,7 @@ MAX_TILE_PX = 1024
 """Decoded 4 MB. Usual are 256 and 512."""
 
 MAX_ZOOM = 24
-"""Of a tile less than 2 m wide."""
+"""Tiles of this zoom are less than 2.4 m wide."""
 
 MAX_ATTRIBUTION = 200
 """Characters of it that are shown."""
@@ -48,7 +48,7 @@ class TileRefusedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TileSetInfo:
-    """What a file holds. ``tile_px``: pixels across one tile. ``bounds_deg``: west, south, east, north; None: unknown."""
+    """Contents of a file. ``tile_px``: pixels across one tile. ``bounds_deg``: west, south, east, north, if known."""
 
     min_zoom: int
     max_zoom: int
@@ -94,7 +94,7 @@ def bounds_of(numbers: Any) -> tuple[float, float, float, float] | None:
 
 
 def attribution_of(text: Any) -> str:
-    """Whom the tiles are from, as plain text of one line."""
+    """Credit line of the tiles as plain text."""
     if not isinstance(text, str):
         return ""
     return " ".join(html.unescape(re.sub(r"<[^<>]*>", " ", text[: 10 * MAX_ATTRIBUTION])).split())[:MAX_ATTRIBUTION]

@@ -14,7 +14,12 @@ SOCKET = Path("/run/x y.sock")
 def test_the_page_gets_its_table() -> None:
     points = ((1.0, 2.0, 43.0, -79.0), (3.0, 4.0, 43.5, -79.5))
     table = WebConfig(
-        host="10.0.0.1", port=80, names=("field",), tls_cert=Path("c"), map=WebMapConfig(image=Path("i"), points=points)
+        host="10.0.0.1",
+        port=80,
+        names=("field",),
+        tls_cert=Path("c"),
+        tiles=Path("t x.mbtiles"),
+        map=WebMapConfig(image=Path("i"), points=points),
     )
     args = new_parser().parse_args(web_arguments(table, SOCKET))
     assert (args.socket, args.host, args.port, args.name, args.tls_cert) == (
@@ -24,5 +29,5 @@ def test_the_page_gets_its_table() -> None:
         ["field"],
         Path("c"),
     )
-    assert args.supervised and len(args.map_point) == 2
+    assert args.supervised and len(args.map_point) == 2 and args.tiles == Path("t x.mbtiles")
     assert page_address(table) == "https://10.0.0.1:80/"

@@ -26,7 +26,7 @@ export function keptText(vehicles: readonly Vehicle[]): string {
   const of = vehicles.length === 1 ? "" : `${flown.length} of ${vehicles.length}: `;
   const place = keptPlace(one);
   const trajectory = trajectoryOf(one);
-  if (trajectory !== null) return `${of}on ${trajectory.name}, ${trajectory.state}`;
+  if (trajectory !== null && isOnTrajectory(one)) return `${of}on ${trajectory.name}, ${trajectory.state}`;
   if (flown.length > 1) return `${of}setpoints are sent until Off`;
   return place === null ? `${of}setpoints are sent until Off` : `${of}kept at ${place.map((value) => fixed(value, 1) ?? "–").join(", ")} m until Off`;
 }
@@ -35,6 +35,14 @@ export function keptText(vehicles: readonly Vehicle[]): string {
 export function trajectoryOf({ control }: Pick<Vehicle, "control">): { name: string; state: string } | null {
   const found = control?.["trajectory"];
   return typeof found === "object" && found !== null && "name" in found && "state" in found ? { name: String(found.name), state: String(found.state) } : null;
+}
+
+const OVER = ["aborted", "finished"];
+
+/** It is on a trajectory, or waits or stands on one. */
+export function isOnTrajectory(vehicle: Pick<Vehicle, "control"> | undefined): boolean {
+  const found = vehicle === undefined ? null : trajectoryOf(vehicle);
+  return found !== null && !OVER.includes(found.state);
 }
 
 /** Has setpoints fly those that they do not fly yet, by place. True if all of them are flown then. */

@@ -6,7 +6,7 @@ import { useStore, useTick } from "./hooks.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { readOutcomes, runOrder } from "./orders.ts";
 import { Choice, NumberField, usePolled } from "./panels/parts.tsx";
-import { engage, keptPlace, trajectoryOf } from "./setpoint_orders.ts";
+import { engage, isOnTrajectory, keptPlace, trajectoryOf } from "./setpoint_orders.ts";
 import { circlePieces, durationOf, pathPieces, pointsAlong, squarePoints, type Piece } from "./shape_pieces.ts";
 import type { Store } from "./store.ts";
 import type { Outcome, Vec3 } from "./types.ts";
@@ -51,7 +51,8 @@ function ShapeForm(props: ButtonsProps) {
     [kind, size, speed, laps, points],
   );
   // to a decimetre: the preview does not tremble with the vehicles
-  const begin = JSON.stringify(startsOf(store, targets).map(([name, place]) => [name, place.map(round)]));
+  const flies = useStore(store, (state) => targets.some((name) => isOnTrajectory(state.vehicles.get(name))));
+  const begin = JSON.stringify((flies ? [] : startsOf(store, targets)).map(([name, place]) => [name, place.map(round)]));
   const drafts = useMemo(() => draftsOf(JSON.parse(begin) as [string, Vec3][], made), [begin, made]);
   const shapes = useMemo(() => drafts.map(([name, pieces]) => draftShape(name, pieces)), [drafts]);
   useEffect(() => view.setOverlay(OVERLAY, shapes.length === 0 ? null : { shapes }), [view, shapes]);
@@ -78,7 +79,7 @@ function ShapeForm(props: ButtonsProps) {
           {kind !== "path" && <NumberField label="Laps" value={laps} least={1} most={MOST_LAPS} step={1} onValue={setLaps} />}
         </div>
       )}
-      <p class="muted small" role="status">{noteOf(kind, drafts[0]?.[1], found.map(({ vehicle, name }) => `${vehicle}: ${name}`), targets.length)}</p>
+      <p class="muted small" role="status">{noteOf(kind, drafts[0]?.[1], found.map(({ vehicle, name }) => `${vehicle}: ${name}`), targets.length, flies)}</p>
       {kind === "loaded" && found.length > 0 && (
         <HoldButton targets={targets} class="order wide" disabled={!enabled} what={`Send ${who} to where their trajectories begin`} act={() => void toStarts(props, found)}>
           <span>To their first points</span>
@@ -96,7 +97,7 @@ function ShapeForm(props: ButtonsProps) {
 function OnTheWay(props: ButtonsProps) {
   const { store, targets, send } = props;
   const who = useTargetsText(props);
-  const flown = useStore(store, (state) => targets.some((name) => state.vehicles.get(name)?.control?.["trajectory"] != null));
+  const flown = useStore(store, (state) => targets.some((name) => isOnTrajectory(state.vehicles.get(name))));
   const paused = useStore(store, (state) => targets.some((name) => {
     const vehicle = state.vehicles.get(name);
     return vehicle !== undefined && trajectoryOf(vehicle)?.state === "paused";
@@ -167,12 +168,14 @@ function draftShape(vehicle: string, pieces: readonly Piece[]): Shape {
   return { kind: "path", points: pointsAlong(pieces, DRAWN_EACH_PIECE), ink: "draft", dashed: true, widthPx: 1.5, vehicle };
 }
 
-function noteOf(kind: Kind, pieces: readonly Piece[] | undefined, loaded: readonly string[], count: number): string {
+function noteOf(kind: Kind, pieces: readonly Piece[] | undefined, loaded: readonly string[], count: number, flies: boolean): string {
   if (count === 0) return "Select vehicles.";
   if (kind === "loaded") return loaded.length === 0 ? "None is loaded: skygcs-cli trajectory load, or a program." : loaded.join(", ");
+  if (pieces === undefined && flies) return "They fly a trajectory.";
   if (pieces === undefined) return kind === "path" ? "Click points on the view." : "Their places in the fleet's frame are not known.";
   const text = `${Math.round(durationOf(pieces))} s from where each is, at its height`;
-  return kind === "path" ? text : `${text}: along +x first, counter-clockwise, and back`;
+  if (kind === "path") return text;
+  return kind === "square" ? `${text}: along +x first, counter-clockwise, and back` : `${text}, on its +x side: counter-clockwise, and back`;
 }
 
 function round(metres: number): number {
