@@ -109,6 +109,9 @@ MOVES = {
     "tests/unit/core/vehicle/test_gate.py": ("vehicles.command", "messages.send"),
     "tests/unit/core/vehicle/test_orders.py": ("vehicles.reboot",),
     "tests/integration/test_mission_flights.py": ("missions.upload",),
+    "tests/integration/test_missions_for_several.py": ("missions.end_turns",),
+    "tests/integration/test_drills.py": ("drills.begin", "drills.end"),
+    "tests/unit/ext/logs/test_recordings.py": ("recordings.replay", "recordings.end"),
     "tests/integration/test_planning.py": (*("plan.upload", "plan.load", "plan.check", "plan.make", "plan.certify"),),
 }
 """What moves a vehicle or ends its flight, or is no part of one, with the tests that show how."""

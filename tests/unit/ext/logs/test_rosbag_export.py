@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sqlite3
 from collections import Counter, defaultdict
@@ -69,8 +70,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, list):
         return [plain(one) for one in value]
     if hasattr(value, "__msgtype__"):
-        names = [name for name in value.__dataclass_fields__ if name != "__msgtype__"]
-        return {name: plain(getattr(value, name)) for name in names}
+        names = [field.name for field in dataclasses.fields(value) if field.default is dataclasses.MISSING]
+        return {name: plain(getattr(value, name)) for name in names}  # without the constants of its interface
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
