@@ -43,8 +43,8 @@ SERVICE_HEADER = struct.Struct("<QQ")
 """rmw_cyclonedds puts it before a request and its reply: the client, and the number of its request."""
 
 MOST_SAMPLE_BYTES = 1 << 20
-"""A longer sample is dropped, of Cyclone before it is put together; the longest of MAVROS' interfaces that is read here
-has some 100 kB, and so has the longest that is sent."""
+"""A longer sample is dropped, of Cyclone before it is put together. The longest that is read here is a request for a
+mission: some 80 bytes for each waypoint."""
 
 MOST_SEQUENCE = 1 << 40
 """A larger number is no number of a request: another layer of ROS sends requests without this header."""
