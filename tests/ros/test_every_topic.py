@@ -184,6 +184,9 @@ def actions(call: Calls) -> None:
     places = {vehicle: state["position"]["enu_m"] for vehicle, state in call.fleet.vehicles().items()}
     x_m, y_m = ({vehicle: place[axis] for vehicle, place in places.items()} for axis in (0, 1))  # straight up
     call.act("goto", 2, goal__position__x=x_m, goal__position__y=y_m, goal__position__z=30.0)
+    for vehicle in VEHICLES:
+        topic = f"/{vehicle}/skygcs/goto/_action/feedback"
+        wait_until(lambda topic=topic: call.node.dump(topic)[topic], "it is on its way")
     assert call.cancel("goto", 2) == dict.fromkeys(VEHICLES, 1)
     assert call.result("goto", 2) == dict.fromkeys(VEHICLES, CANCELED)
     call.until("they hold", lambda state: max(map(abs, state["position"]["vel_enu_mps"])) < 0.3)
