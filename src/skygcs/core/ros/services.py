@@ -60,7 +60,8 @@ def response(outcome: Fields) -> dict[str, Any]:
 
 
 def command_params(request: Fields) -> list[float | None]:
-    """param1 to param7 of CommandLong; NaN is unset."""
+    """param1 to param7 of CommandLong; NaN is unset. Raises RequestError."""
+    _require_command(request)
     return [_number(request[f"param{n}"]) for n in range(1, 8)]
 
 
@@ -72,7 +73,8 @@ def order_of_command(request: Fields) -> str | None:
 
 
 def command_int(request: Fields) -> dict[str, Any]:
-    """The parameters of vehicles.command for CommandInt."""
+    """The parameters of vehicles.command for CommandInt. Raises RequestError."""
+    _require_command(request)
     params = [_number(request[f"param{n}"]) for n in range(1, 5)]
     where = {"int_frame": str(request["frame"]), "x": request["x"], "y": request["y"], "z": _number(request["z"])}
     return {"command": request["command"], "params": params, **where}
@@ -185,6 +187,12 @@ def ros2_value(value: float | None, type_: str | None) -> dict[str, Any]:
     if (type_ or "").startswith("REAL"):
         return {"type": DOUBLE, "double_value": value}
     return {"type": INTEGER, "integer_value": int(value)}
+
+
+def _require_command(request: Fields) -> None:
+    """Raise RequestError for 0, which is no MAV_CMD: the request of a node that has set nothing, or bytes of zeros."""
+    if request["command"] == 0:
+        raise RequestError("0 is no command")
 
 
 def _number(value: float) -> float | None:

@@ -60,6 +60,9 @@ def test_commands() -> None:
     assert services.response({"ok": False, "result": "refused"}) == {"success": False, "result": 4}
     with pytest.raises(RequestError):
         services.command_params({**request, "param1": math.inf})
+    for made in (services.command_params, services.command_int):
+        with pytest.raises(RequestError, match="0 is no command"):
+            made({**request, "command": 0})
     assert [services.interval_hz(hz) for hz in (-1.0, 0.0, 5.0, 1e9)] == [0.0, None, 5.0, 1000.0]
     assert services.takeoff_height_m({"altitude": 190.0}, {"autopilot": "px4", "position": {"alt_amsl_m": 180.0}}) == 10
     assert services.takeoff_height_m({"altitude": 8.0}, {"autopilot": "ardupilot"}) == 8
