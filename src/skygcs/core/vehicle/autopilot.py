@@ -59,8 +59,8 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
   a class that is not known gets NAV_LAND, which does nothing where it is not known.
 - ArduPlane has no command that takes off to a height (NAV_TAKEOFF is a QuadPlane's): its TAKEOFF mode climbs to
   TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
-  mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle), and
-  is taken back if the arming fails.
+  mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle). If
+  the arming fails it gets LOITER, but only once a heartbeat shows it disarmed (`gate.clear_undo`).
 - A QuadPlane takes off by NAV_TAKEOFF in GUIDED to a height above where it stands
   (handle_command_MAV_CMD_NAV_TAKEOFF, QuadPlane::do_user_takeoff).
 - A PX4 plane takes off to where its nose points, whatever place NAV_TAKEOFF names (control_auto_takeoff).
@@ -368,6 +368,16 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
     return Step(name, spec, expect=expect, skip_if_met=skip_if_met)
 
 
+def with_undo(vehicle: Vehicle, mode: Step) -> Step:
+    """The step to a mode in which an armed vehicle moves off, with its undo: the mode that stops its class. It is never
+    the mode before: that may be one flown by sticks, and what moved off all the same would fly in it."""
+    stops = vehicle.abilities.stop_mode
+    if not stops:
+        return mode
+    number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, stops)
+    return replace(mode, undo=replace(mode_step(vehicle, number), name=f"put it in {stops}"))
+
+
 def mode_name(vehicle: Vehicle, number: int) -> str:
     """Name of a custom_mode in this vehicle's firmware."""
     return modes.mode_name(vehicle.autopilot, vehicle.mode_type, modes.CUSTOM_MODE_ENABLED, number)
@@ -420,9 +430,8 @@ def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tup
     off = LiftedOff(from_amsl_m)
     if vehicle.armed:
         return (replace(mode, expect=off, expect_s=RUN_S),)
-    back = replace(mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
     rises = Step("takeoff", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(GLOBAL_POSITION_INT),)), expect=off)
-    return (replace(mode, undo=back), _arm_step(), replace(rises, expect_s=RUN_S))
+    return (with_undo(vehicle, mode), _arm_step(), replace(rises, expect_s=RUN_S))
 
 
 def _quadplane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:

@@ -223,23 +223,19 @@ def _current_step(vehicle: Vehicle, item: int) -> Step:
 def _go(vehicle: Vehicle) -> tuple[Step, ...]:
     """Enter the mission mode, from the ground or in the air.
 
-    What is armed in its mission's mode moves off (PX4, ArduPlane, Rover): the mode comes first and is taken back if the
-    arming fails. An ArduCopter arms in GUIDED and waits for MISSION_START.
+    What is armed in its mission's mode moves off (PX4, ArduPlane, Rover): the mode comes first, and is undone if the
+    arming fails (`autopilot.with_undo`). An ArduCopter arms in GUIDED and waits for MISSION_START.
     """
     number = _mission_mode(vehicle)
     mode = autopilot.mode_step(vehicle, number)
     arm = replace(autopilot.arm().steps[0], skip_if_met=True)
     if vehicle.armed:
         return (mode,)
-    if vehicle.family == "px4":
-        back = autopilot.mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"))
-        return (replace(mode, undo=replace(back, name="put it back in AUTO.LOITER")), arm)
-    if vehicle.kind is VehicleClass.COPTER:
+    if vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.COPTER:
         guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
         begin = Step("start", CommandSpec(mav_cmd.MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
         return (guided, arm, begin)
-    back = replace(autopilot.mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
-    return (replace(mode, undo=back), arm)
+    return (autopilot.with_undo(vehicle, mode), arm)
 
 
 def _mission_mode(vehicle: Vehicle) -> int:

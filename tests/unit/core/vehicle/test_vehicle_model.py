@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 
@@ -10,8 +11,10 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.vehicle import offboard_entry, orders, stop
-from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
+from skygcs.core.vehicle.gate import clear_undo
+from skygcs.core.vehicle.order_plan import ModeIn, Plan
+from skygcs.core.vehicle.stick_modes import without_sticks
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import NotReadyError, RefusedError
@@ -152,7 +155,28 @@ def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> 
     plan = orders.takeoff(plane, NOW, 50.0)
     assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
     undo = plan.steps[0].undo
-    assert undo is not None and undo.command is not None and undo.command.params[1] == 5.0  # back in FBWA
+    assert undo is not None and undo.command is not None and undo.command.params[1] == 12.0  # LOITER, not FBWA
+
+
+def test_no_undo_ends_in_a_mode_flown_by_sticks() -> None:
+    """Whatever mode it was in: what moves off all the same would fly in it."""
+    undos = 0
+    for autopilot, kind in itertools.product((ARDUPILOT, PX4), (PLANE, QUADROTOR, ROVER, BOAT, SUB, VTOL, BLIMP)):
+        for mode in (0, 1 << 16) if autopilot == PX4 else (0, 5, 17):
+            shown = on_the_ground(autopilot, kind, mode, TKOFF_ALT=50.0, Q_ENABLE=float(kind == VTOL))
+            for planner in (mission_orders.start, lambda v, now: orders.takeoff(v, now, 50.0)):
+                try:
+                    plan = planner(shown.vehicle, NOW)
+                except RefusedError:
+                    continue
+                model = model_of(shown.vehicle, NOW)
+                for step in plan.steps:
+                    if step.undo is not None and isinstance(step.undo.expect, ModeIn):
+                        undos += 1
+                        (number,) = step.undo.expect.custom_modes
+                        assert without_sticks(model, number) is None, (autopilot, kind, step.undo.name)
+                        clear_undo(model, plan.order, step.undo)
+    assert undos > 20
 
 
 def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> None:
