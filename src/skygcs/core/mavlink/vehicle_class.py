@@ -169,6 +169,7 @@ class Landing(StrEnum):
     """How a vehicle comes down."""
 
     NONE = "none"
+    UNKNOWN = "not known: NAV_LAND is worth an attempt"
     HERE = "NAV_LAND"
     MISSION = "the landing of its mission (DO_LAND_START)"
     MODE = "a mode of its own"
@@ -239,8 +240,8 @@ class Abilities:
 
     @property
     def lands(self) -> bool:
-        """False for what has no landing."""
-        return self.landing is not Landing.NONE
+        """False for what has no landing, and for what skygcs knows none of."""
+        return self.landing not in (Landing.NONE, Landing.UNKNOWN)
 
 
 _C = VehicleClass
@@ -256,7 +257,6 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
     ("px4", _C.BOAT): _PX4_DRIVES,
     ("px4", _C.SUB): replace(_PX4_DRIVES, returns=False),
-    ("px4", _C.OTHER): replace(_PX4, landing=Landing.NONE, goes=False, circles=True),
     ("ardupilot", _C.COPTER): Abilities(
         hovers=True,
         setpoints=True,
@@ -289,11 +289,10 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         hovers=True, stop_mode="LOITER", goes=False, landing=Landing.MODE, land_mode="LAND", return_mode="RTL"
     ),
     ("ardupilot", _C.TRACKER): replace(_ON_THE_GROUND, stop_mode="STOP", goes=False, returns=False),
-    ("ardupilot", _C.OTHER): Abilities(goes=False, circles=True),
+    ("generic", _C.COPTER): Abilities(hovers=True, goes=False, landing=Landing.HERE),
 }
-"""A pair that is not here (an autopilot that skygcs does not know, a class that a firmware has not) has the abilities
-of a thing that flies, cannot stop, and of which no order is known but those that all firmware shares: arm, disarm,
-return, reboot, home, parameters, and on PX4, whose modes all its vehicles share, hold."""
+"""A pair that is not here (an autopilot that skygcs does not know, a class that a firmware has not, such as the airship
+of PX4) has the abilities of its family in `UNKNOWN`. NAV_LAND is MAVLink's own landing, which any copter has."""
 
 ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
@@ -303,17 +302,19 @@ ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
 }
 """A VTOL while it is known to be carried by its rotors."""
 
-UNKNOWN = Abilities(goes=False, circles=True)
-UNKNOWN_COPTER = Abilities(hovers=True, goes=False, landing=Landing.HERE)
-"""A copter of an autopilot that skygcs does not know: NAV_LAND is MAVLink's own landing."""
+_FLIES_SOMEHOW = Abilities(goes=False, circles=True, landing=Landing.UNKNOWN)
+UNKNOWN: Mapping[Family, Abilities] = {
+    "px4": replace(_PX4, goes=False, circles=True),
+    "ardupilot": _FLIES_SOMEHOW,
+    "generic": _FLIES_SOMEHOW,
+}
+"""A thing that flies, cannot stop, and of which no order is known but those that all firmware shares (arm, disarm,
+return, reboot, home, parameters), and on PX4, whose modes all its vehicles share, hold and land."""
 
 
 def abilities_of(family: Family, kind: VehicleClass, *, hovers: bool = False) -> Abilities:
     """The abilities of a class with a firmware. ``hovers``: it is a VTOL that is known to be on its rotors now."""
-    key = (family, kind)
-    if family == "generic" and kind is VehicleClass.COPTER:
-        return UNKNOWN_COPTER
-    return (ON_ROTORS if hovers else TABLE).get(key, UNKNOWN)
+    return (ON_ROTORS if hovers else TABLE).get((family, kind), UNKNOWN[family])
 
 
 def cannot_hover(family: Family, kind: VehicleClass) -> str | None:

@@ -52,7 +52,7 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
     ArduSub          POSHOLD          POSHOLD          NAV_LAND         refused          refused       GUIDED
     Blimp            LOITER           LOITER           LAND             RTL              refused       refused
     AntennaTracker   STOP             STOP             refused          refused          refused       refused
-    other, of PX4    AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused       refused
+    other, of PX4    AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  refused       refused
     other            refused          refused          refused          RETURN_TO_LAUNCH refused       refused
 
 - A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it; one of
@@ -190,14 +190,14 @@ def takes_off_from(family: str, mode: str) -> str | None:
 
 
 def can_land(vehicle: Vehicle) -> bool:
-    """False for a class that is known to have no landing; of an unknown one NAV_LAND is worth an attempt."""
-    return vehicle.abilities.lands or vehicle.kind is VehicleClass.OTHER
+    """False for a class that is known to have no landing; of another one NAV_LAND is worth an attempt."""
+    return vehicle.abilities.landing is not Landing.NONE
 
 
 def land(vehicle: Vehicle, now: float) -> Plan:
     """Land where it is. Raises RefusedError for a class that cannot."""
     able = vehicle.abilities
-    if able.landing is Landing.NONE:
+    if not able.lands:
         raise RefusedError(_why_not(vehicle, "land"))
     if able.landing is Landing.MISSION:
         start = CommandSpec(mav_cmd.DO_LAND_START)

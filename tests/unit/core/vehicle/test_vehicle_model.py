@@ -223,6 +223,37 @@ def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None
     assert said(lambda: orders.hold(on_px4, NOW)) == "192"
 
 
+DRIVES = frozenset({5, 10, 11, 12})
+"""MAV_TYPE of an antenna tracker, a rover, a boat and a submarine."""
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT, mav.MAV_AUTOPILOT_OPENPILOT])
+def test_what_can_be_stopped_is_stopped_whatever_type_it_shows(autopilot: int) -> None:
+    """PX4 pauses in AUTO.LOITER and lands by NAV_LAND (navigator_main.cpp, Commander.cpp), whichever MAV_TYPE it was
+    given; an ArduPilot of a type that pymavlink has modes for has one that stops. A landing that is not known to be
+    missing is worth an attempt."""
+    taken = set()
+    for kind in range(52):
+        vehicle = Shown(autopilot, kind, 4 << 16 if autopilot == PX4 else 0).vehicle
+        if vehicle.autopilot != autopilot:  # the heartbeat of a ground station, a gimbal, a camera
+            continue
+        taken.add(kind)
+        hold = said(lambda: stop.stop(vehicle, NOW, "hold"))  # noqa: B023
+        land = said(lambda: stop.stop(vehicle, NOW, "land"))  # noqa: B023
+        if autopilot == PX4:
+            assert hold == "192", kind
+            assert land == ("192" if kind in DRIVES - {5} else "21"), kind
+            assert said(lambda: orders.hold(vehicle, NOW)) == "192", kind  # noqa: B023
+            if kind not in DRIVES:
+                assert said(lambda: orders.land(vehicle, NOW)) == "21", kind  # noqa: B023
+        elif autopilot == ARDUPILOT:
+            assert land[0].isdigit(), (kind, land)
+            assert hold[0].isdigit() or mavutil.mode_mapping_bynumber(kind) is None, (kind, hold)
+        else:
+            assert land == "21", (autopilot, kind, land)
+    assert taken >= {*range(18), *range(19, 26), 28, 29} - {mav.MAV_TYPE_GCS}
+
+
 def test_only_copters_fly_setpoints_and_the_refusal_names_the_class() -> None:
     for autopilot, kind, mode in ((ARDUPILOT, PLANE, 15), (PX4, VTOL, 4 << 16), (ARDUPILOT, ROVER, 15), (PX4, 8, 0)):
         vehicle = Shown(autopilot, kind, mode).vehicle
