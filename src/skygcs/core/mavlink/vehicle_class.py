@@ -8,7 +8,8 @@
                 MAV_TYPE                                           that of the program that shows such a type
 
     ArduPlane   Q_ENABLE is not 0, it shows a VTOL's or a          vtol (a QuadPlane), else plane
-                multirotor's MAV_TYPE, or is in a Q mode
+                multirotor's MAV_TYPE, is in a Q mode, or its
+                EXTENDED_SYS_STATE has a vtol_state
     Rover       MAV_TYPE 11                                        boat, else rover
 
 The MAV_TYPE alone does not do for ArduPilot: a QuadPlane shows a fixed wing (1) unless Q_MAV_TYPE says otherwise, and
@@ -126,9 +127,15 @@ def class_type(kind: VehicleClass) -> int:
 
 
 def vehicle_class(
-    autopilot: int, vehicle_type: int, custom_mode: int, program: Program | None, q_enable: float | None
+    autopilot: int,
+    vehicle_type: int,
+    custom_mode: int,
+    program: Program | None,
+    q_enable: float | None,
+    vtol_state: int = 0,
 ) -> VehicleClass:
-    """The class. ``q_enable``: ArduPlane's parameter Q_ENABLE; None: not known, or there is none."""
+    """The class. ``q_enable``: ArduPlane's parameter Q_ENABLE; None: not known, or there is none. ``vtol_state``:
+    MAV_VTOL_STATE; 0: undefined, which a QuadPlane never shows (GCS_MAVLINK_Plane::vtol_state), or not known."""
     if autopilot not in (AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4):
         return _TYPES.get(vehicle_type, VehicleClass.OTHER)
     by_type = _TYPES.get(vehicle_type, VehicleClass.OTHER)
@@ -137,7 +144,8 @@ def vehicle_class(
     by_program = _TYPES.get(mode_type(autopilot, vehicle_type, program, q_enable), VehicleClass.OTHER)
     if by_program is not VehicleClass.PLANE:
         return by_program
-    lifts = bool(q_enable) or custom_mode in Q_MODES or by_type in (VehicleClass.VTOL, VehicleClass.COPTER)
+    shows_rotors = by_type in (VehicleClass.VTOL, VehicleClass.COPTER) or vtol_state != 0
+    lifts = bool(q_enable) or custom_mode in Q_MODES or shows_rotors
     return VehicleClass.VTOL if lifts else VehicleClass.PLANE
 
 

@@ -57,6 +57,7 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
 
 - A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it; one of
   a class that is not known gets NAV_LAND, which does nothing where it is not known.
+- An ArduPlane whose Q_ENABLE is not known yet is not sent off along the ground: it may be a QuadPlane.
 - ArduPlane has no command that takes off to a height (NAV_TAKEOFF is a QuadPlane's): its TAKEOFF mode climbs to
   TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
   mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle). If
@@ -418,6 +419,11 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tu
 
 
 def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    if vehicle.param("Q_ENABLE") is None:
+        raise NotReadyError(
+            "its Q_ENABLE is not known yet: a QuadPlane would be run along the ground; an ArduPlane that was built "
+            "without QuadPlanes has none, there set the mode TAKEOFF and arm it"
+        )
     own_m = vehicle.param(TAKEOFF_HEIGHT)
     if own_m is None:
         raise NotReadyError(f"its {TAKEOFF_HEIGHT}, the height to which it takes off, is not known yet")

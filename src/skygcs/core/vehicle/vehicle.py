@@ -260,7 +260,14 @@ class Vehicle:
     @property
     def kind(self) -> VehicleClass:
         """Its class, by all that it has shown."""
-        return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, self.param("Q_ENABLE"))
+        q_enable = self.param("Q_ENABLE")
+        return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, q_enable, self._last_vtol_state)
+
+    @property
+    def _last_vtol_state(self) -> int:
+        """MAV_VTOL_STATE of its last EXTENDED_SYS_STATE since it started; 0: undefined, or none came."""
+        slot = self.slots.get(self._landed_id)
+        return 0 if slot is None or slot.frame is None else self._vtol_state
 
     @property
     def abilities(self) -> Abilities:

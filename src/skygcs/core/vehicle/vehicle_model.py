@@ -2,7 +2,7 @@
 
     part            evidence
     -------------   ----------------------------------------------------------------------------------------------
-    family, kind    heartbeat, boot banner, Q_ENABLE (`mavlink.vehicle_class`)
+    family, kind    heartbeat, boot banner, Q_ENABLE, vtol_state (`mavlink.vehicle_class`)
     not disarmed    armed by its heartbeat; telemetry that contradicts a disarmed one; a second vehicle with its ids;
                     or nothing, as it is lost
     flying          EXTENDED_SYS_STATE, ArduPilot's system status

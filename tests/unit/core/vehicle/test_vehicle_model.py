@@ -148,8 +148,10 @@ def commands(plan: Plan) -> list[tuple[int, float]]:
 def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> None:
     """TAKEOFF is mode 13 (ArduPlane/mode.h), TKOFF_ALT its height (mode_takeoff.cpp)."""
     with pytest.raises(NotReadyError, match="TKOFF_ALT"):
-        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5).vehicle, NOW, 50.0)
-    plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle
+        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, Q_ENABLE=0.0).vehicle, NOW, 50.0)
+    with pytest.raises(NotReadyError, match="Q_ENABLE"):
+        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle, NOW, 50.0)
+    plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0, Q_ENABLE=0.0).vehicle
     with pytest.raises(RefusedError, match=re.escape("takes off to its TKOFF_ALT (50 m), not to 30 m")):
         orders.takeoff(plane, NOW, 30.0)
     plan = orders.takeoff(plane, NOW, 50.0)
@@ -185,6 +187,26 @@ def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> 
     assert commands(plan) == [(176, 15.0), (400, 0.0), (mav.MAV_CMD_NAV_TAKEOFF, 0.0)]
     last = plan.steps[2].command
     assert last is not None and last.params[6] == 12.0 and last.message == "COMMAND_LONG"
+
+
+def test_a_quadplane_whose_parameters_have_not_come_is_known_by_its_vtol_state() -> None:
+    """MAV_VTOL_STATE_MC is 3, FW 4; without QuadPlane it is undefined (GCS_MAVLINK_Plane::vtol_state)."""
+    shown = Shown(ARDUPILOT, PLANE, 10)  # AUTO
+    for state, kind, held in (
+        (mav.MAV_VTOL_STATE_UNDEFINED, VehicleClass.PLANE, "176 12"),
+        (mav.MAV_VTOL_STATE_MC, VehicleClass.VTOL, "176 19"),  # QLOITER: LOITER would fly off ahead
+        (mav.MAV_VTOL_STATE_TRANSITION_TO_MC, VehicleClass.VTOL, "176 19"),
+        (mav.MAV_VTOL_STATE_FW, VehicleClass.VTOL, "176 12"),
+    ):
+        shown.hear(mav.MAVLink_extended_sys_state_message(state, 2))
+        assert shown.vehicle.kind is kind
+        assert said(lambda: stop.stop(shown.vehicle, NOW, "hold")) == held
+    grounded = on_the_ground(ARDUPILOT, PLANE, 0, TKOFF_ALT=12.0)
+    grounded.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_MC, 1))
+    assert commands(orders.takeoff(grounded.vehicle, NOW, 12.0))[0] == (176, 15.0)  # GUIDED, by its rotors
+    copter = Shown(ARDUPILOT, QUADROTOR, 4)
+    copter.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_MC, 2))  # as each ArduCopter does
+    assert copter.vehicle.kind is VehicleClass.COPTER
 
 
 def test_a_px4_plane_takes_off_as_a_multirotor_does() -> None:
