@@ -246,6 +246,11 @@ class Abilities:
         circle = () if self.hold_radius is None else (self.hold_radius.param,)
         return (*circle, *((TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()))
 
+    def may_move(self, in_air: bool | None) -> bool:
+        """True unless it is known to stand while its motors may turn: what flies stands while it is on the ground (not
+        ``in_air``), and what drives may be under way whatever that says. The one rule of who is under way."""
+        return not self.flies or in_air is not False
+
     @property
     def lands(self) -> bool:
         """False for what has no landing, and for what skygcs knows none of."""

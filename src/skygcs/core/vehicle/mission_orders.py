@@ -142,7 +142,8 @@ def require_uploadable(
     if MissionType.MISSION in kinds and armed and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
     if MissionType.FENCE in kinds and model_of(vehicle, now).may_fly:
-        raise RefusedError(f"it may be in the air, and outside of the new fence at once; land first, or {FORCE_HINT}")
+        stops = "land first" if vehicle.abilities.flies else "disarm it first"
+        raise RefusedError(f"it may be under way, and outside of the new fence at once; {stops}, or {FORCE_HINT}")
     wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
     if wrong:
         named = "; ".join(map(str, wrong[:MAX_FINDINGS]))
@@ -151,15 +152,15 @@ def require_uploadable(
 
 
 def require_clearable(vehicle: Vehicle, now: float, kinds: tuple[MissionType, ...], *, force: bool) -> None:
-    """Raises RefusedError while the vehicle flies its mission, or has a fence around it in the air."""
+    """Raises RefusedError while the vehicle flies its mission, or has a fence around it under way."""
     require_connected(vehicle, now)
     evidence = contradiction(vehicle, now)
     if force or not (vehicle.armed or evidence is not None):
         return
     if MissionType.MISSION in kinds and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
-    if MissionType.FENCE in kinds and (vehicle.in_air(now) or evidence is not None):
-        raise RefusedError(f"it is in the air and would be without its fence; {FORCE_HINT}")
+    if MissionType.FENCE in kinds and model_of(vehicle, now).may_fly:
+        raise RefusedError(f"it may be under way and would be without its fence; {FORCE_HINT}")
 
 
 def set_current(vehicle: Vehicle, now: float, item: int) -> Plan:

@@ -346,9 +346,14 @@ class Vehicle:
         return slot is not None and now - slot.at <= LANDED_FRESH_S and self._vtol_state in VTOL_ON_ROTORS
 
     def in_air(self, now: float) -> bool | None:
-        """True if it flies; None if that is not known."""
+        """True if it flies, and so would fall; None if that is not known. What drives never does."""
         landed = self.landed(now)
         return None if landed == "undefined" else landed in AIRBORNE
+
+    def under_way(self, now: float) -> bool:
+        """True if it may be moving by itself, by what was heard of it last: it is armed, and drives or is not known to
+        stand on the ground."""
+        return self.armed and self.abilities.may_move(self.in_air(now))
 
     def last_frames(self, msgids: Iterable[int]) -> list[tuple[Frame, float]]:
         """The last frame of each of these messages that has come, with its time."""

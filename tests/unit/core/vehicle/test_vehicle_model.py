@@ -11,10 +11,13 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
+from skygcs.core.mission.item import MissionType
+from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
 from skygcs.core.vehicle.gate import clear_undo
 from skygcs.core.vehicle.order_plan import ModeIn, Plan
 from skygcs.core.vehicle.stick_modes import without_sticks
+from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import NotReadyError, RefusedError
@@ -223,6 +226,36 @@ def test_a_rover_is_never_in_the_air_whatever_status_it_shows() -> None:
     where = {"lat_deg": HOME[0], "lon_deg": HOME[1] + 0.001, "height_m": 0.0}
     assert orders.goto(rover.vehicle, NOW, limit_m=500.0, **where).order == "goto"  # type: ignore[misc]
     assert model_of(rover.vehicle, NOW).may_fly  # its modes for sticks need sticks while it is armed
+
+
+@pytest.mark.parametrize("kind", [QUADROTOR, PLANE, ROVER, BOAT])
+@pytest.mark.parametrize("landed", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("armed", [True, False])
+def test_all_rules_agree_who_is_under_way(kind: int, landed: int, armed: bool) -> None:
+    shown = on_the_ground(PX4, kind, 4 << 16)
+    shown.hear(mav.MAVLink_heartbeat_message(kind, PX4, 0x81 if armed else 0x01, 4 << 16, 4 if armed else 3, 3))
+    shown.hear(mav.MAVLink_extended_sys_state_message(0, landed))
+    flies = kind in (QUADROTOR, PLANE)
+    wanted = armed and (not flies or landed != mav.MAV_LANDED_STATE_ON_GROUND)
+    assert shown.vehicle.under_way(NOW) is wanted
+    assert may_fly(shown.vehicle, NOW) is wanted
+    if armed:
+        assert is_flying(shown.vehicle, NOW) is model_of(shown.vehicle, NOW).may_fly is wanted
+    assert (shown.vehicle.in_air(NOW) is True) <= flies, "what drives does not fall"
+
+
+def test_a_fence_is_not_changed_around_what_drives_unless_somebody_insists() -> None:
+    rover = Shown(ARDUPILOT, ROVER, 10).vehicle  # armed, in AUTO
+    with pytest.raises(RefusedError, match="under way and would be without its fence"):
+        mission_orders.require_clearable(rover, NOW, (MissionType.FENCE,), force=False)
+    mission_orders.require_clearable(rover, NOW, (MissionType.FENCE,), force=True)
+    stands = on_the_ground(ARDUPILOT, ROVER, 10).vehicle
+    mission_orders.require_clearable(stands, NOW, (MissionType.FENCE,), force=False)
+    driving = Shown(PX4, ROVER, 4 << 16).vehicle
+    fence = fence_params.FenceSettings(True, "hold", 20.0, None, follows_list=False)
+    with pytest.raises(RefusedError, match="is not known"):
+        fence_params.require_inside(driving, NOW, fence)
+    fence_params.require_inside(on_the_ground(PX4, ROVER, 4 << 16).vehicle, NOW + 5.0, fence)  # disarmed long ago
 
 
 def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None:
