@@ -94,8 +94,10 @@ from skygcs.core.vehicle.order_plan import (
     Step,
     TargetProof,
 )
+from skygcs.core.vehicle.stick_modes import hazard
 from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.number_text import rounded
 
@@ -279,6 +281,8 @@ def brake(vehicle: Vehicle, now: float) -> Plan:
     done = f"holding in {wanted}"
     if able.circles and radius_m:
         done = f"circling in {wanted}, {rounded(radius_m)} m about where it was"
+    elif (danger := hazard(model_of(vehicle, now), number)) is not None:
+        done = f"stopped; {danger}" + ("; land or rtl needs no sticks" if able.lands and able.returns else "")
     return Plan("hold", (step,), done, despite_duplicate=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from pymavlink import mavutil
@@ -16,7 +17,7 @@ from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
 from skygcs.core.vehicle.gate import clear_undo
 from skygcs.core.vehicle.order_plan import ModeIn, Plan
-from skygcs.core.vehicle.stick_modes import without_sticks
+from skygcs.core.vehicle.stick_modes import hazard, without_sticks
 from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
@@ -326,6 +327,22 @@ def test_what_cannot_stop_says_how_wide_it_circles() -> None:
     assert Shown(PX4, PLANE, 4 << 16 | 4 << 24).vehicle.hold_radius_m(NOW) == 80.0
     assert Shown(ARDUPILOT, PLANE, 19).vehicle.hold_radius_m(NOW) == 0.0  # on its rotors
     assert Shown(ARDUPILOT, QUADROTOR, 4).vehicle.hold_radius_m(NOW) == 0.0
+
+
+def test_the_hold_of_a_hovering_quadplane_says_that_it_sinks_without_sticks() -> None:
+    """QuadPlane::get_pilot_desired_climb_rate_cms: without valid input 50 cm/s downwards."""
+    hovering = Shown(ARDUPILOT, PLANE, 19, Q_ENABLE=1.0)
+    for order in (lambda: orders.hold(hovering.vehicle, NOW), lambda: stop.stop(hovering.vehicle, NOW, "hold")):
+        hovering.sticks(0, 0)
+        assert order().done == (
+            "stopped; QLOITER is flown by sticks, and no sticks are seen in its telemetry: it would sink; land or rtl "
+            "needs no sticks"
+        )
+        hovering.sticks(RECEIVER, RECEIVER, (1500, 1500, 1500, 1500))
+        assert order().done == "holding in QLOITER"
+    hovers, modes_of = model_of(hovering.vehicle, NOW), mavutil.mode_mapping_bynumber(PLANE)
+    for stop_mode in (12, 19):  # LOITER circles by itself, QLOITER does not
+        assert (hazard(replace(hovers, sticks=Sticks.ABSENT), stop_mode) is None) == (modes_of[stop_mode] == "LOITER")
 
 
 def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
