@@ -248,7 +248,7 @@ class Abilities:
 
     def may_move(self, in_air: bool | None) -> bool:
         """True unless it is known to stand while its motors may turn: what flies stands while it is on the ground (not
-        ``in_air``), and what drives may be under way whatever that says. The one rule of who is under way."""
+        ``in_air``), and what drives may be under way whatever that says. The one rule of what is under way."""
         return not self.flies or in_air is not False
 
     @property

@@ -123,8 +123,8 @@ def mode_refusal(model: VehicleModel, custom_mode: int, *, force: bool) -> str |
 
 
 def hazard(model: VehicleModel, custom_mode: int) -> str | None:
-    """What becomes of a flying vehicle in a mode that is flown by sticks, as a sentence for a person; None: the mode
-    needs none, or they are seen with the throttle up."""
+    """Return what becomes of a flying vehicle in a mode that is flown by sticks, as a sentence for a person; None: the
+    mode needs none, or they are seen with the throttle up."""
     effect = without_sticks(model, custom_mode)
     if effect is None or model.sticks is Sticks.READY:
         return None
