@@ -126,18 +126,52 @@ async def test_an_arduplane_takes_off_to_its_own_height_goes_and_circles(tmp_pat
         assert mode_of(plane) == "RTL" and away_m(plane, 0, 0) < 70 and abs(plane.motion.up_m - 100) < 10
 
 
-async def test_a_refused_arming_leaves_an_arduplane_in_the_mode_it_was_in(tmp_path: Path) -> None:
+async def test_a_refused_arming_leaves_an_arduplane_in_a_mode_without_sticks(tmp_path: Path) -> None:
     async with flown(tmp_path, **EMPTY, others={"ardupilot_plane": 1}) as gcs:
         plane = gcs.sims[0]
         await gcs.until(lambda: gcs.actor().vehicle.param("TKOFF_ALT") is not None)
         plane.faults.refuse_arming = "Hardware safety switch"
         outcome = await gcs.outcome("vehicles.takeoff", height_m=50)
-        assert not outcome["ok"]
-        await gcs.until(lambda: mode_of(plane) == "MANUAL")
+        assert not outcome["ok"] and "put it in LOITER" in outcome["message"]
+        assert mode_of(plane) == "LOITER"
         plane.faults.refuse_arming = ""
         await gcs.done("vehicles.arm")
         await asyncio.sleep(10)
         assert plane.motion.up_m == 0.0 and plane.motion.groundspeed_mps == 0.0  # no arming lifts it
+
+
+async def test_a_takeoff_that_is_not_seen_puts_no_flying_plane_into_another_mode(tmp_path: Path) -> None:
+    async with flown(tmp_path, **EMPTY, others={"ardupilot_plane": 1}) as gcs:
+        plane, vehicle = gcs.sims[0], gcs.actor().vehicle
+        await gcs.until(lambda: vehicle.param("TKOFF_ALT") is not None)
+        assert mode_of(plane) == "MANUAL"
+        ordered = asyncio.create_task(gcs.outcome("vehicles.takeoff", height_m=50))
+        await gcs.until(lambda: vehicle.armed, 40.0)
+        gcs.muted.add(1)  # the downlink alone is gone
+        outcome = await ordered
+        await asyncio.sleep(20)
+        assert not outcome["ok"] and "did not disarm again" in outcome["message"], outcome
+        assert outcome["message"].count("did not") == 1, "what cannot be undone ends it"
+        assert plane.armed and plane.motion.up_m > 40 and mode_of(plane) == "TAKEOFF"
+
+
+@pytest.mark.parametrize("kind", ["ardupilot_plane", "rover"])
+async def test_an_arming_that_is_not_heard_takes_no_mission_back(tmp_path: Path, kind: str) -> None:
+    async with flown(tmp_path, **EMPTY, others={kind: 1}) as gcs:
+        sim = gcs.sims[0]
+        home = f"0\t1\t0\t16\t0\t0\t0\t0\t{FIELD.lat_deg}\t{FIELD.lon_deg}\t180\t1"
+        lines = ["QGC WPL 110", home]
+        for command, north_m in ((22, 100), (16, 500), (16, 900))[kind == "rover" :]:
+            lat, lon = FIELD.to_geodetic(0.0, north_m)
+            lines.append(f"{len(lines) - 1}\t0\t3\t{command}\t0\t0\t0\t0\t{lat:.7f}\t{lon:.7f}\t40\t1")
+        await gcs.done("missions.upload", plan="\n".join(lines), force=True)
+        ordered = asyncio.create_task(gcs.outcome("missions.start"))
+        await gcs.until(lambda: mode_of(sim) == "AUTO")
+        gcs.muted.add(1)
+        outcome = await ordered
+        assert not outcome["ok"] and "no heartbeat has shown it disarmed" in outcome["message"], outcome
+        await asyncio.sleep(20)
+        assert sim.armed and mode_of(sim) == "AUTO" and sim.motion.groundspeed_mps > 1
 
 
 async def test_an_arduplane_lands_by_its_mission(tmp_path: Path) -> None:
@@ -221,7 +255,7 @@ async def test_a_rover_drives_its_mission_and_a_refused_arming_leaves_it_out_of_
         await gcs.done("missions.upload", plan="\n".join(lines), force=True)
         rover.faults.refuse_arming = "Hardware safety switch"
         assert not (await gcs.outcome("missions.start"))["ok"]
-        await gcs.until(lambda: mode_of(rover) == "MANUAL")
+        assert mode_of(rover) == "HOLD"
         rover.faults.refuse_arming = ""
         await gcs.done("missions.start")
         assert mode_of(rover) == "AUTO"

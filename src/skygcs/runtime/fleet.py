@@ -269,7 +269,7 @@ class Fleet:
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
 
     def may_fly(self, key: int) -> bool:
-        """True if this is a vehicle that may be in the air now (`core.vehicle.supply`)."""
+        """True if this is a vehicle that may be under way now (`core.vehicle.supply`)."""
         actor = self.vehicles.get(key)
         return actor is not None and may_fly(actor.vehicle, self._loop.time())
 

@@ -17,8 +17,8 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import firmware_name
-from skygcs.core.vehicle.gate import Clearance, clear_plan
-from skygcs.core.vehicle.order_plan import GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
+from skygcs.core.vehicle.order_plan import VERIFY_S, GoesThere, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
@@ -500,15 +500,40 @@ class OrderRunner:
                 return Outcome(False, "timeout", f"timeout: {unmet}", attempts, elapsed_s)
 
     async def _undo(self, done: list[Step], run: _PlanInProgress) -> str:
-        """Undo the steps that were really executed, last first; returns what to add to the message."""
-        added = ""
+        """Undo the steps that were really executed, last first; returns what to add to the message. A step that cannot
+        be undone ends it: those before it were made for a vehicle that is in the state which they led to."""
+        began, added = self._loop.time(), ""
         for step in reversed(done):
             if step.undo is None:
                 continue
-            again = _PlanInProgress(run.plan, self.number, run.clearance)
-            outcome = await self._step(step.undo, run.plan, again)
-            added += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
+            outcome = await self._undo_step(step.undo, run, began)
+            if not outcome.ok:
+                return f"{added}; did not {step.undo.name}: {outcome.message}"
+            added += f"; {step.undo.name}"
         return added
+
+    async def _undo_step(self, undo: Step, run: _PlanInProgress, began: float) -> Outcome:
+        """Send one step of an undo that ``began`` then, if the outgoing gate lets it pass now. A mode waits for a
+        heartbeat that came since and shows the vehicle disarmed: what armed unheard may be flying."""
+
+        def shown() -> bool:
+            now = self._loop.time()
+            silence_s = self._vehicle.silence_s(now)
+            heard = silence_s is not None and now - silence_s > began
+            return heard and model_of(self._vehicle, now).not_disarmed is None
+
+        def newer() -> bool:
+            return self.number != run.number
+
+        if isinstance(undo.expect, ModeIn) and not await self._commands.until(lambda: shown() or newer(), VERIFY_S):
+            return Outcome.refused("no heartbeat has shown it disarmed since")
+        if newer():
+            return Outcome(False, "cancelled", SUPERSEDED)
+        try:
+            clearance = clear_undo(model_of(self._vehicle, self._loop.time()), run.plan.order, undo)
+        except RefusedError as error:
+            return Outcome.refused(str(error))
+        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance))
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """The attempts of `retry`."""

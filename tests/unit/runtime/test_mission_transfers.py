@@ -307,7 +307,7 @@ async def test_a_px4_that_does_not_arm_is_taken_out_of_the_mission_mode_again() 
 
         storing.vehicle.script = refuse_arming
         outcome = await actor.start_mission()
-        assert not outcome.ok and "put it back in AUTO.LOITER" in outcome.message
+        assert not outcome.ok and "put it in AUTO.LOITER" in outcome.message
         assert storing.vehicle.mode == PX4_LOITER
 
 

@@ -8,7 +8,8 @@
                 MAV_TYPE                                           that of the program that shows such a type
 
     ArduPlane   Q_ENABLE is not 0, it shows a VTOL's or a          vtol (a QuadPlane), else plane
-                multirotor's MAV_TYPE, or is in a Q mode
+                multirotor's MAV_TYPE, is in a Q mode, or its
+                EXTENDED_SYS_STATE has a vtol_state
     Rover       MAV_TYPE 11                                        boat, else rover
 
 The MAV_TYPE alone does not do for ArduPilot: a QuadPlane shows a fixed wing (1) unless Q_MAV_TYPE says otherwise, and
@@ -126,9 +127,15 @@ def class_type(kind: VehicleClass) -> int:
 
 
 def vehicle_class(
-    autopilot: int, vehicle_type: int, custom_mode: int, program: Program | None, q_enable: float | None
+    autopilot: int,
+    vehicle_type: int,
+    custom_mode: int,
+    program: Program | None,
+    q_enable: float | None,
+    vtol_state: int = 0,
 ) -> VehicleClass:
-    """The class. ``q_enable``: ArduPlane's parameter Q_ENABLE; None: not known, or there is none."""
+    """The class. ``q_enable``: ArduPlane's parameter Q_ENABLE; None: not known, or there is none. ``vtol_state``:
+    MAV_VTOL_STATE; 0: undefined, which a QuadPlane never shows (GCS_MAVLINK_Plane::vtol_state), or not known."""
     if autopilot not in (AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4):
         return _TYPES.get(vehicle_type, VehicleClass.OTHER)
     by_type = _TYPES.get(vehicle_type, VehicleClass.OTHER)
@@ -137,7 +144,8 @@ def vehicle_class(
     by_program = _TYPES.get(mode_type(autopilot, vehicle_type, program, q_enable), VehicleClass.OTHER)
     if by_program is not VehicleClass.PLANE:
         return by_program
-    lifts = bool(q_enable) or custom_mode in Q_MODES or by_type in (VehicleClass.VTOL, VehicleClass.COPTER)
+    shows_rotors = by_type in (VehicleClass.VTOL, VehicleClass.COPTER) or vtol_state != 0
+    lifts = bool(q_enable) or custom_mode in Q_MODES or shows_rotors
     return VehicleClass.VTOL if lifts else VehicleClass.PLANE
 
 
@@ -169,6 +177,7 @@ class Landing(StrEnum):
     """How a vehicle comes down."""
 
     NONE = "none"
+    UNKNOWN = "not known: NAV_LAND is worth an attempt"
     HERE = "NAV_LAND"
     MISSION = "the landing of its mission (DO_LAND_START)"
     MODE = "a mode of its own"
@@ -237,10 +246,15 @@ class Abilities:
         circle = () if self.hold_radius is None else (self.hold_radius.param,)
         return (*circle, *((TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()))
 
+    def may_move(self, in_air: bool | None) -> bool:
+        """True unless it is known to stand while its motors may turn: what flies stands while it is on the ground (not
+        ``in_air``), and what drives may be under way whatever that says. The one rule of what is under way."""
+        return not self.flies or in_air is not False
+
     @property
     def lands(self) -> bool:
-        """False for what has no landing."""
-        return self.landing is not Landing.NONE
+        """False for what has no landing, and for what skygcs knows none of."""
+        return self.landing not in (Landing.NONE, Landing.UNKNOWN)
 
 
 _C = VehicleClass
@@ -256,7 +270,6 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
     ("px4", _C.BOAT): _PX4_DRIVES,
     ("px4", _C.SUB): replace(_PX4_DRIVES, returns=False),
-    ("px4", _C.OTHER): replace(_PX4, landing=Landing.NONE, goes=False, circles=True),
     ("ardupilot", _C.COPTER): Abilities(
         hovers=True,
         setpoints=True,
@@ -289,11 +302,10 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         hovers=True, stop_mode="LOITER", goes=False, landing=Landing.MODE, land_mode="LAND", return_mode="RTL"
     ),
     ("ardupilot", _C.TRACKER): replace(_ON_THE_GROUND, stop_mode="STOP", goes=False, returns=False),
-    ("ardupilot", _C.OTHER): Abilities(goes=False, circles=True),
+    ("generic", _C.COPTER): Abilities(hovers=True, goes=False, landing=Landing.HERE),
 }
-"""A pair that is not here (an autopilot that skygcs does not know, a class that a firmware has not) has the abilities
-of a thing that flies, cannot stop, and of which no order is known but those that all firmware shares: arm, disarm,
-return, reboot, home, parameters, and on PX4, whose modes all its vehicles share, hold."""
+"""A pair that is not here (an autopilot that skygcs does not know, a class that a firmware has not, such as the airship
+of PX4) has the abilities of its family in `UNKNOWN`. NAV_LAND is MAVLink's own landing, which any copter has."""
 
 ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
@@ -303,17 +315,19 @@ ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
 }
 """A VTOL while it is known to be carried by its rotors."""
 
-UNKNOWN = Abilities(goes=False, circles=True)
-UNKNOWN_COPTER = Abilities(hovers=True, goes=False, landing=Landing.HERE)
-"""A copter of an autopilot that skygcs does not know: NAV_LAND is MAVLink's own landing."""
+_FLIES_SOMEHOW = Abilities(goes=False, circles=True, landing=Landing.UNKNOWN)
+UNKNOWN: Mapping[Family, Abilities] = {
+    "px4": replace(_PX4, goes=False, circles=True),
+    "ardupilot": _FLIES_SOMEHOW,
+    "generic": _FLIES_SOMEHOW,
+}
+"""A thing that flies, cannot stop, and of which no order is known but those that all firmware shares (arm, disarm,
+return, reboot, home, parameters), and on PX4, whose modes all its vehicles share, hold and land."""
 
 
 def abilities_of(family: Family, kind: VehicleClass, *, hovers: bool = False) -> Abilities:
     """The abilities of a class with a firmware. ``hovers``: it is a VTOL that is known to be on its rotors now."""
-    key = (family, kind)
-    if family == "generic" and kind is VehicleClass.COPTER:
-        return UNKNOWN_COPTER
-    return (ON_ROTORS if hovers else TABLE).get(key, UNKNOWN)
+    return (ON_ROTORS if hovers else TABLE).get((family, kind), UNKNOWN[family])
 
 
 def cannot_hover(family: Family, kind: VehicleClass) -> str | None:

@@ -269,13 +269,11 @@ def planned_path(track: Track, points: Sequence[Vector]) -> tuple[Piece, ...]:
 
 
 def is_flying(vehicle: Vehicle, now: float) -> bool:
-    """True if it is to be taken for flying; in doubt it is, if it is armed. What drives is under way while it is
-    armed."""
+    """True if it is to be taken for flying: it is under way, or its height or its telemetry contradicts that it stands
+    or is disarmed."""
     if not vehicle.armed:
         return contradiction(vehicle, now) is not None
-    if not vehicle.abilities.flies:
-        return True
-    if vehicle.in_air(now) is not False:
+    if vehicle.under_way(now):
         return True
     position = vehicle.telemetry("position")
     return position is not None and position["alt_rel_m"] >= CLIMBED_M

@@ -52,15 +52,16 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
     ArduSub          POSHOLD          POSHOLD          NAV_LAND         refused          refused       GUIDED
     Blimp            LOITER           LOITER           LAND             RTL              refused       refused
     AntennaTracker   STOP             STOP             refused          refused          refused       refused
-    other, of PX4    AUTO.LOITER      AUTO.LOITER      refused          as a multirotor  refused       refused
+    other, of PX4    AUTO.LOITER      AUTO.LOITER      as a multirotor  as a multirotor  refused       refused
     other            refused          refused          refused          RETURN_TO_LAUNCH refused       refused
 
 - A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it; one of
   a class that is not known gets NAV_LAND, which does nothing where it is not known.
+- An ArduPlane whose Q_ENABLE is not known yet is not sent off along the ground: it may be a QuadPlane.
 - ArduPlane has no command that takes off to a height (NAV_TAKEOFF is a QuadPlane's): its TAKEOFF mode climbs to
   TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
-  mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle), and
-  is taken back if the arming fails.
+  mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle). If
+  the arming fails it gets LOITER, but only once a heartbeat shows it disarmed (`gate.clear_undo`).
 - A QuadPlane takes off by NAV_TAKEOFF in GUIDED to a height above where it stands
   (handle_command_MAV_CMD_NAV_TAKEOFF, QuadPlane::do_user_takeoff).
 - A PX4 plane takes off to where its nose points, whatever place NAV_TAKEOFF names (control_auto_takeoff).
@@ -93,8 +94,10 @@ from skygcs.core.vehicle.order_plan import (
     Step,
     TargetProof,
 )
+from skygcs.core.vehicle.stick_modes import hazard
 from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.number_text import rounded
 
@@ -190,14 +193,14 @@ def takes_off_from(family: str, mode: str) -> str | None:
 
 
 def can_land(vehicle: Vehicle) -> bool:
-    """False for a class that is known to have no landing; of an unknown one NAV_LAND is worth an attempt."""
-    return vehicle.abilities.lands or vehicle.kind is VehicleClass.OTHER
+    """False for a class that is known to have no landing; of another one NAV_LAND is worth an attempt."""
+    return vehicle.abilities.landing is not Landing.NONE
 
 
 def land(vehicle: Vehicle, now: float) -> Plan:
     """Land where it is. Raises RefusedError for a class that cannot."""
     able = vehicle.abilities
-    if able.landing is Landing.NONE:
+    if not able.lands:
         raise RefusedError(_why_not(vehicle, "land"))
     if able.landing is Landing.MISSION:
         start = CommandSpec(mav_cmd.DO_LAND_START)
@@ -278,6 +281,8 @@ def brake(vehicle: Vehicle, now: float) -> Plan:
     done = f"holding in {wanted}"
     if able.circles and radius_m:
         done = f"circling in {wanted}, {rounded(radius_m)} m about where it was"
+    elif (danger := hazard(model_of(vehicle, now), number)) is not None:
+        done = f"stopped; {danger}" + ("; land or rtl needs no sticks" if able.lands and able.returns else "")
     return Plan("hold", (step,), done, despite_duplicate=True)
 
 
@@ -368,6 +373,16 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
     return Step(name, spec, expect=expect, skip_if_met=skip_if_met)
 
 
+def with_undo(vehicle: Vehicle, mode: Step) -> Step:
+    """The step to a mode in which an armed vehicle moves off, with its undo: the mode that stops its class. It is never
+    the mode before: that may be one flown by sticks, and what moved off all the same would fly in it."""
+    stops = vehicle.abilities.stop_mode
+    if not stops:
+        return mode
+    number = modes.mode_number(vehicle.autopilot, vehicle.mode_type, stops)
+    return replace(mode, undo=replace(mode_step(vehicle, number), name=f"put it in {stops}"))
+
+
 def mode_name(vehicle: Vehicle, number: int) -> str:
     """Name of a custom_mode in this vehicle's firmware."""
     return modes.mode_name(vehicle.autopilot, vehicle.mode_type, modes.CUSTOM_MODE_ENABLED, number)
@@ -408,6 +423,11 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tu
 
 
 def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
+    if vehicle.param("Q_ENABLE") is None:
+        raise NotReadyError(
+            "its Q_ENABLE is not known yet: a QuadPlane would be run along the ground; an ArduPlane that was built "
+            "without QuadPlanes has none, there set the mode TAKEOFF and arm it"
+        )
     own_m = vehicle.param(TAKEOFF_HEIGHT)
     if own_m is None:
         raise NotReadyError(f"its {TAKEOFF_HEIGHT}, the height to which it takes off, is not known yet")
@@ -420,9 +440,8 @@ def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tup
     off = LiftedOff(from_amsl_m)
     if vehicle.armed:
         return (replace(mode, expect=off, expect_s=RUN_S),)
-    back = replace(mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
     rises = Step("takeoff", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(GLOBAL_POSITION_INT),)), expect=off)
-    return (replace(mode, undo=back), _arm_step(), replace(rises, expect_s=RUN_S))
+    return (with_undo(vehicle, mode), _arm_step(), replace(rises, expect_s=RUN_S))
 
 
 def _quadplane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:

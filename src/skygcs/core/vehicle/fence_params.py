@@ -198,10 +198,10 @@ def from_home_m(vehicle: Vehicle) -> float | None:
 
 
 def require_inside(vehicle: Vehicle, now: float, fence: FenceSettings) -> None:
-    """Raises RefusedError for a fence that a vehicle in the air would be outside of at once, or might be."""
+    """Raises RefusedError for a fence that a vehicle under way would be outside of at once, or might be."""
     if not fence.enabled or fence.action in ("none", "warn") or (why_not_idle(vehicle, now)) is None:
         return
-    if vehicle.armed and vehicle.in_air(now) is False:
+    if vehicle.armed and not vehicle.under_way(now):
         return
     away_m, position = from_home_m(vehicle), vehicle.telemetry("position")
     if away_m is None or position is None:
@@ -209,12 +209,12 @@ def require_inside(vehicle: Vehicle, now: float, fence: FenceSettings) -> None:
     does = f"and would {ACTS.get(fence.action, fence.action)} at once"
     if fence.radius_m is not None and away_m + CLEARANCE_M > fence.radius_m:
         raise RefusedError(
-            f"it flies {away_m:.1f} m from its home, outside of {rounded(fence.radius_m)} m less {CLEARANCE_M:g} m, "
+            f"it is {away_m:.1f} m from its home, outside of {rounded(fence.radius_m)} m less {CLEARANCE_M:g} m, "
             f"{does}: bring it nearer, or {FORCE_HINT}"
         )
     if fence.height_m is not None and position["alt_rel_m"] + CLEARANCE_M > fence.height_m:
         raise RefusedError(
-            f"it flies {position['alt_rel_m']:.1f} m above its home, outside of {rounded(fence.height_m)} m less "
+            f"it is {position['alt_rel_m']:.1f} m above its home, outside of {rounded(fence.height_m)} m less "
             f"{CLEARANCE_M:g} m, {does}: bring it lower, or {FORCE_HINT}"
         )
 

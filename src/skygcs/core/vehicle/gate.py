@@ -15,7 +15,8 @@ a flying vehicle does not get. "Known to be disarmed" is `VehicleModel.not_disar
 An order is a row of `ORDERS`: its own checks decide for which vehicle it is planned (`orders`, `autopilot`), and the
 row says which messages and commands it may send. The gate gives it a `Clearance` for exactly these; no other module can
 make one, and what is sent without one is judged as a raw message (`runtime.outgoing_gate`, the place that every own
-message passes). Modes that are flown by sticks have rules of their own (`stick_modes`), by whatever door they come.
+message passes). A step that undoes another one passes again when it is sent (`clear_undo`). Modes that are flown by
+sticks have rules of their own (`stick_modes`), by whatever door they come.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.params.param_roles import EFFECTS, ParamRole, role_of
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT
-from skygcs.core.vehicle.stick_modes import mode_refusal
+from skygcs.core.vehicle.stick_modes import mode_name, mode_refusal, without_sticks
 from skygcs.core.vehicle.vehicle_model import VehicleModel
 from skygcs.errors import RefusedError
 
@@ -347,6 +348,25 @@ def clear_plan(model: VehicleModel, plan: Plan) -> Clearance:
                 raise RefusedError(f"the order {plan.order} may not send {step.name}: it is not in its row of the gate")
     if plan.order not in ("hold", "stop", "release"):  # what ends a motion is never asked for sticks
         _require_modes(model, plan)
+    return clearance
+
+
+def clear_undo(model: VehicleModel, order: str, step: Step) -> Clearance:
+    """The clearance of a step that undoes one of an order, for the vehicle as it is when the step is sent. Raises
+    RefusedError: for a mode unless the vehicle is known to be disarmed, for a mode that is flown by sticks, and for
+    disarming in the air."""
+    clearance = clear_plan(model, Plan(order, (step,), ""))
+    for name, fields in _things(step):
+        custom_mode = _custom_mode(name, fields)
+        if custom_mode is None:
+            if model.flying:
+                raise RefusedError("it is in the air")
+            continue
+        wanted = custom_mode(model)
+        if without_sticks(model, wanted) is not None:
+            raise RefusedError(f"{mode_name(model, wanted)} is flown by sticks")
+        if model.not_disarmed is not None:
+            raise RefusedError(f"it {model.not_disarmed}")
     return clearance
 
 

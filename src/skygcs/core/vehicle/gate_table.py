@@ -180,13 +180,15 @@ def _vehicle(example: Example, dialect: Dialect, *, on_ground: bool) -> Vehicle:
     beat = {"type": mav_type, "autopilot": example.autopilot, "custom_mode": custom_mode, "mavlink_version": 3}
     beat |= {"base_mode": modes.CUSTOM_MODE_ENABLED | (0 if on_ground else modes.SAFETY_ARMED)}
     height = {"relative_alt": 0, "alt": 400_000} if on_ground else {}
-    for name, values in (
+    params = {TAKEOFF_HEIGHT: TAKEOFF_M} | ({"Q_ENABLE": 0.0} if example.kind is VehicleClass.PLANE else {})
+    said: list[tuple[str, Mapping[str, Any]]] = [
         ("HEARTBEAT", beat | {"system_status": 3 if on_ground else 4}),
         ("EXTENDED_SYS_STATE", {"landed_state": 1 if on_ground else 2}),
         ("GLOBAL_POSITION_INT", PLACE | height),
         ("SYS_STATUS", {}),
-        ("PARAM_VALUE", {"param_id": TAKEOFF_HEIGHT.encode(), "param_value": TAKEOFF_M, "param_type": 9}),
-    ):
+        *(("PARAM_VALUE", {"param_id": n.encode(), "param_value": v, "param_type": 9}) for n, v in params.items()),
+    ]
+    for name, values in said:
         vehicle.on_frame(_frame(dialect, name, values), NOW)
     return vehicle
 

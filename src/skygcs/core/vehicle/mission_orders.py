@@ -142,7 +142,8 @@ def require_uploadable(
     if MissionType.MISSION in kinds and armed and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
     if MissionType.FENCE in kinds and model_of(vehicle, now).may_fly:
-        raise RefusedError(f"it may be in the air, and outside of the new fence at once; land first, or {FORCE_HINT}")
+        stops = "land first" if vehicle.abilities.flies else "disarm it first"
+        raise RefusedError(f"it may be under way, and outside of the new fence at once; {stops}, or {FORCE_HINT}")
     wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
     if wrong:
         named = "; ".join(map(str, wrong[:MAX_FINDINGS]))
@@ -151,15 +152,15 @@ def require_uploadable(
 
 
 def require_clearable(vehicle: Vehicle, now: float, kinds: tuple[MissionType, ...], *, force: bool) -> None:
-    """Raises RefusedError while the vehicle flies its mission, or has a fence around it in the air."""
+    """Raises RefusedError while the vehicle flies its mission, or has a fence around it under way."""
     require_connected(vehicle, now)
     evidence = contradiction(vehicle, now)
     if force or not (vehicle.armed or evidence is not None):
         return
     if MissionType.MISSION in kinds and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
-    if MissionType.FENCE in kinds and (vehicle.in_air(now) or evidence is not None):
-        raise RefusedError(f"it is in the air and would be without its fence; {FORCE_HINT}")
+    if MissionType.FENCE in kinds and model_of(vehicle, now).may_fly:
+        raise RefusedError(f"it may be under way and would be without its fence; {FORCE_HINT}")
 
 
 def set_current(vehicle: Vehicle, now: float, item: int) -> Plan:
@@ -223,23 +224,19 @@ def _current_step(vehicle: Vehicle, item: int) -> Step:
 def _go(vehicle: Vehicle) -> tuple[Step, ...]:
     """Enter the mission mode, from the ground or in the air.
 
-    What is armed in its mission's mode moves off (PX4, ArduPlane, Rover): the mode comes first and is taken back if the
-    arming fails. An ArduCopter arms in GUIDED and waits for MISSION_START.
+    What is armed in its mission's mode moves off (PX4, ArduPlane, Rover): the mode comes first, and is undone if the
+    arming fails (`autopilot.with_undo`). An ArduCopter arms in GUIDED and waits for MISSION_START.
     """
     number = _mission_mode(vehicle)
     mode = autopilot.mode_step(vehicle, number)
     arm = replace(autopilot.arm().steps[0], skip_if_met=True)
     if vehicle.armed:
         return (mode,)
-    if vehicle.family == "px4":
-        back = autopilot.mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"))
-        return (replace(mode, undo=replace(back, name="put it back in AUTO.LOITER")), arm)
-    if vehicle.kind is VehicleClass.COPTER:
+    if vehicle.family == "ardupilot" and vehicle.kind is VehicleClass.COPTER:
         guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
         begin = Step("start", CommandSpec(mav_cmd.MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
         return (guided, arm, begin)
-    back = replace(autopilot.mode_step(vehicle, vehicle.custom_mode), name=f"put it back in {vehicle.mode}")
-    return (replace(mode, undo=back), arm)
+    return (autopilot.with_undo(vehicle, mode), arm)
 
 
 def _mission_mode(vehicle: Vehicle) -> int:

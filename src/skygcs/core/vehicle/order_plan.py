@@ -16,6 +16,8 @@ from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.vehicle import Vehicle
 
+FORCE_HINT = "insist with force (--force)"
+
 VERIFY_S = 3.0
 """A change shows in the next heartbeat, within a second; two heartbeats may be lost."""
 

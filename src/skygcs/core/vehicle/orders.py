@@ -21,6 +21,7 @@ from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
+from skygcs.core.vehicle.order_plan import FORCE_HINT as FORCE_HINT  # beside the orders that are refused with it
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.number_text import rounded
@@ -43,8 +44,6 @@ COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
 """Parts of so many command names that they are no basis for a suggestion."""
 
 INT32 = 1 << 31
-
-FORCE_HINT = "insist with force (--force)"
 
 
 FLIES_OFF = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})

@@ -26,7 +26,7 @@ from enum import StrEnum
 
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of, class_type
-from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.order_plan import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
 
@@ -112,10 +112,21 @@ def mode_refusal(model: VehicleModel, custom_mode: int, *, force: bool) -> str |
     effect = without_sticks(model, custom_mode)
     if effect is None:
         return None
-    name = mode_name(model, custom_mode)
     if effect is Without.KILLS:
-        return f"{name}: {effect}; stop kill does that, with a confirmation"
-    if model.sticks is Sticks.READY:
+        return f"{mode_name(model, custom_mode)}: {effect}; stop kill does that, with a confirmation"
+    text = hazard(model, custom_mode)
+    if text is None:
+        return None
+    if effect in WEARS_NO_FORCE and model.sticks not in (Sticks.UNKNOWN, Sticks.SEEN):
+        return f"{text}; land or hold it instead"
+    return None if force else f"{text}; {FORCE_HINT}"
+
+
+def hazard(model: VehicleModel, custom_mode: int) -> str | None:
+    """Return what becomes of a flying vehicle in a mode that is flown by sticks, as a sentence for a person; None: the
+    mode needs none, or they are seen with the throttle up."""
+    effect = without_sticks(model, custom_mode)
+    if effect is None or model.sticks is Sticks.READY:
         return None
     low = model.sticks is Sticks.LOW
     seen = "its throttle stick is down" if low else "no sticks are seen in its telemetry"
@@ -123,7 +134,4 @@ def mode_refusal(model: VehicleModel, custom_mode: int, *, force: bool) -> str |
         seen = "where its throttle stick is is not known (no RC_CHANNELS)"
     if low and effect in (Without.DRIFTS, Without.STAYS):
         effect = Without.SINKS
-    text = f"{name} is flown by sticks, and {seen}: {effect}"
-    if effect in WEARS_NO_FORCE and model.sticks not in (Sticks.UNKNOWN, Sticks.SEEN):
-        return f"{text}; land or hold it instead"
-    return None if force else f"{text}; {FORCE_HINT}"
+    return f"{mode_name(model, custom_mode)} is flown by sticks, and {seen}: {effect}"

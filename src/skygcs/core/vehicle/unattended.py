@@ -229,7 +229,7 @@ def watched(vehicle: Vehicle, flown_by: str | None, now: float, *, ordered: bool
     silence_s = vehicle.silence_s(now)
     return Watched(
         heard=vehicle.connected and silence_s is not None and silence_s <= HEARTBEAT_SILENT_S,
-        flying=vehicle.armed and vehicle.in_air(now) is not False,
+        flying=vehicle.under_way(now),
         follows=follows_setpoints(vehicle),
         mode=vehicle.mode,
         flown_by=flown_by,

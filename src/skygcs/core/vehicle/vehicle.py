@@ -260,7 +260,14 @@ class Vehicle:
     @property
     def kind(self) -> VehicleClass:
         """Its class, by all that it has shown."""
-        return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, self.param("Q_ENABLE"))
+        q_enable = self.param("Q_ENABLE")
+        return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, q_enable, self._last_vtol_state)
+
+    @property
+    def _last_vtol_state(self) -> int:
+        """MAV_VTOL_STATE of its last EXTENDED_SYS_STATE since it started; 0: undefined, or none came."""
+        slot = self.slots.get(self._landed_id)
+        return 0 if slot is None or slot.frame is None else self._vtol_state
 
     @property
     def abilities(self) -> Abilities:
@@ -339,9 +346,14 @@ class Vehicle:
         return slot is not None and now - slot.at <= LANDED_FRESH_S and self._vtol_state in VTOL_ON_ROTORS
 
     def in_air(self, now: float) -> bool | None:
-        """True if it flies; None if that is not known."""
+        """True if it flies, and so would fall; None if that is not known. What drives never does."""
         landed = self.landed(now)
         return None if landed == "undefined" else landed in AIRBORNE
+
+    def under_way(self, now: float) -> bool:
+        """True if it may be moving by itself, by what was heard of it last: it is armed, and drives or is not known to
+        stand on the ground."""
+        return self.armed and self.abilities.may_move(self.in_air(now))
 
     def last_frames(self, msgids: Iterable[int]) -> list[tuple[Frame, float]]:
         """The last frame of each of these messages that has come, with its time."""

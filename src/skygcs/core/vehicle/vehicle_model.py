@@ -2,7 +2,7 @@
 
     part            evidence
     -------------   ----------------------------------------------------------------------------------------------
-    family, kind    heartbeat, boot banner, Q_ENABLE (`mavlink.vehicle_class`)
+    family, kind    heartbeat, boot banner, Q_ENABLE, vtol_state (`mavlink.vehicle_class`)
     not disarmed    armed by its heartbeat; telemetry that contradicts a disarmed one; a second vehicle with its ids;
                     or nothing, as it is lost
     flying          EXTENDED_SYS_STATE, ArduPilot's system status
@@ -75,11 +75,9 @@ class VehicleModel:
 
     @property
     def may_fly(self) -> bool:
-        """True unless it is known to be disarmed, or to stand on the ground; what drives is under way while it is
-        armed."""
-        if not abilities_of(self.family, self.kind).flies:
-            return self.not_disarmed is not None
-        return self.not_disarmed is not None and self.flying is not False
+        """True if it may be under way (`Vehicle.under_way`), and also while a heartbeat that shows it disarmed is
+        doubted."""
+        return self.not_disarmed is not None and abilities_of(self.family, self.kind).may_move(self.flying)
 
 
 def model_of(vehicle: Vehicle, now: float) -> VehicleModel:

@@ -26,6 +26,7 @@ from skygcs.core.vehicle.gate import (
     clear_message,
     clear_param,
     clear_plan,
+    clear_undo,
     command_rule,
     message_rule,
 )
@@ -209,6 +210,23 @@ def test_a_falling_mode_is_refused_by_every_door(family: str, fields: dict[str, 
         assert str(by_way.value) == str(by_order.value), "what may follow a step is looked at before it begins"
     for why in (by_command, by_message, str(by_order.value), str(by_raw.value)):
         assert (why is not None and "would fall" in why) or "motors would idle" in (why or "")
+
+
+def test_an_undo_is_judged_for_the_vehicle_as_it_is_when_it_is_sent() -> None:
+    def undo(vehicle: VehicleModel, command: int, *params: float) -> str:
+        try:
+            clear_undo(vehicle, "takeoff", Step("undo", CommandSpec(command, params)))
+        except RefusedError as error:
+            return str(error)
+        return ""
+
+    plane = VehicleClass.PLANE
+    stands, flies = model(kind=plane, not_disarmed=None, flying=False), model(kind=plane)
+    lost, armed = replace(stands, not_disarmed="is lost"), replace(flies, flying=False)
+    assert [undo(one, 176, 1.0, 12.0) for one in (stands, flies, lost)] == ["", "it is armed", "it is lost"]
+    assert undo(stands, 176, 1.0, 0.0) == "MANUAL is flown by sticks"
+    assert [undo(one, 400, 0.0, 0.0) for one in (stands, armed, flies)] == ["", "", "it is in the air"]
+    assert "not in its row" in undo(stands, 300, 0.0, 0.0)
 
 
 def answer(door: Callable[..., Clearance], *asked: Any, **options: Any) -> Clearance | str:

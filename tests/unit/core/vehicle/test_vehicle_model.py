@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.vehicle import offboard_entry, orders, stop
-from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.mission.item import MissionType
+from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
+from skygcs.core.vehicle.gate import clear_undo
+from skygcs.core.vehicle.order_plan import ModeIn, Plan
+from skygcs.core.vehicle.stick_modes import hazard, without_sticks
+from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import NotReadyError, RefusedError
@@ -145,14 +152,37 @@ def commands(plan: Plan) -> list[tuple[int, float]]:
 def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> None:
     """TAKEOFF is mode 13 (ArduPlane/mode.h), TKOFF_ALT its height (mode_takeoff.cpp)."""
     with pytest.raises(NotReadyError, match="TKOFF_ALT"):
-        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5).vehicle, NOW, 50.0)
-    plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle
+        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, Q_ENABLE=0.0).vehicle, NOW, 50.0)
+    with pytest.raises(NotReadyError, match="Q_ENABLE"):
+        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle, NOW, 50.0)
+    plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0, Q_ENABLE=0.0).vehicle
     with pytest.raises(RefusedError, match=re.escape("takes off to its TKOFF_ALT (50 m), not to 30 m")):
         orders.takeoff(plane, NOW, 30.0)
     plan = orders.takeoff(plane, NOW, 50.0)
     assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
     undo = plan.steps[0].undo
-    assert undo is not None and undo.command is not None and undo.command.params[1] == 5.0  # back in FBWA
+    assert undo is not None and undo.command is not None and undo.command.params[1] == 12.0  # LOITER, not FBWA
+
+
+def test_no_undo_ends_in_a_mode_flown_by_sticks() -> None:
+    """Whatever mode it was in: what moves off all the same would fly in it."""
+    undos = 0
+    for autopilot, kind in itertools.product((ARDUPILOT, PX4), (PLANE, QUADROTOR, ROVER, BOAT, SUB, VTOL, BLIMP)):
+        for mode in (0, 1 << 16) if autopilot == PX4 else (0, 5, 17):
+            shown = on_the_ground(autopilot, kind, mode, TKOFF_ALT=50.0, Q_ENABLE=float(kind == VTOL))
+            for planner in (mission_orders.start, lambda v, now: orders.takeoff(v, now, 50.0)):
+                try:
+                    plan = planner(shown.vehicle, NOW)
+                except RefusedError:
+                    continue
+                model = model_of(shown.vehicle, NOW)
+                for step in plan.steps:
+                    if step.undo is not None and isinstance(step.undo.expect, ModeIn):
+                        undos += 1
+                        (number,) = step.undo.expect.custom_modes
+                        assert without_sticks(model, number) is None, (autopilot, kind, step.undo.name)
+                        clear_undo(model, plan.order, step.undo)
+    assert undos > 20
 
 
 def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> None:
@@ -161,6 +191,26 @@ def test_a_quadplane_rises_on_its_rotors_by_a_height_above_where_it_stands() -> 
     assert commands(plan) == [(176, 15.0), (400, 0.0), (mav.MAV_CMD_NAV_TAKEOFF, 0.0)]
     last = plan.steps[2].command
     assert last is not None and last.params[6] == 12.0 and last.message == "COMMAND_LONG"
+
+
+def test_a_quadplane_whose_parameters_have_not_come_is_known_by_its_vtol_state() -> None:
+    """MAV_VTOL_STATE_MC is 3, FW 4; without QuadPlane it is undefined (GCS_MAVLINK_Plane::vtol_state)."""
+    shown = Shown(ARDUPILOT, PLANE, 10)  # AUTO
+    for state, kind, held in (
+        (mav.MAV_VTOL_STATE_UNDEFINED, VehicleClass.PLANE, "176 12"),
+        (mav.MAV_VTOL_STATE_MC, VehicleClass.VTOL, "176 19"),  # QLOITER: LOITER would fly off ahead
+        (mav.MAV_VTOL_STATE_TRANSITION_TO_MC, VehicleClass.VTOL, "176 19"),
+        (mav.MAV_VTOL_STATE_FW, VehicleClass.VTOL, "176 12"),
+    ):
+        shown.hear(mav.MAVLink_extended_sys_state_message(state, 2))
+        assert shown.vehicle.kind is kind
+        assert said(lambda: stop.stop(shown.vehicle, NOW, "hold")) == held
+    grounded = on_the_ground(ARDUPILOT, PLANE, 0, TKOFF_ALT=12.0)
+    grounded.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_MC, 1))
+    assert commands(orders.takeoff(grounded.vehicle, NOW, 12.0))[0] == (176, 15.0)  # GUIDED, by its rotors
+    copter = Shown(ARDUPILOT, QUADROTOR, 4)
+    copter.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_MC, 2))  # as each ArduCopter does
+    assert copter.vehicle.kind is VehicleClass.COPTER
 
 
 def test_a_px4_plane_takes_off_as_a_multirotor_does() -> None:
@@ -177,6 +227,36 @@ def test_a_rover_is_never_in_the_air_whatever_status_it_shows() -> None:
     where = {"lat_deg": HOME[0], "lon_deg": HOME[1] + 0.001, "height_m": 0.0}
     assert orders.goto(rover.vehicle, NOW, limit_m=500.0, **where).order == "goto"  # type: ignore[misc]
     assert model_of(rover.vehicle, NOW).may_fly  # its modes for sticks need sticks while it is armed
+
+
+@pytest.mark.parametrize("kind", [QUADROTOR, PLANE, ROVER, BOAT])
+@pytest.mark.parametrize("landed", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("armed", [True, False])
+def test_all_rules_agree_who_is_under_way(kind: int, landed: int, armed: bool) -> None:
+    shown = on_the_ground(PX4, kind, 4 << 16)
+    shown.hear(mav.MAVLink_heartbeat_message(kind, PX4, 0x81 if armed else 0x01, 4 << 16, 4 if armed else 3, 3))
+    shown.hear(mav.MAVLink_extended_sys_state_message(0, landed))
+    flies = kind in (QUADROTOR, PLANE)
+    wanted = armed and (not flies or landed != mav.MAV_LANDED_STATE_ON_GROUND)
+    assert shown.vehicle.under_way(NOW) is wanted
+    assert may_fly(shown.vehicle, NOW) is wanted
+    if armed:
+        assert is_flying(shown.vehicle, NOW) is model_of(shown.vehicle, NOW).may_fly is wanted
+    assert (shown.vehicle.in_air(NOW) is True) <= flies, "what drives does not fall"
+
+
+def test_a_fence_is_not_changed_around_what_drives_unless_somebody_insists() -> None:
+    rover = Shown(ARDUPILOT, ROVER, 10).vehicle  # armed, in AUTO
+    with pytest.raises(RefusedError, match="under way and would be without its fence"):
+        mission_orders.require_clearable(rover, NOW, (MissionType.FENCE,), force=False)
+    mission_orders.require_clearable(rover, NOW, (MissionType.FENCE,), force=True)
+    stands = on_the_ground(ARDUPILOT, ROVER, 10).vehicle
+    mission_orders.require_clearable(stands, NOW, (MissionType.FENCE,), force=False)
+    driving = Shown(PX4, ROVER, 4 << 16).vehicle
+    fence = fence_params.FenceSettings(True, "hold", 20.0, None, follows_list=False)
+    with pytest.raises(RefusedError, match="is not known"):
+        fence_params.require_inside(driving, NOW, fence)
+    fence_params.require_inside(on_the_ground(PX4, ROVER, 4 << 16).vehicle, NOW + 5.0, fence)  # disarmed long ago
 
 
 def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None:
@@ -199,6 +279,37 @@ def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None
     assert said(lambda: orders.hold(on_px4, NOW)) == "192"
 
 
+DRIVES = frozenset({5, 10, 11, 12})
+"""MAV_TYPE of an antenna tracker, a rover, a boat and a submarine."""
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT, mav.MAV_AUTOPILOT_OPENPILOT])
+def test_what_can_be_stopped_is_stopped_whatever_type_it_shows(autopilot: int) -> None:
+    """PX4 pauses in AUTO.LOITER and lands by NAV_LAND (navigator_main.cpp, Commander.cpp), whichever MAV_TYPE it was
+    given; an ArduPilot of a type that pymavlink has modes for has one that stops. A landing that is not known to be
+    missing is worth an attempt."""
+    taken = set()
+    for kind in range(52):
+        vehicle = Shown(autopilot, kind, 4 << 16 if autopilot == PX4 else 0).vehicle
+        if vehicle.autopilot != autopilot:  # the heartbeat of a ground station, a gimbal, a camera
+            continue
+        taken.add(kind)
+        hold = said(lambda: stop.stop(vehicle, NOW, "hold"))  # noqa: B023
+        land = said(lambda: stop.stop(vehicle, NOW, "land"))  # noqa: B023
+        if autopilot == PX4:
+            assert hold == "192", kind
+            assert land == ("192" if kind in DRIVES - {5} else "21"), kind
+            assert said(lambda: orders.hold(vehicle, NOW)) == "192", kind  # noqa: B023
+            if kind not in DRIVES:
+                assert said(lambda: orders.land(vehicle, NOW)) == "21", kind  # noqa: B023
+        elif autopilot == ARDUPILOT:
+            assert land[0].isdigit(), (kind, land)
+            assert hold[0].isdigit() or mavutil.mode_mapping_bynumber(kind) is None, (kind, hold)
+        else:
+            assert land == "21", (autopilot, kind, land)
+    assert taken >= {*range(18), *range(19, 26), 28, 29} - {mav.MAV_TYPE_GCS}
+
+
 def test_only_copters_fly_setpoints_and_the_refusal_names_the_class() -> None:
     for autopilot, kind, mode in ((ARDUPILOT, PLANE, 15), (PX4, VTOL, 4 << 16), (ARDUPILOT, ROVER, 15), (PX4, 8, 0)):
         vehicle = Shown(autopilot, kind, mode).vehicle
@@ -216,6 +327,22 @@ def test_what_cannot_stop_says_how_wide_it_circles() -> None:
     assert Shown(PX4, PLANE, 4 << 16 | 4 << 24).vehicle.hold_radius_m(NOW) == 80.0
     assert Shown(ARDUPILOT, PLANE, 19).vehicle.hold_radius_m(NOW) == 0.0  # on its rotors
     assert Shown(ARDUPILOT, QUADROTOR, 4).vehicle.hold_radius_m(NOW) == 0.0
+
+
+def test_the_hold_of_a_hovering_quadplane_says_that_it_sinks_without_sticks() -> None:
+    """QuadPlane::get_pilot_desired_climb_rate_cms: without valid input 50 cm/s downwards."""
+    hovering = Shown(ARDUPILOT, PLANE, 19, Q_ENABLE=1.0)
+    for order in (lambda: orders.hold(hovering.vehicle, NOW), lambda: stop.stop(hovering.vehicle, NOW, "hold")):
+        hovering.sticks(0, 0)
+        assert order().done == (
+            "stopped; QLOITER is flown by sticks, and no sticks are seen in its telemetry: it would sink; land or rtl "
+            "needs no sticks"
+        )
+        hovering.sticks(RECEIVER, RECEIVER, (1500, 1500, 1500, 1500))
+        assert order().done == "holding in QLOITER"
+    hovers, modes_of = model_of(hovering.vehicle, NOW), mavutil.mode_mapping_bynumber(PLANE)
+    for stop_mode in (12, 19):  # LOITER circles by itself, QLOITER does not
+        assert (hazard(replace(hovers, sticks=Sticks.ABSENT), stop_mode) is None) == (modes_of[stop_mode] == "LOITER")
 
 
 def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
