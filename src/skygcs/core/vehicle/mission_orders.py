@@ -355,6 +355,39 @@ def _resumed(restart: float | None) -> MissionSetting:
 
 # --- missions one after another ---------------------------------------------------------------------------------------
 
+
+@dataclass(slots=True)
+class Progress:
+    """Reports of one run of a mission, which begins with a start, a resume or another current item. Numbers from 1.
+
+    A PX4 repeats its last MISSION_ITEM_REACHED ten times (mavlink_mission.cpp, 1.16): one that comes before the run's
+    first item is current belongs to the run before.
+    """
+
+    first: int | None = None
+    """The item with which it begins, until that is reported as current; None: it has begun."""
+    reached: int | None = None
+    furthest: int = 0
+    """The highest item that was current."""
+
+    def on_current(self, item: int) -> None:
+        if self.first is not None and item != self.first:
+            return
+        self.first = None
+        self.furthest = max(self.furthest, item)
+
+    def on_reached(self, item: int) -> bool:
+        """False: it belongs to the run before, or is known."""
+        if self.first is not None or item == self.reached:
+            return False
+        self.reached = item
+        return True
+
+    def complete(self, last: int | None) -> bool:
+        """True if item ``last`` was current and then reached in this run."""
+        return bool(last) and self.reached == last and self.furthest >= (last or 0)
+
+
 Next = Literal["wait", "start", "end"]
 
 
