@@ -408,6 +408,10 @@ class Missions:
         """True if it has reported the last item of the mission that is on board as reached, in this run of it."""
         return self._progress.complete(self.counts.get(MissionType.MISSION))
 
+    def begun(self, item: int | None) -> bool:
+        """True if that item of the mission, or a later one, was its current one in this run of it."""
+        return item is not None and self._progress.furthest >= item
+
     def _keep(self, outcome: MissionOutcome, count: int) -> None:
         self.counts[outcome.kind] = count
         if outcome.kind is MissionType.MISSION:

@@ -391,6 +391,13 @@ class Progress:
 Next = Literal["wait", "start", "end"]
 
 
+MISSION_RETURN_MODES = frozenset({"AUTO.RTL", "RTL", "AUTO_RTL", "QRTL"})
+"""Modes to which a mission's own NAV_RETURN_TO_LAUNCH changes (PX4, ArduPlane, Rover); ArduCopter stays in AUTO."""
+
+MISSION_OVER_MODES = frozenset({"AUTO.LOITER"})
+"""Modes to which a PX4 changes when its mission has ended (Commander.cpp, checkForMissionUpdate)."""
+
+
 class Turn(NamedTuple):
     """The vehicle whose turn it is, now. ``complete``: it has reported the last item as reached."""
 
@@ -404,6 +411,21 @@ class Turn(NamedTuple):
     """Another order was given to it since its start."""
     lands: bool
     """Its mission ends on the ground; see `ends_on_ground`."""
+    mode: str = "AUTO"
+    """The mode in which it was last seen armed."""
+    ending: bool = False
+    """The last item that moves it was its current one in this run."""
+    returns: bool = False
+    """That item is a return."""
+
+    @property
+    def follows(self) -> bool:
+        """True if it was last seen in its mission's mode, or in one in which its mission itself ends."""
+        if self.mode in MISSION_RETURN_MODES:
+            return self.complete or (self.ending and self.returns)
+        if self.mode in MISSION_OVER_MODES:
+            return self.complete or (self.ending and not self.flying)
+        return self.mode in MISSION_MODES
 
 
 class TurnDecision(NamedTuple):
@@ -418,8 +440,10 @@ def next_turn(flown: Turn) -> TurnDecision:
     --------------------------------------------------  ---------------------------------------------------------------
     is on its mission, or on its way down from it       wait
     has reached the last item, where it holds           the next one may start
-    is on the ground and disarmed, by its mission       the next one may start
-    has another order, a failsafe, or is not heard      end: what comes next is a person's decision
+    is on the ground and disarmed, by its last item     the next one may start
+    is in a mode that is not its mission's, came down   end: what comes next is a person's decision
+    before its last item, has another order, a
+    failsafe, or is not heard
     """
     if flown.ordered:
         return TurnDecision("end", f"{flown.name} was ordered something else")
@@ -427,14 +451,29 @@ def next_turn(flown: Turn) -> TurnDecision:
         return TurnDecision("end", f"{flown.name} is not heard")
     if flown.failsafe:
         return TurnDecision("end", f"{flown.name} is in failsafe")
+    if not flown.follows:
+        return TurnDecision("end", f"{flown.name} was taken over ({flown.mode or 'mode unknown'})")
     if not flown.flying and not flown.armed:
-        return TurnDecision("start", f"{flown.name} has landed")
+        if flown.complete or (flown.lands and flown.ending):
+            return TurnDecision("start", f"{flown.name} has landed")
+        return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
     if flown.complete and not flown.lands:
         return TurnDecision("start", f"{flown.name} has flown its mission")
     return TurnDecision("wait", "")
 
 
+def last_moving(items: Sequence[MissionItem]) -> int | None:
+    """The number of the last item that moves the vehicle; None: none does."""
+    return max((number for number, item in enumerate(items, FIRST_ITEM) if item.moves), default=None)
+
+
 def ends_on_ground(items: Sequence[MissionItem]) -> bool:
     """True if the last item that moves the vehicle brings it to the ground."""
-    moving = [item for item in items if item.moves]
-    return bool(moving) and moving[-1].command in ENDS_ON_GROUND
+    last = last_moving(items)
+    return last is not None and items[last - FIRST_ITEM].command in ENDS_ON_GROUND
+
+
+def ends_with_return(items: Sequence[MissionItem]) -> bool:
+    """True if the last item that moves the vehicle is a return."""
+    last = last_moving(items)
+    return last is not None and items[last - FIRST_ITEM].command == mav_cmd.NAV_RETURN_TO_LAUNCH
