@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 from skygcs.core.geo import Origin, Vector, distance_m, enu_from_geodetic, geodetic_from_enu, wrap_deg_360
-from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_PLACE
+from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.item import FIRST_ITEM, LOCAL_FRAMES, MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.separation import Footprint, pair_margin
@@ -94,7 +94,8 @@ def for_several(
     """The plan of each vehicle, in their order. ``places``: where they are now; None: not known.
 
     Raises ValueError, in words for a person, for what cannot be arranged: a vehicle of kind present whose place is not
-    known, a line without a course, an item that has no height or no place on earth.
+    known, a line without a course, an item that has no height or no place on earth, one that sets a height or a place
+    in a way that cannot be moved (`FLOWN_OTHERWISE`), and heights of two references without a step.
     """
     if not plan.mission:
         raise ValueError("it holds no mission to arrange")
@@ -138,11 +139,19 @@ def least_step_m(items: Sequence[MissionItem], footprints: Sequence[Footprint]) 
     """The step of heights with which vehicles above each other keep their margins, at least `LEAST_STEP_M`.
 
     What a leg climbs is added: when each of them climbs on it is its own, so it may be at either end of it (see
-    `core.monitor.ways`), and the same holds at the corner with the next leg.
+    `core.monitor.ways`), and the same holds at the corner with the next leg. Raises ValueError for heights above
+    different references, which cannot be compared.
     """
     pairs = itertools.combinations(footprints, 2)
     margins = [(margin := pair_margin(a, b)).total_m * margin.downwash_ratio for a, b in pairs]
-    heights = [item.z for item in items if _has_height(item) and item.z is not None]
+    measured = [(n, item) for n, item in enumerate(items, FIRST_ITEM) if _has_height(item) and item.z is not None]
+    other = next(((n, item) for n, item in measured if item.frame != measured[0][1].frame), None)
+    if other is not None:
+        raise ValueError(
+            f"the heights of items {measured[0][0]} and {other[0]} are above different references (sea level, home, "
+            "terrain): give the step, or bring them to one"
+        )
+    heights = [item.z for _, item in measured if item.z is not None]
     climbs = [max(some) - min(some) for n in range(len(heights)) if (some := heights[n : n + 3])]
     needed_m = max(margins, default=0.0) + max(climbs, default=0.0) + SLACK_M
     return max(LEAST_STEP_M, math.ceil(needed_m / STEP_GRID_M) * STEP_GRID_M)
@@ -171,6 +180,11 @@ def _has_height(item: MissionItem) -> bool:
 
 
 def _moved(number: int, item: MissionItem, offset_enu_m: Vector) -> MissionItem:
+    if item.command in FLOWN_OTHERWISE and offset_enu_m != (0.0, 0.0, 0.0):
+        raise ValueError(
+            f"item {number} (command {item.command}) sets a height or a place that cannot be moved: each vehicle would "
+            "fly there; leave it out, or upload a mission of its own to each"
+        )
     if item.command not in FLOWN_PLACE or offset_enu_m == (0.0, 0.0, 0.0):
         return item
     east_m, north_m, up_m = offset_enu_m
