@@ -59,6 +59,14 @@ FLOWN_PLACE = NEEDS_PLACE | {
 }
 """NAV commands whose x and y are a position to fly to."""
 
+RADIUS_PARAM = {
+    mav_cmd.NAV_LOITER_UNLIM: 2,
+    mav_cmd.NAV_LOITER_TURNS: 2,
+    mav_cmd.NAV_LOITER_TIME: 2,
+    mav_cmd.NAV_LOITER_TO_ALT: 1,
+}
+"""Index of the parameter with the radius (m) of the circle that is flown about the place, of those that have one."""
+
 FLOWN_OTHERWISE = frozenset(
     {
         mav_cmd.NAV_TAKEOFF_LOCAL,

@@ -212,7 +212,7 @@ def test_what_cannot_be_arranged_is_refused_in_words(
 @pytest.mark.parametrize("kind", ["heights", "line"])
 def test_what_sets_a_height_and_is_not_moved_is_refused(command: int, kind: Literal["heights", "line"]) -> None:
     plan = MissionPlan((*waypoints((0, 0, 10), (0, 50, 10)).mission, MissionItem(command, 3, z=40.0)))
-    with pytest.raises(ValueError, match="item 3 .* cannot be moved"):
+    with pytest.raises(ValueError, match=r"item 3 .* cannot be moved"):
         for_several(plan, Arrangement(kind), [None] * 2, [Footprint()] * 2)
 
 
