@@ -12,10 +12,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from typing import Any, Literal
 
+from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
@@ -23,6 +25,9 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 PERIOD_S = 0.5
+
+AT_HOME_M = 5.0
+"""A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
 
 MAX_VEHICLES = 300
 """Vehicles in one round of turns, the most that a fleet has."""
@@ -163,11 +168,20 @@ class MissionTurns:
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=ends_on_ground(items),
+            lands=ends_on_ground(items, vehicle.abilities.return_end),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
+            at_home=self._is_at_home(vehicle),
         )
+
+    def _is_at_home(self, vehicle: Vehicle) -> bool:
+        """True if it is within the circle about its home, or where a vehicle stands that stops there."""
+        position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
+        if position is None or home is None or position["lat_deg"] is None:
+            return False
+        away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
+        return away_m <= vehicle.hold_reach_m(self._loop.time()) + AT_HOME_M
 
     def _report(self, actor: VehicleActor, text: str) -> None:
         self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))

@@ -21,7 +21,7 @@ from typing import Any, Literal, NamedTuple
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass
 from skygcs.core.mission.check import ENDS_ON_GROUND, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionType, item_of_seq, seq_of_item
@@ -417,6 +417,8 @@ class Turn(NamedTuple):
     """The last item that moves it was its current one in this run."""
     returns: bool = False
     """That item is a return."""
+    at_home: bool = False
+    """It is where it holds at the end of a return that does not land."""
 
     @property
     def follows(self) -> bool:
@@ -440,6 +442,7 @@ def next_turn(flown: Turn) -> TurnDecision:
     --------------------------------------------------  ---------------------------------------------------------------
     is on its mission, or on its way down from it       wait
     has reached the last item, where it holds           the next one may start
+    has returned, and circles or stands at its home     the next one may start
     is on the ground and disarmed, by its last item     the next one may start
     is in a mode that is not its mission's, came down   end: what comes next is a person's decision
     before its last item, has another order, a
@@ -459,6 +462,8 @@ def next_turn(flown: Turn) -> TurnDecision:
         return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
     if flown.complete and not flown.lands:
         return TurnDecision("start", f"{flown.name} has flown its mission")
+    if flown.ending and flown.returns and flown.at_home and not flown.lands:
+        return TurnDecision("start", f"{flown.name} has returned")
     return TurnDecision("wait", "")
 
 
@@ -467,10 +472,14 @@ def last_moving(items: Sequence[MissionItem]) -> int | None:
     return max((number for number, item in enumerate(items, FIRST_ITEM) if item.moves), default=None)
 
 
-def ends_on_ground(items: Sequence[MissionItem]) -> bool:
-    """True if the last item that moves the vehicle brings it to the ground."""
+def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
+    """True if the last item that moves the vehicle brings it to the ground. ``return_end``: how its returns end."""
     last = last_moving(items)
-    return last is not None and items[last - FIRST_ITEM].command in ENDS_ON_GROUND
+    if last is None:
+        return False
+    if ends_with_return(items):
+        return return_end is ReturnEnd.LANDS
+    return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 
 def ends_with_return(items: Sequence[MissionItem]) -> bool:
