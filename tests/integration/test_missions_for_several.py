@@ -111,6 +111,17 @@ async def test_each_next_vehicle_flies_so_much_higher(tmp_path: Path) -> None:
         assert nearest_m(gcs) > MARGIN_M
 
 
+async def test_heights_that_end_with_a_return_need_return_heights_that_differ(tmp_path: Path) -> None:
+    """Both came home at one height, 0.8 m apart, by an arrangement that was accepted."""
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        over = mission((2.0, -20.0, 10.0), (2.0, -60.0, 10.0), (2.0, -60.0, 10.0))
+        outcomes = (await gcs("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"}))["outcomes"]
+        assert outcomes["v1"]["result"] == "refused" and "v1 would come" in outcomes["v1"]["message"], outcomes
+        await gcs.done("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"}, force=True)
+        refused = (await gcs("missions.start", targets="all"))["outcomes"]["v1"]
+        assert refused["result"] == "refused" and "near v2" in refused["message"], refused
+
+
 async def test_a_vehicle_without_a_mission_to_arrange_is_refused_in_words(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         hover = mission((0.0, 0.0, 10.0), end="hold")

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, S
 from typing import Any, Protocol
 
 from skygcs.core.geo import Origin, world_from_enu
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
@@ -24,7 +25,7 @@ from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.returns import Returns
+from skygcs.runtime.returns import Returns, read_return_height
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -266,9 +267,9 @@ class FleetOrders:
         if arguments.get("force") or self._monitor.mode == "off" or not starting or len(starting) + len(others) < 2:
             return {}
         read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
-        known = {
-            a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None
-        }
+        known = await self._with_return_heights(
+            {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None}
+        )
         text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
         unread = {actor: text for actor in starting if actor not in known}
         return {**unread, **await self._monitor.mission_refusals(known)}
@@ -293,7 +294,20 @@ class FleetOrders:
         if arguments.get("force"):
             return own, {}
         runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
-        return own, await self._monitor.mission_overlaps(runs)
+        return own, await self._monitor.mission_overlaps(await self._with_return_heights(runs))
+
+    async def _with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
+        """These runs with the heights of their returns, which are read; without an answer any height is possible."""
+        if self._monitor.mode == "off":
+            return dict(runs)
+
+        async def one(actor: VehicleActor, run: MissionRun) -> MissionRun:
+            lands = actor.vehicle.abilities.return_end is ReturnEnd.LANDS
+            known = run.returns and lands and actor.vehicle.connected and not actor.vehicle.replayed
+            return run._replace(height=await read_return_height(actor)) if known else run
+
+        found = await asyncio.gather(*(one(actor, run) for actor, run in runs.items()))
+        return dict(zip(runs, found, strict=True))
 
     async def _returns(
         self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]

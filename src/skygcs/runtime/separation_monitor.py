@@ -15,6 +15,7 @@ from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import HORIZON_S
+from skygcs.core.monitor.departures import UNKNOWN
 from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
@@ -38,6 +39,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
+from skygcs.runtime.returns import known_return_height
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
@@ -299,6 +301,9 @@ class SeparationMonitor:
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
         if home is not None:
             base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
+        run = run._replace(return_end=actor.vehicle.abilities.return_end)
+        if run.returns and run.height == UNKNOWN:
+            run = run._replace(height=known_return_height(actor.vehicle))
         return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, mover.circle_m)
 
     def _present_way(self, actor: VehicleActor, track: Track) -> Way:

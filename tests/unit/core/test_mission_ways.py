@@ -7,7 +7,9 @@ import math
 import pytest
 
 from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.item import MissionItem
+from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.ways import Way, standing, too_near
 from skygcs.core.separation import Footprint
@@ -82,3 +84,42 @@ def test_the_circle_of_every_loiter_is_as_wide_as_its_own_parameter(command: int
         circling = way([item(command, (0.0, 100.0), radius_at=radius_at, radius_m=sign * 60.0)])
         assert math.isclose(circling.ball_m, 60.0)
         assert meets(circling, (60.0, 100.0)) and not meets(circling, (70.0, 100.0))
+
+
+HOME_ITEM = MissionItem.from_params(20, 2, (0.0,) * 7, True)
+
+
+def returning(height: ReturnHeight, end: ReturnEnd = ReturnEnd.LANDS) -> Way:
+    """A mission at 10 m, 100 m to the north, and home."""
+    run = MissionRun([item(16, (0.0, 100.0), 10.0), HOME_ITEM], 1, height, end)
+    return mission_way(1, "v1", SMALL, run, (*HOME[:2], HOME[2] + 10.0), HOME, FRAME, 60.0 * (end is ReturnEnd.CIRCLES))
+
+
+def test_a_return_climbs_to_its_height_flies_level_and_comes_down() -> None:
+    """Both came home at 30 m, whatever the heights of their missions, and passed 0.8 m apart."""
+    one = returning(ReturnHeight(0.0, 30.0))
+    for at in ((0.0, 100.0), (0.0, 50.0), (0.0, 0.0)):
+        for up_m in (10.0, 20.0, 30.0):
+            assert meets(one, at, up_m), (at, up_m)
+        assert not meets(one, at, 40.0)
+    assert meets(one, (0.0, 0.0), 1.0)
+    assert meets(returning(UNKNOWN), (0.0, 50.0), 400.0), "any height, where it is not known"
+
+
+def test_its_return_is_the_one_that_departures_plans() -> None:
+    height = ReturnHeight(5.0, 30.0, 2.0)
+    at, base = FRAME.from_geodetic(*place_of((0.0, 100.0), 10.0)), FRAME.from_geodetic(*HOME)
+    wanted = Returning(1, "v1", SMALL, at, (0.0, 0.0, 0.0), base, height).way().legs
+    for leg, theirs in zip(returning(height).legs[-len(wanted) :], wanted, strict=True):
+        assert [*leg.begin, *leg.end, *leg[2:]] == pytest.approx([*theirs.begin, *theirs.end, *theirs[2:]], abs=0.02)
+
+
+def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
+    circling = returning(ReturnHeight(0.0, 30.0), ReturnEnd.CIRCLES)
+    assert meets(circling, (60.0, 0.0), 30.0) and circling.legs[-1].end == pytest.approx((0.0, 0.0), abs=0.02)
+    assert not meets(returning(UNKNOWN, ReturnEnd.STANDS), (0.0, 50.0), 30.0)
+
+
+def place_of(at: Point, up_m: float) -> tuple[float, float, float]:
+    lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
+    return lat_deg, lon_deg, HOME[2] + up_m

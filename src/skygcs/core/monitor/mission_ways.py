@@ -4,7 +4,8 @@
     -------------------------   ---------------------------------------------------------------------------------------
     NAV_TAKEOFF                 straight up where the vehicle is, then level to its place if it has one
     an item with a place        from the place before to it; a loiter is as wide as its radius
-    NAV_RETURN_TO_LAUNCH        level to home, and down
+    NAV_RETURN_TO_LAUNCH        as `core.monitor.departures` has it: up to the return height, level to home, and down; a
+                                plane to and at that height, on its circle; a rover level and no further
     NAV_LAND                    level to its place if it has one, and down
     DO_JUMP, DO_JUMP_TAG        from the place before to that of its target, and on from there; and on as without it
 
@@ -18,9 +19,11 @@ from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.check import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem
 from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place
 from skygcs.core.monitor.ways import Leg, Way, along, column
 from skygcs.core.separation import Footprint
@@ -31,10 +34,17 @@ LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
 
 
 class MissionRun(NamedTuple):
-    """A mission that is flown from an item on, counted from 1."""
+    """A mission that is flown from an item on, counted from 1. ``height``, ``return_end``: of its returns."""
 
     items: Sequence[MissionItem]
     first: int = 1
+    height: ReturnHeight = UNKNOWN
+    return_end: ReturnEnd = ReturnEnd.LANDS
+
+    @property
+    def returns(self) -> bool:
+        """True if a return is part of it."""
+        return any(item.command == mav_cmd.NAV_RETURN_TO_LAUNCH for item in self.items)
 
 
 def mission_way(
@@ -66,7 +76,10 @@ def _legs(run: MissionRun, here: Place, home: Place, frame: EnuFrame) -> tuple[l
         index, at = to_visit.pop()
         if not 0 <= index < len(items):
             continue
-        after = _fly(legs, items[index], at, base, home, frame)
+        if items[index].command == mav_cmd.NAV_RETURN_TO_LAUNCH:
+            after = _return(legs, run, at, base)
+        else:
+            after = _fly(legs, items[index], at, base, home, frame)
         widest_m = max(widest_m, _radius_m(items[index]))
         target = targets.get(index)
         for following in (index + 1, *(() if target is None else (target,))):
@@ -91,12 +104,24 @@ def _radius_m(item: MissionItem) -> float:
     return 0.0 if index is None else abs(item.params[index] or 0.0)
 
 
-def _fly(legs: list[Leg], item: MissionItem, at: Vector, base: Vector, home: Place, frame: EnuFrame) -> Vector:
-    """Add the legs of one item that is flown from a place; returns where it ends."""
-    if item.command == mav_cmd.NAV_RETURN_TO_LAUNCH:
+def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vector:
+    """Add the legs of a return from a place; returns where it ends."""
+    if run.return_end is ReturnEnd.STANDS:
         at = _level(legs, at, base)
         legs.append(column(at, base[2]))
-        return at
+        return base
+    home = Returning(0, "", Footprint(), at, (0.0, 0.0, 0.0), base, run.height)
+    if run.return_end is ReturnEnd.LANDS:
+        legs += home.way().legs
+        return base
+    # it also sinks to its return height on the way, and stays at it
+    low_m, high_m = min(at[2], base[2] + run.height.least_m), home.highest_m
+    legs += (column(at, high_m), Leg(at[:2], base[:2], low_m, high_m))
+    return (base[0], base[1], low_m)
+
+
+def _fly(legs: list[Leg], item: MissionItem, at: Vector, base: Vector, home: Place, frame: EnuFrame) -> Vector:
+    """Add the legs of one item that is flown from a place; returns where it ends."""
     if item.command not in FLOWN_PLACE:
         return at
     alt_amsl_m = (item.z or 0.0) + (0.0 if item.frame == GLOBAL else home[2])
