@@ -25,6 +25,7 @@ from skygcs.core.monitor.order_check import (
     Other,
     climb_out_conflict,
     goto_conflict,
+    holding_disc,
     setpoint_conflict,
     takeoff_conflict,
 )
@@ -310,12 +311,11 @@ class SeparationMonitor:
         """Where a vehicle is, and the way to where skygcs has sent it."""
         frame = self.monitor.tracks.frame
         assert frame is not None
-        points = [frame.from_ecef(track.ecef_m)]
-        if (destination := self._destination(track.key)) is not None:
-            points.append(frame.from_geodetic(*destination))
+        holds = holding_disc(Other(track, self._destination(track.key)), frame)
+        points = [frame.from_ecef(track.ecef_m), holds.middle_m]
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
-        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + track.circle_m, doing)
+        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + holds.radius_m, doing)
 
     def footprint(self, actor: VehicleActor) -> Footprint:
         """The space that a vehicle needs."""
