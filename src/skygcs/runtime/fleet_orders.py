@@ -4,8 +4,8 @@ outcomes by name."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
 
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
@@ -14,7 +14,7 @@ from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders, stop
-from skygcs.core.vehicle.formation import Arrangement, for_several, moved, offsets_en_m, too_close
+from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
@@ -81,6 +81,8 @@ class Unreported:
     def ended(self, vehicle: str, outcome: Any, /) -> None:
         return
 
+
+Made = TypeVar("Made")
 
 Actor = VehicleActor | ComponentActor
 """A vehicle or component, which takes orders."""
@@ -287,7 +289,8 @@ class FleetOrders:
             None if p is None or p["lat_deg"] is None else (p["lat_deg"], p["lon_deg"]) for p in positions.values()
         ]
         try:
-            plans = for_several(arguments["plan"], arrangement, places, [self._monitor.footprint(a) for a in actors])
+            footprints = [self._monitor.footprint(a) for a in actors]
+            plans = await _in_turns(arranging(arguments["plan"], arrangement, places, footprints))
         except ValueError as error:
             return {}, dict.fromkeys(actors, str(error))
         own = {actor: {"plan": plan} for actor, plan in zip(actors, plans, strict=True)}
@@ -433,6 +436,17 @@ class FleetOrders:
         broadcast.sent = True
         info = self._dialect.by_name[broadcast.spec.message]
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
+
+
+async def _in_turns(work: Generator[None, None, Made]) -> Made:
+    """Carry out work that yields; others get their turn each time."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            made: Made = end.value
+            return made
+        await asyncio.sleep(0)
 
 
 async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Outcome:

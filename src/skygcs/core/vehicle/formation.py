@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
@@ -74,6 +75,9 @@ ground is 1 mm higher at its end, 100 m away, than where it is level."""
 
 SPACING_M = 5.0
 
+ITEMS_A_TURN = 32
+"""Items that are moved at a stretch: half a millisecond."""
+
 LatLon = tuple[float, float]
 
 
@@ -91,7 +95,21 @@ class Arrangement:
 def for_several(
     plan: MissionPlan, arrangement: Arrangement, places: Sequence[LatLon | None], footprints: Sequence[Footprint]
 ) -> tuple[MissionPlan, ...]:
-    """The plan of each vehicle, in their order. ``places``: where they are now; None: not known.
+    """`arranging` without a break."""
+    work = arranging(plan, arrangement, places, footprints)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            plans: tuple[MissionPlan, ...] = end.value
+            return plans
+
+
+def arranging(
+    plan: MissionPlan, arrangement: Arrangement, places: Sequence[LatLon | None], footprints: Sequence[Footprint]
+) -> Generator[None, None, tuple[MissionPlan, ...]]:
+    """The plan of each vehicle, in their order; yields after every `ITEMS_A_TURN` items.
+    ``places``: where they are now; None: not known.
 
     Raises ValueError, in words for a person, for what cannot be arranged: a vehicle of kind present whose place is not
     known, a line without a course, an item that has no height or no place on earth, one that sets a height or a place
@@ -100,7 +118,15 @@ def for_several(
     if not plan.mission:
         raise ValueError("it holds no mission to arrange")
     offsets = offsets_enu_m(plan.mission, arrangement, places, footprints)
-    return tuple(replace(plan, mission=moved_mission(plan.mission, offset)) for offset in offsets)
+    plans = []
+    for offset in offsets:
+        items: list[MissionItem] = []
+        for at in range(0, len(plan.mission), ITEMS_A_TURN):
+            part = plan.mission[at : at + ITEMS_A_TURN]
+            items += (_moved(n, item, offset) for n, item in enumerate(part, FIRST_ITEM + at))
+            yield
+        plans.append(replace(plan, mission=tuple(items)))
+    return tuple(plans)
 
 
 def offsets_enu_m(
@@ -129,12 +155,6 @@ def offsets_enu_m(
             return tuple((m * way[0], m * way[1], 0.0) for m in apart_m)
 
 
-def moved_mission(items: Sequence[MissionItem], offset_enu_m: Vector) -> tuple[MissionItem, ...]:
-    """The mission, with each place that is flown to moved by so much. Items without a place, such as a return, stay as
-    they are. Raises ValueError for one that cannot be moved."""
-    return tuple(_moved(n, item, offset_enu_m) for n, item in enumerate(items, FIRST_ITEM))
-
-
 def least_step_m(items: Sequence[MissionItem], footprints: Sequence[Footprint]) -> float:
     """The step of heights with which vehicles above each other keep their margins, at least `LEAST_STEP_M`.
 
@@ -142,7 +162,8 @@ def least_step_m(items: Sequence[MissionItem], footprints: Sequence[Footprint]) 
     `core.monitor.ways`), and the same holds at the corner with the next leg. Raises ValueError for heights above
     different references, which cannot be compared.
     """
-    pairs = itertools.combinations(footprints, 2)
+    kinds = Counter(footprints)
+    pairs = [*itertools.combinations(kinds, 2), *((kind, kind) for kind, count in kinds.items() if count > 1)]
     margins = [(margin := pair_margin(a, b)).total_m * margin.downwash_ratio for a, b in pairs]
     measured = [(n, item) for n, item in enumerate(items, FIRST_ITEM) if _has_height(item) and item.z is not None]
     other = next(((n, item) for n, item in measured if item.frame != measured[0][1].frame), None)

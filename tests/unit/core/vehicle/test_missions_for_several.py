@@ -21,9 +21,11 @@ from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.ways import Way, too_near
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.formation import (
+    ITEMS_A_TURN,
     LEAST_STEP_M,
     SPACING_M,
     Arrangement,
+    arranging,
     course_deg,
     for_several,
     least_step_m,
@@ -233,3 +235,19 @@ def test_two_references_with_a_given_step_are_raised_each() -> None:
     plan = MissionPlan((item(16, 0, 0, 10.0), item(16, 9, 0, 420.0, frame=0)))
     raised = for_several(plan, Arrangement("heights", 6.0), [None] * 2, [Footprint()] * 2)[1]
     assert [i.z for i in raised.mission] == [16.0, 426.0]
+
+
+def test_many_long_missions_are_moved_in_small_pieces() -> None:
+    """250 missions of 500 items were moved in one stretch of 1.7 s, longer than PX4's COM_OF_LOSS_T."""
+    plan = waypoints(*((float(n % 7), 10.0 * n, 20.0) for n in range(500)))
+    count, pieces = 4, 0
+    work = arranging(plan, Arrangement("line"), [None] * count, [Footprint()] * count)
+    while True:
+        try:
+            next(work)
+            pieces += 1
+        except StopIteration as end:
+            plans = end.value
+            break
+    assert pieces >= count * 500 / ITEMS_A_TURN
+    assert plans == for_several(plan, Arrangement("line"), [None] * count, [Footprint()] * count)
