@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
@@ -110,6 +111,17 @@ async def test_each_next_vehicle_flies_so_much_higher(tmp_path: Path) -> None:
         assert nearest_m(gcs) > MARGIN_M
 
 
+async def test_heights_that_end_with_a_return_need_return_heights_that_differ(tmp_path: Path) -> None:
+    """Both came home at one height, 0.8 m apart, by an arrangement that was accepted."""
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        over = mission((2.0, -20.0, 10.0), (2.0, -60.0, 10.0), (2.0, -60.0, 10.0))
+        outcomes = (await gcs("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"}))["outcomes"]
+        assert outcomes["v1"]["result"] == "refused" and "v1 would come" in outcomes["v1"]["message"], outcomes
+        await gcs.done("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"}, force=True)
+        refused = (await gcs("missions.start", targets="all"))["outcomes"]["v1"]
+        assert refused["result"] == "refused" and "near v2" in refused["message"], refused
+
+
 async def test_a_vehicle_without_a_mission_to_arrange_is_refused_in_words(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         hover = mission((0.0, 0.0, 10.0), end="hold")
@@ -162,6 +174,37 @@ async def test_nobody_starts_after_an_order_to_the_one_that_flies(tmp_path: Path
         assert not gcs.sim("v2").armed
         ended = [t for t in gcs.told if t.kind == "mission" and "ended" in t.data]
         assert len(ended) == 1 and "v2 does not start" in ended[0].text, ended
+
+
+@pytest.mark.parametrize(("px4", "mode"), [(2, "AUTO.LAND"), (0, "LAND")], ids=["px4", "ardupilot"])
+async def test_nobody_starts_after_another_station_has_landed_the_one_that_flies(
+    tmp_path: Path, px4: int, mode: str
+) -> None:
+    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0))
+        await landed(gcs, "v1")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+        (ended,) = [t.text for t in gcs.told if t.kind == "mission" and "ended" in t.data]
+        assert f"v1 was taken over ({mode}); v2 does not start" in ended
+
+
+async def test_the_same_order_given_again_waits_for_the_first_one_again(tmp_path: Path) -> None:
+    """It held at the end of the flight before, which counted as that of the new one."""
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="hold"))
+        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold"))
+        await gcs.done("missions.start", targets="v1")
+        await gcs.until(lambda: gcs.place("v1")[1] > 44.0, 60.0)
+        await asyncio.sleep(5.0)
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[1] < 20.0 or gcs.sim("v2").armed, 60.0)
+        assert not gcs.sim("v2").armed
+        await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
+        assert gcs.place("v1")[1] > 42.0
 
 
 async def test_stop_to_all_ends_the_turns_in_the_moment_between_two_of_them(tmp_path: Path) -> None:

@@ -4,16 +4,17 @@ outcomes by name."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
 
 from skygcs.core.geo import Origin, world_from_enu
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders, stop
-from skygcs.core.vehicle.formation import Arrangement, for_several, moved, offsets_en_m, too_close
+from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
@@ -24,7 +25,7 @@ from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.returns import Returns
+from skygcs.runtime.returns import Returns, read_return_height
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -80,6 +81,8 @@ class Unreported:
     def ended(self, vehicle: str, outcome: Any, /) -> None:
         return
 
+
+Made = TypeVar("Made")
 
 Actor = VehicleActor | ComponentActor
 """A vehicle or component, which takes orders."""
@@ -266,9 +269,9 @@ class FleetOrders:
         if arguments.get("force") or self._monitor.mode == "off" or not starting or len(starting) + len(others) < 2:
             return {}
         read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
-        known = {
-            a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None
-        }
+        known = await self._with_return_heights(
+            {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None}
+        )
         text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
         unread = {actor: text for actor in starting if actor not in known}
         return {**unread, **await self._monitor.mission_refusals(known)}
@@ -286,14 +289,28 @@ class FleetOrders:
             None if p is None or p["lat_deg"] is None else (p["lat_deg"], p["lon_deg"]) for p in positions.values()
         ]
         try:
-            plans = for_several(arguments["plan"], arrangement, places, [self._monitor.footprint(a) for a in actors])
+            footprints = [self._monitor.footprint(a) for a in actors]
+            plans = await _in_turns(arranging(arguments["plan"], arrangement, places, footprints))
         except ValueError as error:
             return {}, dict.fromkeys(actors, str(error))
         own = {actor: {"plan": plan} for actor, plan in zip(actors, plans, strict=True)}
         if arguments.get("force"):
             return own, {}
         runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
-        return own, await self._monitor.mission_overlaps(runs)
+        return own, await self._monitor.mission_overlaps(await self._with_return_heights(runs))
+
+    async def _with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
+        """These runs with the heights of their returns, which are read; without an answer any height is possible."""
+        if self._monitor.mode == "off":
+            return dict(runs)
+
+        async def one(actor: VehicleActor, run: MissionRun) -> MissionRun:
+            lands = actor.vehicle.abilities.return_end is ReturnEnd.LANDS
+            known = run.returns and lands and actor.vehicle.connected and not actor.vehicle.replayed
+            return run._replace(height=await read_return_height(actor)) if known else run
+
+        found = await asyncio.gather(*(one(actor, run) for actor, run in runs.items()))
+        return dict(zip(runs, found, strict=True))
 
     async def _returns(
         self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
@@ -419,6 +436,17 @@ class FleetOrders:
         broadcast.sent = True
         info = self._dialect.by_name[broadcast.spec.message]
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
+
+
+async def _in_turns(work: Generator[None, None, Made]) -> Made:
+    """Carry out work that yields; others get their turn each time."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            made: Made = end.value
+            return made
+        await asyncio.sleep(0)
 
 
 async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Outcome:

@@ -28,6 +28,7 @@ from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.mission_orders import (
+    Progress,
     converted,
     keeps_home,
     keeps_old,
@@ -111,7 +112,7 @@ class Missions:
         self._current = b""
         self._seq: int | None = None
         self._state = 0
-        self._reached: int | None = None
+        self._progress = Progress()
         self._total: int | None = None
         """Number of items that it reports, without home; None: it reports none."""
 
@@ -256,7 +257,7 @@ class Missions:
             transfer = {"what": what, "percent": self._percent, "sent": protocol.sent}
         return {
             "item": None if self._seq is None else number_of(self._vehicle, self._seq),
-            "reached": None if self._reached is None else number_of(self._vehicle, self._reached),
+            "reached": self._progress.reached,
             "state": STATES.get(self._state),
             "counts": {kind.word: self.counts.get(kind) for kind in MissionType},
             "opaque_ids": {kind.word: self.opaque_ids.get(kind) for kind in MissionType},
@@ -386,26 +387,35 @@ class Missions:
         if state != self._state and self._state and state in STATES:
             self._publish("mission", STATE_TEXTS[state], {"state": STATES[state]})
         self._seq, self._state = seq, state
+        self._progress.on_current(number_of(self._vehicle, seq))
 
     def _on_reached(self, seq: int) -> None:
-        if seq == self._reached:
-            return
-        self._reached = seq
         number = number_of(self._vehicle, seq)
+        if not self._progress.on_reached(number):
+            return
         count = self.counts.get(MissionType.MISSION)
         of = f" of {count}" if count else ""
         self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
 
+    def run_begins(self, first: int | None = None) -> None:
+        """It is ordered to fly its mission from item ``first`` on, or from the current one: what was reached before
+        counts no more."""
+        self._progress = Progress(first)
+        self._current = b""
+
     @property
     def complete(self) -> bool:
-        """True if it has reported the last item of the mission that is on board as reached."""
-        count = self.counts.get(MissionType.MISSION)
-        return self._reached is not None and bool(count) and number_of(self._vehicle, self._reached) == count
+        """True if it has reported the last item of the mission that is on board as reached, in this run of it."""
+        return self._progress.complete(self.counts.get(MissionType.MISSION))
+
+    def begun(self, item: int | None) -> bool:
+        """True if that item of the mission, or a later one, was its current one in this run of it."""
+        return item is not None and self._progress.furthest >= item
 
     def _keep(self, outcome: MissionOutcome, count: int) -> None:
         self.counts[outcome.kind] = count
         if outcome.kind is MissionType.MISSION:
-            self._reached = None  # what was reached was of the one before
+            self._progress = Progress()  # what was reached was of the one before
         if outcome.opaque_id is None:
             self.opaque_ids.pop(outcome.kind, None)
         else:

@@ -2,7 +2,8 @@
 
 Who may start is decided by `core.vehicle.mission_orders.next_turn`. Each start is an order as a person's: preflight,
 the monitor's check and every other check refuse it as they refuse that, and the turns end. Whatever is ordered to one
-of them, STOP included, ends the turns too: nothing starts by itself after a person has taken over.
+of them, STOP included, ends the turns too, and so does any mode that is not its mission's, by whatever station or
+pilot: nothing starts by itself after a person has taken over.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from typing import Any, Literal
 
+from skygcs.core.geo import distance_m
+from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, next_turn
+from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
@@ -21,6 +25,9 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 PERIOD_S = 0.5
+
+AT_HOME_M = 5.0
+"""A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
 
 MAX_VEHICLES = 300
 """Vehicles in one round of turns, the most that a fleet has."""
@@ -126,15 +133,18 @@ class MissionTurns:
             if actor is self._round[-1]:
                 return
             items = await actor.missions.known_items()
-            if not await self._is_over(actor, lands=ends_on_ground(items or ())):
+            if not await self._is_over(actor, items or ()):
                 return
 
-    async def _is_over(self, actor: VehicleActor, *, lands: bool) -> bool:
+    async def _is_over(self, actor: VehicleActor, items: Sequence[MissionItem]) -> bool:
         """Wait until its turn is over; False: the turns have ended."""
+        mode = actor.vehicle.mode
         while True:
             await asyncio.sleep(PERIOD_S)
+            if actor.vehicle.armed is not False:
+                mode = actor.vehicle.mode
             taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
-            decision = next_turn(self._look(actor, lands=lands))
+            decision = next_turn(self._look(actor, items, mode))
             if taken and decision.next != "end":
                 self._report_end(f"{', '.join(taken)} was ordered something else")
                 return False
@@ -148,18 +158,30 @@ class MissionTurns:
                 case "wait":
                     continue
 
-    def _look(self, actor: VehicleActor, *, lands: bool) -> Turn:
+    def _look(self, actor: VehicleActor, items: Sequence[MissionItem], mode: str) -> Turn:
         vehicle = actor.vehicle
         return Turn(
             actor.name,
             heard=vehicle.connected,
             flying=is_flying(vehicle, self._loop.time()),
-            armed=bool(vehicle.armed),
+            armed=vehicle.armed is not False,
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=lands,
+            lands=ends_on_ground(items, vehicle.abilities.return_end),
+            mode=mode,
+            ending=actor.missions.begun(last_moving(items)),
+            returns=ends_with_return(items),
+            at_home=self._is_at_home(vehicle),
         )
+
+    def _is_at_home(self, vehicle: Vehicle) -> bool:
+        """True if it is within the circle about its home, or where a vehicle stands that stops there."""
+        position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
+        if position is None or home is None or position["lat_deg"] is None:
+            return False
+        away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
+        return away_m <= vehicle.hold_reach_m(self._loop.time()) + AT_HOME_M
 
     def _report(self, actor: VehicleActor, text: str) -> None:
         self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))

@@ -278,11 +278,9 @@ class Returns:
                 group.create_task(self._read_height(actor), name=f"return height of {actor.name}")
 
     async def _read_height(self, actor: VehicleActor) -> None:
-        most_m = await _param(actor, HEIGHT_PARAMS.get(actor.vehicle.family, ()))
-        if most_m is None:
-            return
-        climb_m = await _param(actor, CLIMB_PARAMS) if actor.vehicle.family == "ardupilot" else 0.0
-        self._heights[actor.vehicle.key] = ReturnHeight(0.0, most_m, climb_m or 0.0)
+        height = await read_return_height(actor)
+        if height is not UNKNOWN:
+            self._heights[actor.vehicle.key] = height
 
     def _returning(self, actor: VehicleActor, now: float) -> Returning | None:
         """A member, where it is now; None if that or its home is not known."""
@@ -305,6 +303,28 @@ class Returns:
     def _report(self, actor: VehicleActor, text: str, *, given_up: bool = False) -> None:
         data = {"order": "rtl", "result": "failed" if given_up else "in_progress"}
         self._on_event(Event("command", actor.name, actor.sysid, f"rtl: {text}", data))
+
+
+async def read_return_height(actor: VehicleActor) -> ReturnHeight:
+    """The return height by its parameters, read from the vehicle; `UNKNOWN`: it does not answer, or has none."""
+    most_m = await _param(actor, HEIGHT_PARAMS.get(actor.vehicle.family, ()))
+    if most_m is None:
+        return UNKNOWN
+    climb_m = await _param(actor, CLIMB_PARAMS) if actor.vehicle.family == "ardupilot" else 0.0
+    return ReturnHeight(0.0, most_m, climb_m or 0.0)
+
+
+def known_return_height(vehicle: Vehicle) -> ReturnHeight:
+    """The return height by parameters that have been read before; `UNKNOWN` without them."""
+    most_m = _known(vehicle, HEIGHT_PARAMS.get(vehicle.family, ()))
+    if most_m is None:
+        return UNKNOWN
+    climb_m = _known(vehicle, CLIMB_PARAMS) if vehicle.family == "ardupilot" else 0.0
+    return UNKNOWN if climb_m is None else ReturnHeight(0.0, most_m, climb_m)
+
+
+def _known(vehicle: Vehicle, names: Sequence[tuple[str, float]]) -> float | None:
+    return next((value / per_metre for name, per_metre in names if (value := vehicle.param(name)) is not None), None)
 
 
 def _is_placed(vehicle: Vehicle, now: float) -> bool:

@@ -7,7 +7,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
@@ -15,6 +15,7 @@ from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import HORIZON_S
+from skygcs.core.monitor.departures import UNKNOWN
 from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
@@ -24,12 +25,13 @@ from skygcs.core.monitor.order_check import (
     Other,
     climb_out_conflict,
     goto_conflict,
+    holding_disc,
     setpoint_conflict,
     takeoff_conflict,
 )
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
-from skygcs.core.monitor.ways import Way, along, conflict
+from skygcs.core.monitor.ways import Way, along, find_way_conflicts
 from skygcs.core.separation import Footprint
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
@@ -38,6 +40,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
+from skygcs.runtime.returns import known_return_height
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
@@ -53,9 +56,6 @@ SHARE = 0.1
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
-
-PAIRS_OF_LEGS_A_TURN = 500
-"""Pairs of legs of two missions that are compared before other tasks of the loop may get their turn: 1 ms."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -260,7 +260,7 @@ class SeparationMonitor:
     async def mission_refusals(self, starting: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
         """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
         flies, or a vehicle that flies otherwise, and why. They are compared as space, in turns with others."""
-        ways = {actor: way for actor, run in starting.items() if (way := self._mission_way(actor, run)) is not None}
+        ways = await self._mission_ways(starting)
         others = []
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             actor = self._actors.get(key)
@@ -269,26 +269,33 @@ class SeparationMonitor:
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
             others.append(self._present_way(actor, track) if way is None else way)
-        refused: dict[VehicleActor, str] = {}
-        for actor, way in ways.items():
-            found = await _first_conflict(way, [*others, *(w for a, w in ways.items() if a is not actor)])
-            if (why := self._refusal(found)) is not None:
-                refused[actor] = why
-        return refused
+        return await self._way_refusals(ways, others)
 
     async def mission_overlaps(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
         """Which of these missions, that are to be flown at the same time, lead too near another of them, and why; also
         one of a vehicle whose way is not known. What else flies is compared when they start: `mission_refusals`."""
         if self.mode == "off" or len(runs) < 2:
             return {}
-        ways = {actor: way for actor, run in runs.items() if (way := self._mission_way(actor, run)) is not None}
+        ways = await self._mission_ways(runs)
         unknown = "where it is is not known, so it is not known whom its mission comes near"
         refused = {actor: f"{unknown}; {FORCE_HINT}" for actor in runs if actor not in ways}
-        for actor, way in ways.items():
-            found = await _first_conflict(way, [other for a, other in ways.items() if a is not actor])
-            if (why := self._refusal(found)) is not None:
-                refused[actor] = why
-        return refused
+        return refused | await self._way_refusals(ways, [])
+
+    async def _mission_ways(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, Way]:
+        """The ways of missions, of those that are known; others get their turn after each of them."""
+        ways: dict[VehicleActor, Way] = {}
+        for actor, run in runs.items():
+            if (way := self._mission_way(actor, run)) is not None:
+                ways[actor] = way
+            await asyncio.sleep(0)
+        return ways
+
+    async def _way_refusals(self, ways: Mapping[VehicleActor, Way], others: Sequence[Way]) -> dict[VehicleActor, str]:
+        """Which of these ways lead too near each other or to others, in turns with other tasks."""
+        found: dict[int, str] = {}
+        await _in_turns(find_way_conflicts(list(ways.values()), others, found))
+        refused = ((actor, self._refusal(found.get(way.key))) for actor, way in ways.items())
+        return {actor: why for actor, why in refused if why is not None}
 
     def _mission_way(self, actor: VehicleActor, run: MissionRun) -> Way | None:
         """The way of a mission from where its vehicle is; None: that is not known."""
@@ -299,18 +306,20 @@ class SeparationMonitor:
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
         if home is not None:
             base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
+        run = run._replace(return_end=actor.vehicle.abilities.return_end)
+        if run.returns and run.height == UNKNOWN:
+            run = run._replace(height=known_return_height(actor.vehicle))
         return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, mover.circle_m)
 
     def _present_way(self, actor: VehicleActor, track: Track) -> Way:
         """Where a vehicle is, and the way to where skygcs has sent it."""
         frame = self.monitor.tracks.frame
         assert frame is not None
-        points = [frame.from_ecef(track.ecef_m)]
-        if (destination := self._destination(track.key)) is not None:
-            points.append(frame.from_geodetic(*destination))
+        holds = holding_disc(Other(track, self._destination(track.key)), frame)
+        points = [frame.from_ecef(track.ecef_m), holds.middle_m]
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
-        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + track.circle_m, doing)
+        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + holds.radius_m, doing)
 
     def footprint(self, actor: VehicleActor) -> Footprint:
         """The space that a vehicle needs."""
@@ -380,18 +389,6 @@ class SeparationMonitor:
             "took_s": round(self.took_s, 5),
             "longest_turn_s": round(self.longest_turn_s, 5),
         }
-
-
-async def _first_conflict(way: Way, others: Sequence[Way]) -> str | None:
-    """The first conflict of a way, in words; others get their turn after each part of it."""
-    for other in others:
-        legs = max(1, PAIRS_OF_LEGS_A_TURN // max(1, len(other.legs)))
-        for part in range(0, len(way.legs), legs):
-            found = conflict(replace(way, legs=way.legs[part : part + legs]), [other])
-            if found is not None:
-                return found
-            await asyncio.sleep(0)
-    return None
 
 
 async def _in_turns(work: Iterator[None]) -> tuple[float, float]:

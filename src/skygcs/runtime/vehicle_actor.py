@@ -657,16 +657,27 @@ class VehicleActor:
             self._require_preflight(force=force)
             return mission_orders.start(self.vehicle, now, first=first, arm=arm)
 
-        return await self._orders.run("mission", planner)
+        return await self._orders.run("mission", self._new_run(planner, first))
 
     async def resume_mission(self, *, force: bool = False) -> Outcome:
         """Go on with the current item; `hold` pauses a mission. ``force``: whoever is in the way, which the fleet
         knows."""
-        return await self._orders.run("mission", lambda now: mission_orders.resume(self.vehicle, now))
+        return await self._orders.run("mission", self._new_run(lambda now: mission_orders.resume(self.vehicle, now)))
 
     async def set_mission_item(self, *, item: int, force: bool = False) -> Outcome:
         """Make it the current item, from 1. ``force``: as for `resume_mission`."""
-        return await self._orders.run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
+        planner = self._new_run(lambda now: mission_orders.set_current(self.vehicle, now, item), item)
+        return await self._orders.run("mission item", planner)
+
+    def _new_run(self, planner: Callable[[float], Plan], first: int | None = None) -> Callable[[float], Plan]:
+        """The planner of an order with which another run of its mission begins, unless it refuses."""
+
+        def begins(now: float) -> Plan:
+            plan = planner(now)
+            self.missions.run_begins(first)
+            return plan
+
+        return begins
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Control it by setpoints: "position", "velocity", "attitude" or "raw"; "off": end control and hold."""
@@ -865,6 +876,7 @@ class VehicleActor:
                 self._stop_protocols("the vehicle rebooted")
                 self.uplink.forget()
                 self.offboard.release("the vehicle rebooted")
+                self.missions.run_begins()
                 self.preflight.forget()
                 self.metadata.forget()
                 self.streams.restart(now)

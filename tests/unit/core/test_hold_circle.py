@@ -9,7 +9,7 @@ import pytest
 
 from skygcs.core.monitor.approach import Disc, Holder, arc, circle_conflict, gap_m, turn_radps
 from skygcs.core.monitor.monitor import Monitor
-from skygcs.core.monitor.order_check import Mover, Other, climb_out_conflict, goto_conflict
+from skygcs.core.monitor.order_check import Mover, Other, climb_out_conflict, goto_conflict, takeoff_conflict
 from skygcs.core.monitor.tracks import Track
 from skygcs.core.monitor.yielding import why_not_yield
 from skygcs.core.separation import Footprint
@@ -203,6 +203,19 @@ def test_nobody_is_sent_into_the_circle_of_a_plane() -> None:
     unknown = goto_conflict(here, plane.geodetic_of(-70.0, 0.0, 50.0), [Other(track)], 1000.0)
     assert unknown is not None and "kite, which circles within 150 m" in unknown
     assert goto_conflict(here, plane.geodetic_of(-200.0, 0.0, 50.0), [Other(track)], 1000.0) is None
+
+
+def test_nobody_takes_off_into_the_circle_of_a_plane() -> None:
+    plane, copter = WatchedVehicle(1, "kite"), hovering(2, 0.0, 0.0, 20.0)
+    fly_circle(monitor := Monitor(acting=True), plane, PLANE, 0.25)
+    track = monitor.tracks.tracks[plane.vehicle.key]
+    # 130 m from where it is: within two radii, where it may come by a circle about a place that is not known
+    here = Mover(copter.vehicle.key, "alpha", Footprint(), copter.geodetic_of(-70.0, 0.0, 0.0))
+    unknown = takeoff_conflict(here, 50.0, [Other(track)], 1000.0)
+    assert unknown is not None and "kite, which circles within 150 m" in unknown
+    assert takeoff_conflict(here, 20.0, [Other(track)], 1000.0) is None
+    sent = Other(track, plane.geodetic_of(200.0, 0.0, 50.0))
+    assert takeoff_conflict(here, 50.0, [sent], 1000.0) is None  # it circles elsewhere
 
 
 def test_a_plane_takes_off_ahead_and_not_straight_up() -> None:

@@ -382,3 +382,37 @@ async def test_a_fence_whose_items_make_none_is_no_plan() -> None:
 async def test_an_empty_plan_is_nothing_to_upload() -> None:
     async with Site() as (_, _, actor):
         assert "clear the vehicle's lists" in (await actor.upload_plan(plan=MissionPlan(), kinds=())).message
+
+
+@pytest.mark.parametrize("order", ["start", "resume", "item"])
+async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str) -> None:
+    """A PX4 goes on repeating the last item that it has reached."""
+    async with Site() as (_, storing, actor):
+        await actor.upload_plan(plan=MissionPlan(PLAN.mission[:3]), kinds=(MISSION,))
+        for seq in (0, 1, 2):
+            storing.current(seq)
+            storing.reached(seq)
+        await asyncio.sleep(0.2)
+        assert actor.missions.complete and actor.missions.status()["reached"] == 3
+        storing.vehicle.mode, storing.vehicle.armed = PX4_LOITER, True
+        await asyncio.sleep(2.0)
+        orders = {
+            "start": lambda: actor.start_mission(first=1, force=True),
+            "resume": actor.resume_mission,
+            "item": lambda: actor.set_mission_item(item=1),
+        }
+        task = asyncio.create_task(orders[order]())
+        await asyncio.sleep(0.2)
+        assert not actor.missions.complete and actor.missions.status()["reached"] is None
+        if order != "resume":
+            storing.reached(2)
+            storing.current(2, state=5)
+            await asyncio.sleep(0.2)
+            assert not actor.missions.complete and actor.missions.status()["reached"] is None
+        for seq in (0, 1, 2):
+            storing.current(seq)
+            storing.reached(seq)
+        await asyncio.sleep(0.2)
+        assert actor.missions.complete
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)

@@ -10,6 +10,8 @@ import pytest
 
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.mission.item import MissionItem
+from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
@@ -146,6 +148,30 @@ async def test_vehicles_that_are_forgotten_while_they_are_looked_at_leave_nothin
     assert sky.monitor.monitor.pairs == {} and sky.monitor.status()["watched"] == 0
     assert not [e for e in sky.events if e.kind == "fault"]
     watch.cancel()
+    sky.fleet.close()
+
+
+@pytest.mark.parametrize(("away_m", "meets"), [(-60.0, True), (-130.0, True), (-170.0, False)])
+async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place(
+    away_m: float, meets: bool
+) -> None:
+    """As goto and take-off: it may be on any side of the middle of its circle."""
+    sky = Sky(2)
+    plane, copter = sky.vehicles
+    for _ in range(4):
+        now = sky.loop.time()
+        plane.heartbeat(now, kind=1, mode=12)
+        plane.position(now, (0.0, 0.0, 50.0), (12.0, 0.0, 0.0))
+        copter.heartbeat(now)
+        copter.position(now, (-400.0, 0.0, 50.0))
+        await sky.monitor.evaluate()
+        await asyncio.sleep(0.5)
+    lat_deg, lon_deg, _ = copter.geodetic_of(away_m, 0.0, 0.0)
+    alt_amsl_m = copter.geodetic_of(0.0, 0.0, 50.0)[2]
+    there = MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, lat_deg, lon_deg, alt_amsl_m), True)
+    actor = sky.fleet.find("v2")
+    refused = await sky.monitor.mission_refusals({actor: MissionRun([there])})
+    assert (actor in refused) is meets, refused
     sky.fleet.close()
 
 

@@ -23,6 +23,8 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
     hovers      yes      no             on its rotors       no            no      yes     no        no
     circles     no       always         on its wing         no            no      no      no        taken to
     setpoints   yes      no             no                  no            no      no      no        no
+    return      lands    circles        circles (PX4        stands        -       stands  -         taken to
+    ends                                lands)                                                      land
 
 What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
 modes and commands of each order are fields too; `autopilot` makes plans of them and says why.
@@ -183,6 +185,14 @@ class Landing(StrEnum):
     MODE = "a mode of its own"
 
 
+class ReturnEnd(StrEnum):
+    """How a return ends, at its home."""
+
+    LANDS = "it lands and disarms"
+    CIRCLES = "it circles at its return height"
+    STANDS = "it stops and stays armed"
+
+
 @dataclass(frozen=True, slots=True)
 class HoldRadius:
     """Radius of the circle that is flown as a hold: a parameter, whose sign is the direction, and its default (m)."""
@@ -227,6 +237,8 @@ class Abilities:
     returns: bool = True
     return_mode: str = ""
     """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
+    return_end: ReturnEnd = ReturnEnd.LANDS
+    """PX4: rtl_direct.cpp (a fixed wing loiters); ArduPilot: ModeRTL of each program (Q_RTL_MODE 0)."""
     stop_mode: str = ""
     """Mode that stops it, or circles, and ignores setpoints; "": skygcs knows none."""
     hold_mode: str = ""
@@ -258,14 +270,16 @@ class Abilities:
 
 
 _C = VehicleClass
-_ON_THE_GROUND = Abilities(flies=False)
+_ON_THE_GROUND = Abilities(flies=False, return_end=ReturnEnd.STANDS)
 
 _PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE)
-_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE)
+_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS)
 
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),
-    ("px4", _C.PLANE): replace(_PX4, circles=True, takeoff=TakeOff.CLIMB_OUT, hold_radius=PX4_HOLD),
+    ("px4", _C.PLANE): replace(
+        _PX4, circles=True, takeoff=TakeOff.CLIMB_OUT, hold_radius=PX4_HOLD, return_end=ReturnEnd.CIRCLES
+    ),
     ("px4", _C.VTOL): replace(_PX4, hovers=True, circles=True, takeoff=TakeOff.CLIMB, hold_radius=PX4_HOLD),
     ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
     ("px4", _C.BOAT): _PX4_DRIVES,
@@ -285,6 +299,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         takeoff=TakeOff.OWN_HEIGHT,
         landing=Landing.MISSION,
         hold_radius=ARDUPLANE_HOLD,
+        return_end=ReturnEnd.CIRCLES,
     ),
     ("ardupilot", _C.VTOL): Abilities(
         hovers=True,
@@ -294,12 +309,19 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         landing=Landing.MODE,
         land_mode="QLAND",
         hold_radius=ARDUPLANE_HOLD,
+        return_end=ReturnEnd.CIRCLES,
     ),
     ("ardupilot", _C.ROVER): replace(_ON_THE_GROUND, stop_mode="HOLD", brake_mps2=1.0),
     ("ardupilot", _C.BOAT): replace(_ON_THE_GROUND, stop_mode="HOLD", hold_mode="LOITER"),
     ("ardupilot", _C.SUB): replace(_ON_THE_GROUND, stop_mode="POSHOLD", landing=Landing.HERE, returns=False),
     ("ardupilot", _C.BLIMP): Abilities(
-        hovers=True, stop_mode="LOITER", goes=False, landing=Landing.MODE, land_mode="LAND", return_mode="RTL"
+        hovers=True,
+        stop_mode="LOITER",
+        goes=False,
+        landing=Landing.MODE,
+        land_mode="LAND",
+        return_mode="RTL",
+        return_end=ReturnEnd.STANDS,
     ),
     ("ardupilot", _C.TRACKER): replace(_ON_THE_GROUND, stop_mode="STOP", goes=False, returns=False),
     ("generic", _C.COPTER): Abilities(hovers=True, goes=False, landing=Landing.HERE),
@@ -310,7 +332,7 @@ of PX4) has the abilities of its family in `UNKNOWN`. NAV_LAND is MAVLink's own 
 ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
     ("ardupilot", _C.VTOL): replace(
-        TABLE["ardupilot", _C.VTOL], circles=False, stop_mode="QLOITER", return_mode="QRTL"
+        TABLE["ardupilot", _C.VTOL], circles=False, stop_mode="QLOITER", return_mode="QRTL", return_end=ReturnEnd.LANDS
     ),
 }
 """A VTOL while it is known to be carried by its rotors."""

@@ -59,6 +59,37 @@ FLOWN_PLACE = NEEDS_PLACE | {
 }
 """NAV commands whose x and y are a position to fly to."""
 
+RADIUS_PARAM = {
+    mav_cmd.NAV_LOITER_UNLIM: 2,
+    mav_cmd.NAV_LOITER_TURNS: 2,
+    mav_cmd.NAV_LOITER_TIME: 2,
+    mav_cmd.NAV_LOITER_TO_ALT: 1,
+}
+"""Index of the parameter with the radius (m) of the circle that is flown about the place, of those that have one."""
+
+FLOWN_OTHERWISE = frozenset(
+    {
+        mav_cmd.NAV_TAKEOFF_LOCAL,
+        mav_cmd.NAV_LAND_LOCAL,
+        mav_cmd.NAV_FOLLOW,
+        mav_cmd.NAV_CONTINUE_AND_CHANGE_ALT,
+        mav_cmd.DO_FOLLOW,
+        mav_cmd.DO_FOLLOW_REPOSITION,
+        mav_cmd.DO_ORBIT,
+        mav_cmd.DO_FIGURE_EIGHT,
+        mav_cmd.NAV_ALTITUDE_WAIT,
+        mav_cmd.NAV_GUIDED_ENABLE,
+        mav_cmd.CONDITION_CHANGE_ALT,
+        mav_cmd.DO_CHANGE_ALTITUDE,
+        mav_cmd.DO_SET_HOME,
+        mav_cmd.DO_REPOSITION,
+        mav_cmd.OVERRIDE_GOTO,
+        mav_cmd.GUIDED_CHANGE_ALTITUDE,
+    }
+)
+"""Commands that set a height or a place to fly to (or home, above which heights are) in another way than those of
+`FLOWN_PLACE`: an arrangement cannot move them."""
+
 LatLon = tuple[float, float]
 
 

@@ -4,9 +4,10 @@
     -------------------------   ---------------------------------------------------------------------------------------
     NAV_TAKEOFF                 straight up where the vehicle is, then level to its place if it has one
     an item with a place        from the place before to it; a loiter is as wide as its radius
-    NAV_RETURN_TO_LAUNCH        level to home, and down
+    NAV_RETURN_TO_LAUNCH        as `core.monitor.departures` has it: up to the return height, level to home, and down; a
+                                plane to and at that height, on its circle; a rover level and no further
     NAV_LAND                    level to its place if it has one, and down
-    DO_JUMP, DO_JUMP_TAG        from anywhere the whole mission, as it may lead back before the first item that is flown
+    DO_JUMP, DO_JUMP_TAG        from the place before to that of its target, and on from there; and on as without it
 
 Heights above terrain are taken as above home.
 """
@@ -18,9 +19,11 @@ from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mission.check import FLOWN_PLACE, TAKEOFFS
-from skygcs.core.mission.item import GLOBAL, MissionItem
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
+from skygcs.core.mission.check import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
+from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem
 from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place
 from skygcs.core.monitor.ways import Leg, Way, along, column
 from skygcs.core.separation import Footprint
@@ -29,15 +32,19 @@ JUMPS = frozenset({mav_cmd.DO_JUMP, mav_cmd.DO_JUMP_TAG})
 
 LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
 
-RADIUS_PARAM = {mav_cmd.NAV_LOITER_UNLIM: 2, mav_cmd.NAV_LOITER_TURNS: 2, mav_cmd.NAV_LOITER_TIME: 2}
-"""Index of the parameter with the radius of a circle in m."""
-
 
 class MissionRun(NamedTuple):
-    """A mission that is flown from an item on, counted from 1."""
+    """A mission that is flown from an item on, counted from 1. ``height``, ``return_end``: of its returns."""
 
     items: Sequence[MissionItem]
     first: int = 1
+    height: ReturnHeight = UNKNOWN
+    return_end: ReturnEnd = ReturnEnd.LANDS
+
+    @property
+    def returns(self) -> bool:
+        """True if a return is part of it."""
+        return any(item.command == mav_cmd.NAV_RETURN_TO_LAUNCH for item in self.items)
 
 
 def mission_way(
@@ -52,41 +59,83 @@ def mission_way(
 ) -> Way:
     """The way of a vehicle from where it is along a mission. Places are geodetic; the way is in ``frame``.
     ``circle_m``: radius of the circle of what cannot stop, which rounds each corner and ends with it; 0: it stops."""
-    rest = run.items[run.first - 1 :]
-    legs, widest_m = _legs(rest, here, home, frame)
-    if run.first > 1 and any(item.command in JUMPS for item in rest):
-        every, widest_m = _legs(run.items, here, home, frame)
-        legs += every
+    legs, widest_m = _legs(run, here, home, frame)
     return Way(key, name, footprint, tuple(legs), max(widest_m, circle_m), "on its mission")
 
 
-def _legs(items: Sequence[MissionItem], here: Place, home: Place, frame: EnuFrame) -> tuple[list[Leg], float]:
-    """The legs along these items, and how wide its circles are."""
-    at, base = frame.from_geodetic(*here), frame.from_geodetic(*home)
-    legs: list[Leg] = list(along([at]))
+def _legs(run: MissionRun, here: Place, home: Place, frame: EnuFrame) -> tuple[list[Leg], float]:
+    """The legs along all items to which the run may come, and how wide its circles are."""
+    items = run.items
+    begin, base = frame.from_geodetic(*here), frame.from_geodetic(*home)
+    legs: list[Leg] = list(along([begin]))
     widest_m = 0.0
-    for item in items:
-        if item.command == mav_cmd.NAV_RETURN_TO_LAUNCH:
-            at = _level(legs, at, base)
-            legs.append(column(at, base[2]))
+    targets = {index: jump_target(items, item) for index, item in enumerate(items) if item.command in JUMPS}
+    to_visit: list[tuple[int, Vector]] = [(run.first - 1, begin)]
+    visited = set(to_visit)
+    while to_visit:
+        index, at = to_visit.pop()
+        if not 0 <= index < len(items):
             continue
-        if item.command not in FLOWN_PLACE:
-            continue
-        alt_amsl_m = (item.z or 0.0) + (0.0 if item.frame == GLOBAL else home[2])
-        up_m = frame.from_geodetic(home[0], home[1], alt_amsl_m)[2]
-        there = at if item.position is None else frame.from_geodetic(*item.position, alt_amsl_m)
-        if item.command in LANDINGS:
-            at = _level(legs, at, there)
-            legs.append(column(at, min(base[2], at[2])))
-            continue
-        if item.command in TAKEOFFS:
-            legs.append(column(at, up_m))
-            at = (at[0], at[1], max(at[2], up_m))
-        legs += along([at, (there[0], there[1], up_m)])
-        at = (there[0], there[1], up_m)
-        radius_m = item.params[RADIUS_PARAM.get(item.command, 0)] if item.command in RADIUS_PARAM else 0.0
-        widest_m = max(widest_m, abs(radius_m or 0.0))
+        if items[index].command == mav_cmd.NAV_RETURN_TO_LAUNCH:
+            after = _return(legs, run, at, base)
+        else:
+            after = _fly(legs, items[index], at, base, home, frame)
+        widest_m = max(widest_m, _radius_m(items[index]))
+        target = targets.get(index)
+        for following in (index + 1, *(() if target is None else (target,))):
+            if (following, after) not in visited:
+                visited.add((following, after))
+                to_visit.append((following, after))
     return legs, widest_m
+
+
+def jump_target(items: Sequence[MissionItem], jump: MissionItem) -> int | None:
+    """The index of the item to which a DO_JUMP or DO_JUMP_TAG leads; None: to none."""
+    number = jump.params[0]
+    if jump.command == mav_cmd.DO_JUMP_TAG:
+        tagged = (i for i, item in enumerate(items) if item.command == mav_cmd.JUMP_TAG and item.params[0] == number)
+        return next(tagged, None)
+    return None if number is None or not 1 <= number <= len(items) else int(number) - FIRST_ITEM
+
+
+def _radius_m(item: MissionItem) -> float:
+    """Radius of the circle that it makes the vehicle fly; 0: none."""
+    index = RADIUS_PARAM.get(item.command)
+    return 0.0 if index is None else abs(item.params[index] or 0.0)
+
+
+def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vector:
+    """Add the legs of a return from a place; returns where it ends."""
+    if run.return_end is ReturnEnd.STANDS:
+        at = _level(legs, at, base)
+        legs.append(column(at, base[2]))
+        return base
+    home = Returning(0, "", Footprint(), at, (0.0, 0.0, 0.0), base, run.height)
+    if run.return_end is ReturnEnd.LANDS:
+        legs += home.way().legs
+        return base
+    # it also sinks to its return height on the way, and stays at it
+    low_m, high_m = min(at[2], base[2] + run.height.least_m), home.highest_m
+    legs += (column(at, high_m), Leg(at[:2], base[:2], low_m, high_m))
+    return (base[0], base[1], low_m)
+
+
+def _fly(legs: list[Leg], item: MissionItem, at: Vector, base: Vector, home: Place, frame: EnuFrame) -> Vector:
+    """Add the legs of one item that is flown from a place; returns where it ends."""
+    if item.command not in FLOWN_PLACE:
+        return at
+    alt_amsl_m = (item.z or 0.0) + (0.0 if item.frame == GLOBAL else home[2])
+    up_m = frame.from_geodetic(home[0], home[1], alt_amsl_m)[2]
+    there = at if item.position is None else frame.from_geodetic(*item.position, alt_amsl_m)
+    if item.command in LANDINGS:
+        at = _level(legs, at, there)
+        legs.append(column(at, min(base[2], at[2])))
+        return at
+    if item.command in TAKEOFFS:
+        legs.append(column(at, up_m))
+        at = (at[0], at[1], max(at[2], up_m))
+    legs += along([at, (there[0], there[1], up_m)])
+    return (there[0], there[1], up_m)
 
 
 def _level(legs: list[Leg], at: Vector, to: Vector) -> Vector:

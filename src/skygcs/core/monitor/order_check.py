@@ -88,9 +88,14 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
 
 
 def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now: float) -> str | None:
-    """The same of the way up. Vehicles that stand too near already count: it may be carried sideways as it rises."""
-    path = _straight((0.0, 0.0, height_m), CLIMB_MPS, HORIZON_S)._replace(strict=True)
-    return _conflict(mover, _frame(mover), path, others, now)
+    """The same of the way up, and of where it holds then. Vehicles that stand too near already count: it may be carried
+    sideways as it rises."""
+    frame, others, end = _frame(mover), list(others), (0.0, 0.0, height_m)
+    path = _straight(end, CLIMB_MPS, HORIZON_S)._replace(strict=True)
+    way = _conflict(mover, frame, path, others, now)
+    return way or circle_conflict(
+        mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
+    )
 
 
 def climb_out_conflict(
@@ -118,18 +123,21 @@ def _frame(mover: Mover) -> EnuFrame:
     return EnuFrame(Origin(*mover.here))
 
 
+def holding_disc(other: Other, frame: EnuFrame) -> Disc:
+    """Where another vehicle holds, or will: its circle about the place to which skygcs has sent it. One that is not
+    known may be on any side of the middle of its circle, so all within two radii of it counts."""
+    track = other.track
+    radius_m = 0.0 if track.parked else track.circle_m
+    if other.destination is not None:
+        return Disc(frame.from_geodetic(*other.destination), radius_m)
+    return Disc(frame.from_ecef(track.ecef_m), 2.0 * radius_m)
+
+
 def _holders(mover: Mover, frame: EnuFrame, others: Iterable[Other]) -> Iterator[Holder]:
     """Where the others hold, or will."""
     for other in others:
-        track = other.track
-        if track.key == mover.key:
-            continue
-        radius_m = 0.0 if track.parked else track.circle_m
-        if other.destination is not None:
-            disc = Disc(frame.from_geodetic(*other.destination), radius_m)
-        else:
-            disc = Disc(frame.from_ecef(track.ecef_m), 2.0 * radius_m)
-        yield Holder(track.name, track.footprint, disc)
+        if other.track.key != mover.key:
+            yield Holder(other.track.name, other.track.footprint, holding_disc(other, frame))
 
 
 def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:

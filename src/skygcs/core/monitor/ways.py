@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,6 +19,10 @@ from skygcs.core.separation import Footprint, pair_margin
 
 Point = tuple[float, float]
 """East, north in the common frame, m."""
+
+
+LEGS_A_PART = 8
+"""Legs of which one box is looked at first: all pairs of two parts take a fraction of a millisecond."""
 
 
 class Leg(NamedTuple):
@@ -48,6 +52,17 @@ class Way:
         east = [x for leg in self.legs for x in (leg.begin[0], leg.end[0])]
         north = [y for leg in self.legs for y in (leg.begin[1], leg.end[1])]
         return min(east), max(east), min(north), max(north)
+
+    @cached_property
+    def heights(self) -> tuple[float, float]:
+        """The lowest and highest of its legs."""
+        return min(leg.low_m for leg in self.legs), max(leg.high_m for leg in self.legs)
+
+    @cached_property
+    def parts(self) -> tuple[Way, ...]:
+        """The way in pieces of `LEGS_A_PART` legs."""
+        starts = range(0, len(self.legs), LEGS_A_PART)
+        return tuple(replace(self, legs=self.legs[at : at + LEGS_A_PART]) for at in starts)
 
 
 def standing(place: Vector) -> tuple[Leg, ...]:
@@ -85,21 +100,48 @@ def too_near(a: Way, b: Way) -> bool:
 
 
 def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
-    """False if they are farther apart over the ground than that: most pairs of a fleet."""
+    """False if they are farther apart than that over the ground, or in height: most pairs of a fleet."""
     p, q = a.box, b.box
-    return p[0] - need_m <= q[1] and q[0] - need_m <= p[1] and p[2] - need_m <= q[3] and q[2] - need_m <= p[3]
+    if p[0] - need_m > q[1] or q[0] - need_m > p[1] or p[2] - need_m > q[3] or q[2] - need_m > p[3]:
+        return False
+    gap_m = max(a.heights[0] - b.heights[1], b.heights[0] - a.heights[1])
+    return gap_m < need_m * pair_margin(a.footprint, b.footprint).downwash_ratio
 
 
-def conflict(way: Way, others: Iterable[Way]) -> str | None:
-    """With which other way this one conflicts most, in words; None: with none."""
-    worst: tuple[float, Way] | None = None
-    for other in others:
-        near_m = distance_m(way, other)
-        if other.key != way.key and near_m < needed_m(way, other) and (worst is None or near_m < worst[0]):
-            worst = near_m, other
-    if worst is None:
-        return None
-    near_m, other = worst
+def find_way_conflicts(starting: Sequence[Way], others: Sequence[Way], found: dict[int, str]) -> Iterator[None]:
+    """Compare each of ``starting`` with each other one and with ``others``, each pair once; yields after each piece of
+    work. ``found`` gets, by key, the first other way with which one of ``starting`` conflicts, in words."""
+    for n, way in enumerate(starting):
+        for m, other in enumerate((*starting[n + 1 :], *others)):
+            starts_too = n + 1 + m < len(starting)
+            if way.key in found and (not starts_too or other.key in found):
+                continue
+            near_m = yield from _nearest_m(way, other)
+            if other.key == way.key or near_m >= needed_m(way, other):
+                continue
+            found.setdefault(way.key, _text(way, other, near_m))
+            if starts_too:
+                found.setdefault(other.key, _text(other, way, near_m))
+
+
+def _nearest_m(a: Way, b: Way) -> Generator[None, None, float]:
+    """The least distance of two ways as far as it is less than they need, else infinity."""
+    yield
+    need_m, nearest_m = needed_m(a, b), math.inf
+    if not _boxes_meet(a, b, need_m):
+        return nearest_m
+    for p in a.parts:
+        if not _boxes_meet(p, b, need_m):
+            continue
+        for q in b.parts:
+            if _boxes_meet(p, q, need_m):
+                nearest_m = min(nearest_m, distance_m(p, q))
+                yield
+        yield
+    return nearest_m
+
+
+def _text(way: Way, other: Way, near_m: float) -> str:
     ratio = pair_margin(way.footprint, other.footprint).downwash_ratio
     return (
         f"{way.name} would come {near_m:.1f} m near {other.name} ({other.doing}); they need "

@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 from skygcs.core.geo import Origin, Vector, distance_m, enu_from_geodetic, geodetic_from_enu, wrap_deg_360
-from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_PLACE
+from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.item import FIRST_ITEM, LOCAL_FRAMES, MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.separation import Footprint, pair_margin
@@ -74,6 +75,9 @@ ground is 1 mm higher at its end, 100 m away, than where it is level."""
 
 SPACING_M = 5.0
 
+ITEMS_A_TURN = 32
+"""Items that are moved at a stretch: half a millisecond."""
+
 LatLon = tuple[float, float]
 
 
@@ -91,15 +95,38 @@ class Arrangement:
 def for_several(
     plan: MissionPlan, arrangement: Arrangement, places: Sequence[LatLon | None], footprints: Sequence[Footprint]
 ) -> tuple[MissionPlan, ...]:
-    """The plan of each vehicle, in their order. ``places``: where they are now; None: not known.
+    """`arranging` without a break."""
+    work = arranging(plan, arrangement, places, footprints)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            plans: tuple[MissionPlan, ...] = end.value
+            return plans
+
+
+def arranging(
+    plan: MissionPlan, arrangement: Arrangement, places: Sequence[LatLon | None], footprints: Sequence[Footprint]
+) -> Generator[None, None, tuple[MissionPlan, ...]]:
+    """The plan of each vehicle, in their order; yields after every `ITEMS_A_TURN` items.
+    ``places``: where they are now; None: not known.
 
     Raises ValueError, in words for a person, for what cannot be arranged: a vehicle of kind present whose place is not
-    known, a line without a course, an item that has no height or no place on earth.
+    known, a line without a course, an item that has no height or no place on earth, one that sets a height or a place
+    in a way that cannot be moved (`FLOWN_OTHERWISE`), and heights of two references without a step.
     """
     if not plan.mission:
         raise ValueError("it holds no mission to arrange")
     offsets = offsets_enu_m(plan.mission, arrangement, places, footprints)
-    return tuple(replace(plan, mission=moved_mission(plan.mission, offset)) for offset in offsets)
+    plans = []
+    for offset in offsets:
+        items: list[MissionItem] = []
+        for at in range(0, len(plan.mission), ITEMS_A_TURN):
+            part = plan.mission[at : at + ITEMS_A_TURN]
+            items += (_moved(n, item, offset) for n, item in enumerate(part, FIRST_ITEM + at))
+            yield
+        plans.append(replace(plan, mission=tuple(items)))
+    return tuple(plans)
 
 
 def offsets_enu_m(
@@ -128,21 +155,24 @@ def offsets_enu_m(
             return tuple((m * way[0], m * way[1], 0.0) for m in apart_m)
 
 
-def moved_mission(items: Sequence[MissionItem], offset_enu_m: Vector) -> tuple[MissionItem, ...]:
-    """The mission, with each place that is flown to moved by so much. Items without a place, such as a return, stay as
-    they are. Raises ValueError for one that cannot be moved."""
-    return tuple(_moved(n, item, offset_enu_m) for n, item in enumerate(items, FIRST_ITEM))
-
-
 def least_step_m(items: Sequence[MissionItem], footprints: Sequence[Footprint]) -> float:
     """The step of heights with which vehicles above each other keep their margins, at least `LEAST_STEP_M`.
 
     What a leg climbs is added: when each of them climbs on it is its own, so it may be at either end of it (see
-    `core.monitor.ways`), and the same holds at the corner with the next leg.
+    `core.monitor.ways`), and the same holds at the corner with the next leg. Raises ValueError for heights above
+    different references, which cannot be compared.
     """
-    pairs = itertools.combinations(footprints, 2)
+    kinds = Counter(footprints)
+    pairs = [*itertools.combinations(kinds, 2), *((kind, kind) for kind, count in kinds.items() if count > 1)]
     margins = [(margin := pair_margin(a, b)).total_m * margin.downwash_ratio for a, b in pairs]
-    heights = [item.z for item in items if _has_height(item) and item.z is not None]
+    measured = [(n, item) for n, item in enumerate(items, FIRST_ITEM) if _has_height(item) and item.z is not None]
+    other = next(((n, item) for n, item in measured if item.frame != measured[0][1].frame), None)
+    if other is not None:
+        raise ValueError(
+            f"the heights of items {measured[0][0]} and {other[0]} are above different references (sea level, home, "
+            "terrain): give the step, or bring them to one"
+        )
+    heights = [item.z for _, item in measured if item.z is not None]
     climbs = [max(some) - min(some) for n in range(len(heights)) if (some := heights[n : n + 3])]
     needed_m = max(margins, default=0.0) + max(climbs, default=0.0) + SLACK_M
     return max(LEAST_STEP_M, math.ceil(needed_m / STEP_GRID_M) * STEP_GRID_M)
@@ -171,6 +201,11 @@ def _has_height(item: MissionItem) -> bool:
 
 
 def _moved(number: int, item: MissionItem, offset_enu_m: Vector) -> MissionItem:
+    if item.command in FLOWN_OTHERWISE and offset_enu_m != (0.0, 0.0, 0.0):
+        raise ValueError(
+            f"item {number} (command {item.command}) sets a height or a place that cannot be moved: each vehicle would "
+            "fly there; leave it out, or upload a mission of its own to each"
+        )
     if item.command not in FLOWN_PLACE or offset_enu_m == (0.0, 0.0, 0.0):
         return item
     east_m, north_m, up_m = offset_enu_m

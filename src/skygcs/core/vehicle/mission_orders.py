@@ -21,7 +21,7 @@ from typing import Any, Literal, NamedTuple
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass
 from skygcs.core.mission.check import ENDS_ON_GROUND, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionType, item_of_seq, seq_of_item
@@ -352,7 +352,47 @@ def _resumed(restart: float | None) -> MissionSetting:
 
 # --- missions one after another ---------------------------------------------------------------------------------------
 
+
+@dataclass(slots=True)
+class Progress:
+    """Reports of one run of a mission, which begins with a start, a resume or another current item. Numbers from 1.
+
+    A PX4 repeats its last MISSION_ITEM_REACHED ten times (mavlink_mission.cpp, 1.16): one that comes before the run's
+    first item is current belongs to the run before.
+    """
+
+    first: int | None = None
+    """The item with which it begins, until that is reported as current; None: it has begun."""
+    reached: int | None = None
+    furthest: int = 0
+    """The highest item that was current."""
+
+    def on_current(self, item: int) -> None:
+        if self.first is not None and item != self.first:
+            return
+        self.first = None
+        self.furthest = max(self.furthest, item)
+
+    def on_reached(self, item: int) -> bool:
+        """False: it belongs to the run before, or is known."""
+        if self.first is not None or item == self.reached:
+            return False
+        self.reached = item
+        return True
+
+    def complete(self, last: int | None) -> bool:
+        """True if item ``last`` was current and then reached in this run."""
+        return bool(last) and self.reached == last and self.furthest >= (last or 0)
+
+
 Next = Literal["wait", "start", "end"]
+
+
+MISSION_RETURN_MODES = frozenset({"AUTO.RTL", "RTL", "AUTO_RTL", "QRTL"})
+"""Modes to which a mission's own NAV_RETURN_TO_LAUNCH changes (PX4, ArduPlane, Rover); ArduCopter stays in AUTO."""
+
+MISSION_OVER_MODES = frozenset({"AUTO.LOITER"})
+"""Modes to which a PX4 changes when its mission has ended (Commander.cpp, checkForMissionUpdate)."""
 
 
 class Turn(NamedTuple):
@@ -368,6 +408,23 @@ class Turn(NamedTuple):
     """Another order was given to it since its start."""
     lands: bool
     """Its mission ends on the ground; see `ends_on_ground`."""
+    mode: str = "AUTO"
+    """The mode in which it was last seen armed."""
+    ending: bool = False
+    """The last item that moves it was its current one in this run."""
+    returns: bool = False
+    """That item is a return."""
+    at_home: bool = False
+    """It is where it holds at the end of a return that does not land."""
+
+    @property
+    def follows(self) -> bool:
+        """True if it was last seen in its mission's mode, or in one in which its mission itself ends."""
+        if self.mode in MISSION_RETURN_MODES:
+            return self.complete or (self.ending and self.returns)
+        if self.mode in MISSION_OVER_MODES:
+            return self.complete or (self.ending and not self.flying)
+        return self.mode in MISSION_MODES
 
 
 class TurnDecision(NamedTuple):
@@ -382,8 +439,11 @@ def next_turn(flown: Turn) -> TurnDecision:
     --------------------------------------------------  ---------------------------------------------------------------
     is on its mission, or on its way down from it       wait
     has reached the last item, where it holds           the next one may start
-    is on the ground and disarmed, by its mission       the next one may start
-    has another order, a failsafe, or is not heard      end: what comes next is a person's decision
+    has returned, and circles or stands at its home     the next one may start
+    is on the ground and disarmed, by its last item     the next one may start
+    is in a mode that is not its mission's, came down   end: what comes next is a person's decision
+    before its last item, has another order, a
+    failsafe, or is not heard
     """
     if flown.ordered:
         return TurnDecision("end", f"{flown.name} was ordered something else")
@@ -391,14 +451,35 @@ def next_turn(flown: Turn) -> TurnDecision:
         return TurnDecision("end", f"{flown.name} is not heard")
     if flown.failsafe:
         return TurnDecision("end", f"{flown.name} is in failsafe")
+    if not flown.follows:
+        return TurnDecision("end", f"{flown.name} was taken over ({flown.mode or 'mode unknown'})")
     if not flown.flying and not flown.armed:
-        return TurnDecision("start", f"{flown.name} has landed")
+        if flown.complete or (flown.lands and flown.ending):
+            return TurnDecision("start", f"{flown.name} has landed")
+        return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
     if flown.complete and not flown.lands:
         return TurnDecision("start", f"{flown.name} has flown its mission")
+    if flown.ending and flown.returns and flown.at_home and not flown.lands:
+        return TurnDecision("start", f"{flown.name} has returned")
     return TurnDecision("wait", "")
 
 
-def ends_on_ground(items: Sequence[MissionItem]) -> bool:
-    """True if the last item that moves the vehicle brings it to the ground."""
-    moving = [item for item in items if item.moves]
-    return bool(moving) and moving[-1].command in ENDS_ON_GROUND
+def last_moving(items: Sequence[MissionItem]) -> int | None:
+    """The number of the last item that moves the vehicle; None: none does."""
+    return max((number for number, item in enumerate(items, FIRST_ITEM) if item.moves), default=None)
+
+
+def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
+    """True if the last item that moves the vehicle brings it to the ground. ``return_end``: how its returns end."""
+    last = last_moving(items)
+    if last is None:
+        return False
+    if ends_with_return(items):
+        return return_end is ReturnEnd.LANDS
+    return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
+
+
+def ends_with_return(items: Sequence[MissionItem]) -> bool:
+    """True if the last item that moves the vehicle is a return."""
+    last = last_moving(items)
+    return last is not None and items[last - FIRST_ITEM].command == mav_cmd.NAV_RETURN_TO_LAUNCH

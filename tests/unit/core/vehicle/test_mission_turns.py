@@ -6,10 +6,14 @@ import itertools
 
 import pytest
 
+from skygcs.core.mavlink.modes import Family
+from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, next_turn
+from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, last_moving, next_turn
 
 ON_ITS_WAY = Turn("v1", True, True, True, False, False, False, True)
+ENDING = ON_ITS_WAY._replace(ending=True, returns=True)
+EARLY = "v1 is on the ground before the last item of its mission"
 
 
 @pytest.mark.parametrize(
@@ -19,7 +23,24 @@ ON_ITS_WAY = Turn("v1", True, True, True, False, False, False, True)
         (ON_ITS_WAY._replace(complete=True), "wait", ""),  # its last item is a return, which it flies
         (ON_ITS_WAY._replace(complete=True, lands=False), "start", "v1 has flown its mission"),
         (ON_ITS_WAY._replace(flying=False), "wait", ""),  # armed on the ground: it is about to take off
-        (ON_ITS_WAY._replace(flying=False, armed=False), "start", "v1 has landed"),
+        (ENDING._replace(flying=False, armed=False), "start", "v1 has landed"),
+        (ENDING._replace(mode="AUTO.RTL"), "wait", ""),
+        (ENDING._replace(mode="AUTO.RTL", flying=False, armed=False), "start", "v1 has landed"),
+        (ENDING._replace(mode="AUTO.LOITER", flying=False), "wait", ""),  # a PX4 that has landed
+        # a plane that circles at home, and a rover that stands there armed
+        (ENDING._replace(mode="RTL", lands=False, at_home=True), "start", "v1 has returned"),
+        (ENDING._replace(mode="RTL", lands=False, at_home=True, flying=False), "start", "v1 has returned"),
+        (ENDING._replace(mode="RTL", lands=False), "wait", ""),
+        (ENDING._replace(mode="RTL", at_home=True), "wait", ""),
+        (ON_ITS_WAY._replace(lands=False, at_home=True), "wait", ""),
+        # a crash that disarms, and whoever else flies it
+        (ON_ITS_WAY._replace(flying=False, armed=False), "end", EARLY),
+        (ON_ITS_WAY._replace(lands=False, ending=True, flying=False, armed=False), "end", EARLY),
+        (ON_ITS_WAY._replace(mode="POSCTL"), "end", "v1 was taken over (POSCTL)"),
+        (ON_ITS_WAY._replace(mode="AUTO.RTL", returns=True), "end", "v1 was taken over (AUTO.RTL)"),
+        (ENDING._replace(mode="AUTO.LOITER"), "end", "v1 was taken over (AUTO.LOITER)"),
+        (ENDING._replace(mode="RTL", returns=False), "end", "v1 was taken over (RTL)"),
+        (ENDING._replace(mode="LAND", flying=False, armed=False), "end", "v1 was taken over (LAND)"),
         (ON_ITS_WAY._replace(heard=False), "end", "v1 is not heard"),
         (ON_ITS_WAY._replace(failsafe=True), "end", "v1 is in failsafe"),
         (ON_ITS_WAY._replace(ordered=True), "end", "v1 was ordered something else"),
@@ -30,14 +51,37 @@ def test_each_row_of_the_table(flown: Turn, next_: str, why: str) -> None:
 
 
 def test_nobody_starts_while_the_one_before_is_taken_over_in_trouble_or_in_the_air_with_its_way_before_it() -> None:
-    for flags in itertools.product([False, True], repeat=7):
-        flown = Turn("v1", *flags)
+    modes = ("AUTO.MISSION", "AUTO", "AUTO.RTL", "AUTO.LOITER", "AUTO.LAND", "POSCTL", "LAND", "GUIDED", "")
+    for mode, *flags in itertools.product(modes, *([False, True],) * 10):
+        flown = Turn("v1", *flags[:7], mode, *flags[7:])  # type: ignore[arg-type]
         if next_turn(flown).next == "start":
             assert flown.heard and not flown.failsafe and not flown.ordered
-            assert not flown.flying or (flown.complete and not flown.lands)
+            over = flown.complete or (flown.ending and flown.returns and flown.at_home)
+            assert not flown.flying or (over and not flown.lands)
+            assert mode in modes[:4] and (over or (flown.lands and flown.ending))
 
 
 def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     waypoint, home, land, speed = MissionItem(16), MissionItem(20), MissionItem(21), MissionItem(178)
     assert ends_on_ground([waypoint, home]) and ends_on_ground([waypoint, land, speed])
     assert not ends_on_ground([waypoint]) and not ends_on_ground([]) and not ends_on_ground([home, waypoint])
+    assert last_moving([waypoint, land, speed]) == 2 and last_moving([speed]) is None
+
+
+@pytest.mark.parametrize(
+    ("family", "kind", "lands"),
+    [
+        ("px4", "copter", True),
+        ("ardupilot", "copter", True),
+        ("px4", "plane", False),
+        ("ardupilot", "plane", False),
+        ("px4", "vtol", True),
+        ("ardupilot", "vtol", False),
+        ("ardupilot", "rover", False),
+        ("px4", "rover", False),
+    ],
+)
+def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:
+    end = abilities_of(family, VehicleClass(kind)).return_end
+    assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
+    assert ends_on_ground([MissionItem(16), MissionItem(21)], end)

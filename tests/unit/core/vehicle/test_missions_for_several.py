@@ -9,9 +9,11 @@ from typing import Literal
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
 from pymavlink.mavextra import distance_lat_lon
 
 from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.mission.check import FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.fence_items import FenceCircle, FencePlan
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
@@ -19,9 +21,11 @@ from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.ways import Way, too_near
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.formation import (
+    ITEMS_A_TURN,
     LEAST_STEP_M,
     SPACING_M,
     Arrangement,
+    arranging,
     course_deg,
     for_several,
     least_step_m,
@@ -190,6 +194,13 @@ def test_landings_move_and_keep_their_height_and_the_rest_of_the_plan_is_the_sam
             [None, None],
             "item 2 has a place of a local frame",
         ),
+        # 415.5 m of "climb" between a height above the sea and one above home
+        (
+            MissionPlan((item(16, 0, 0, 10.0), item(16, 9, 0, 420.0, frame=0))),
+            Arrangement("heights"),
+            [None, None],
+            "items 1 and 2 are above different references",
+        ),
     ],
 )
 def test_what_cannot_be_arranged_is_refused_in_words(
@@ -197,3 +208,46 @@ def test_what_cannot_be_arranged_is_refused_in_words(
 ) -> None:
     with pytest.raises(ValueError, match=text):
         for_several(plan, arrangement, places, [Footprint()] * 2)
+
+
+@pytest.mark.parametrize("command", sorted(FLOWN_OTHERWISE))
+@pytest.mark.parametrize("kind", ["heights", "line"])
+def test_what_sets_a_height_and_is_not_moved_is_refused(command: int, kind: Literal["heights", "line"]) -> None:
+    plan = MissionPlan((*waypoints((0, 0, 10), (0, 50, 10)).mission, MissionItem(command, 3, z=40.0)))
+    with pytest.raises(ValueError, match=r"item 3 .* cannot be moved"):
+        for_several(plan, Arrangement(kind), [None] * 2, [Footprint()] * 2)
+
+
+def test_every_command_that_pymavlink_knows_with_an_altitude_is_moved_or_refused() -> None:
+    """Commands of a mission whose seventh number is a height to fly to, by MAVLink's own descriptions."""
+    aims = {mav.MAV_CMD_DO_SET_ROI, mav.MAV_CMD_DO_SET_ROI_LOCATION, mav.MAV_CMD_NAV_ROI, mav.MAV_CMD_NAV_RALLY_POINT}
+    goes_up = {
+        number
+        for number, entry in mav.enums["MAV_CMD"].items()
+        if number < 300 and number not in aims and "ltitude" in entry.param.get(7, "")
+    }
+    marks = {mav.MAV_CMD_DO_LAND_START, mav.MAV_CMD_DO_RETURN_PATH_START, mav.MAV_CMD_NAV_LAND, 81}
+    assert mav.MAV_CMD_NAV_CONTINUE_AND_CHANGE_ALT in goes_up
+    assert goes_up - marks <= FLOWN_PLACE | FLOWN_OTHERWISE, goes_up - marks - FLOWN_PLACE - FLOWN_OTHERWISE
+
+
+def test_two_references_with_a_given_step_are_raised_each() -> None:
+    plan = MissionPlan((item(16, 0, 0, 10.0), item(16, 9, 0, 420.0, frame=0)))
+    raised = for_several(plan, Arrangement("heights", 6.0), [None] * 2, [Footprint()] * 2)[1]
+    assert [i.z for i in raised.mission] == [16.0, 426.0]
+
+
+def test_many_long_missions_are_moved_in_small_pieces() -> None:
+    """250 missions of 500 items were moved in one stretch of 1.7 s, longer than PX4's COM_OF_LOSS_T."""
+    plan = waypoints(*((float(n % 7), 10.0 * n, 20.0) for n in range(500)))
+    count, pieces = 4, 0
+    work = arranging(plan, Arrangement("line"), [None] * count, [Footprint()] * count)
+    while True:
+        try:
+            next(work)
+            pieces += 1
+        except StopIteration as end:
+            plans = end.value
+            break
+    assert pieces >= count * 500 / ITEMS_A_TURN
+    assert plans == for_several(plan, Arrangement("line"), [None] * count, [Footprint()] * count)

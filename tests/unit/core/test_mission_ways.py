@@ -1,0 +1,125 @@
+"""The space of missions: the legs of loops, and the circles of loiters."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.mavlink.vehicle_class import ReturnEnd
+from skygcs.core.mission.item import MissionItem
+from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
+from skygcs.core.monitor.mission_ways import MissionRun, mission_way
+from skygcs.core.monitor.ways import Way, standing, too_near
+from skygcs.core.separation import Footprint
+from support.table import each
+
+HOME = (43.7806, -79.4653, 180.0)
+FRAME = EnuFrame(Origin(*HOME))
+SMALL = Footprint()
+
+Point = tuple[float, float]
+
+
+def item(
+    command: int, at: Point, up_m: float = 20.0, radius_at: int | None = None, radius_m: float = 0.0
+) -> MissionItem:
+    lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
+    params = [radius_m if n == radius_at else 0.0 for n in range(4)]
+    return MissionItem.from_params(command, 3, (*params, lat_deg, lon_deg, up_m), True)
+
+
+def jump(target: int, command: int = 177) -> MissionItem:
+    return MissionItem(command, 2, (float(target), 3.0, 0.0, 0.0))
+
+
+TAG = MissionItem(600, 2, (7.0, 0.0, 0.0, 0.0))
+
+
+def way(items: list[MissionItem], first: int = 1, at: Point = (0.0, 0.0), up_m: float = 20.0) -> Way:
+    lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
+    here = (lat_deg, lon_deg, HOME[2] + up_m)
+    return mission_way(1, "v1", SMALL, MissionRun(items, first), here, HOME, FRAME)
+
+
+def meets(one: Way, at: Point, up_m: float = 20.0) -> bool:
+    return too_near(one, Way(2, "v2", SMALL, standing((*at, up_m))))
+
+
+SQUARE: list[Point] = [(0.0, 50.0), (80.0, 50.0), (80.0, 0.0)]
+ON_THE_LEG_BACK = (40.0, 25.0)
+
+
+@each(
+    "mission",
+    [
+        [*(item(16, at) for at in SQUARE), jump(1)],
+        [TAG, *(item(16, at) for at in SQUARE), jump(7, 601)],
+        [item(178, (0.0, 0.0)), *(item(16, at) for at in SQUARE), jump(1)],  # to an action before the first place
+    ],
+)
+def test_the_leg_of_a_jump_back_to_its_target_is_in_the_space(mission: list[MissionItem]) -> None:
+    assert meets(way(mission), ON_THE_LEG_BACK)
+    assert not meets(way(mission[:-1]), ON_THE_LEG_BACK)
+    # it is flown from any item on, and leads to those before
+    assert meets(way(mission, len(mission) - 1, at=(80.0, 25.0)), ON_THE_LEG_BACK)
+    assert meets(way(mission, len(mission) - 1, at=(80.0, 25.0)), (40.0, 50.0))
+
+
+def test_a_jump_forward_skips_and_does_not_skip() -> None:
+    mission = [item(16, (0.0, 50.0)), jump(4), item(16, (80.0, 50.0)), item(16, (80.0, 0.0))]
+    assert meets(way(mission), (40.0, 25.0)) and meets(way(mission), (40.0, 50.0))
+
+
+def test_jumps_that_lead_to_each_other_or_nowhere_end() -> None:
+    loops = [item(16, (0.0, 50.0)), jump(3), jump(2), jump(99), jump(8, 601), item(16, (50.0, 50.0))]
+    assert meets(way(loops), (25.0, 50.0))
+
+
+@pytest.mark.parametrize(("command", "radius_at"), [(17, 2), (18, 2), (19, 2), (31, 1)])
+def test_the_circle_of_every_loiter_is_as_wide_as_its_own_parameter(command: int, radius_at: int) -> None:
+    """MAVLink: NAV_LOITER_TO_ALT has its radius in parameter 2, the others in 3; the sign is the direction."""
+    for sign in (1.0, -1.0):
+        circling = way([item(command, (0.0, 100.0), radius_at=radius_at, radius_m=sign * 60.0)])
+        assert math.isclose(circling.ball_m, 60.0)
+        assert meets(circling, (60.0, 100.0)) and not meets(circling, (70.0, 100.0))
+
+
+HOME_ITEM = MissionItem.from_params(20, 2, (0.0,) * 7, True)
+
+
+def returning(height: ReturnHeight, end: ReturnEnd = ReturnEnd.LANDS) -> Way:
+    """A mission at 10 m, 100 m to the north, and home."""
+    run = MissionRun([item(16, (0.0, 100.0), 10.0), HOME_ITEM], 1, height, end)
+    return mission_way(1, "v1", SMALL, run, (*HOME[:2], HOME[2] + 10.0), HOME, FRAME, 60.0 * (end is ReturnEnd.CIRCLES))
+
+
+def test_a_return_climbs_to_its_height_flies_level_and_comes_down() -> None:
+    """Both came home at 30 m, whatever the heights of their missions, and passed 0.8 m apart."""
+    one = returning(ReturnHeight(0.0, 30.0))
+    for at in ((0.0, 100.0), (0.0, 50.0), (0.0, 0.0)):
+        for up_m in (10.0, 20.0, 30.0):
+            assert meets(one, at, up_m), (at, up_m)
+        assert not meets(one, at, 40.0)
+    assert meets(one, (0.0, 0.0), 1.0)
+    assert meets(returning(UNKNOWN), (0.0, 50.0), 400.0), "any height, where it is not known"
+
+
+def test_its_return_is_the_one_that_departures_plans() -> None:
+    height = ReturnHeight(5.0, 30.0, 2.0)
+    at, base = FRAME.from_geodetic(*place_of((0.0, 100.0), 10.0)), FRAME.from_geodetic(*HOME)
+    wanted = Returning(1, "v1", SMALL, at, (0.0, 0.0, 0.0), base, height).way().legs
+    for leg, theirs in zip(returning(height).legs[-len(wanted) :], wanted, strict=True):
+        assert [*leg.begin, *leg.end, *leg[2:]] == pytest.approx([*theirs.begin, *theirs.end, *theirs[2:]], abs=0.02)
+
+
+def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
+    circling = returning(ReturnHeight(0.0, 30.0), ReturnEnd.CIRCLES)
+    assert meets(circling, (60.0, 0.0), 30.0) and circling.legs[-1].end == pytest.approx((0.0, 0.0), abs=0.02)
+    assert not meets(returning(UNKNOWN, ReturnEnd.STANDS), (0.0, 50.0), 30.0)
+
+
+def place_of(at: Point, up_m: float) -> tuple[float, float, float]:
+    lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
+    return lat_deg, lon_deg, HOME[2] + up_m
