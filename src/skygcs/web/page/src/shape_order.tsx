@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { HoldButton } from "./hold_button.tsx";
-import { useStore, useTick } from "./hooks.ts";
+import { useFramed, useStore, useTick } from "./hooks.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { readOutcomes, runOrder } from "./orders.ts";
 import { Choice, NumberField, usePolled } from "./panels/parts.tsx";
@@ -20,6 +20,7 @@ const MOST_LAPS = 20;
 /** Of the default limits of control.trajectory. */
 const MOST_SPEED_MPS = 5;
 const DRAWN_EACH_PIECE = 8;
+const NO_POINTS: readonly Vec3[] = [];
 
 interface Loaded {
   trajectories: readonly { vehicle: string; name: string; duration_s: number; start_enu_m: Vec3 }[];
@@ -42,7 +43,7 @@ function ShapeForm(props: ButtonsProps) {
   const [size, setSize] = useState<number | null>(10);
   const [speed, setSpeed] = useState<number | null>(2);
   const [laps, setLaps] = useState<number | null>(1);
-  const [points, setPoints] = useState<readonly Vec3[]>([]);
+  const [points, setPoints] = useFramed(store, NO_POINTS);
   const loaded = usePolled<Loaded>(store, connection, kind === "loaded" && targets.length > 0 ? "trajectory.status" : null, { targets }, 2_000);
   const found = (loaded.answer?.trajectories ?? []).filter(({ vehicle }) => targets.includes(vehicle));
   useTick(1_000); // the preview begins where they are now
@@ -70,7 +71,7 @@ function ShapeForm(props: ButtonsProps) {
       <div class="row">
         <Choice label="Shape" value={kind} options={SHAPES} onValue={setKind} />
         {kind === "path" && <button type="button" disabled={!enabled} onClick={pick}>Click points</button>}
-        {kind === "path" && points.length > 0 && <button type="button" onClick={() => setPoints([])}>Clear {points.length}</button>}
+        {kind === "path" && points.length > 0 && <button type="button" onClick={() => setPoints(NO_POINTS)}>Clear {points.length}</button>}
       </div>
       {kind !== "loaded" && (
         <div class="fields">
