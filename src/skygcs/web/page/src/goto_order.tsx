@@ -7,6 +7,7 @@ import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useFramed, useStore } from "./hooks.ts";
+import { OrderChain } from "./order_chains.ts";
 import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { engage } from "./setpoint_orders.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
@@ -38,9 +39,11 @@ export function Goto({ store, connection, view, targets, enabled, send }: Button
     const goals = new Map(goalsOf(store, view.frame, x, y).map(({ name, to }) => [name, to]));
     const label = `Go to x ${fixed(x, 1) ?? ""}, y ${fixed(y, 1) ?? ""}${up}`;
     const go = async (): Promise<void> => {
-      if (kept && !(await engage(store, connection, targets))) return;
-      const state = await send({ label, method: "vehicles.goto", params: { ...now, height_m: height } });
-      if (state === "done") store.dispatch({ type: "goals", goals });
+      const chain = new OrderChain(targets);
+      if (kept && !(await engage(store, connection, targets, chain))) return;
+      const state = await send({ label, method: "vehicles.goto", params: { ...now, height_m: height }, chain });
+      if (state === "done" && chain.goesOn) store.dispatch({ type: "goals", goals });
+      chain.end();
     };
     void go();
     draft.end();

@@ -2,6 +2,7 @@
 
 import type { Connection } from "./connection.ts";
 import { fixed } from "./format.ts";
+import type { OrderChain } from "./order_chains.ts";
 import { sendOrder } from "./orders.ts";
 import type { Store, Vehicle } from "./store.ts";
 import type { Vec3 } from "./types.ts";
@@ -76,11 +77,20 @@ export function isOnTrajectory(vehicle: Controlled): boolean {
   return found !== null && !OVER.includes(found.state);
 }
 
-/** Has setpoints fly those that they do not fly yet, by place; those that the guard holds are engaged anew. True if all of
- *  them are flown then. */
-export async function engage(store: Pick<Store, "state" | "dispatch">, connection: Pick<Connection, "order">, targets: readonly string[]): Promise<boolean> {
-  const idle = targets.filter((name) => !isFlown(store.state.vehicles.get(name)));
+export function isPaused(vehicle: Controlled): boolean {
+  return vehicle !== undefined && trajectoryOf(vehicle)?.state === "paused";
+}
+
+/** It is on a trajectory that goes on. */
+export function canPause(vehicle: Controlled): boolean {
+  return isOnTrajectory(vehicle) && !isPaused(vehicle);
+}
+
+/** Has setpoints fly those that they do not fly yet, by place; those that the guard holds, or that are only being engaged,
+ *  are engaged anew. True if all of them are flown then. */
+export async function engage(store: Pick<Store, "state" | "dispatch">, connection: Pick<Connection, "order">, targets: readonly string[], chain?: OrderChain): Promise<boolean> {
+  const idle = targets.filter((name) => !isFlying(store.state.vehicles.get(name)));
   if (idle.length === 0) return true;
-  const request = { label: "Fly by position setpoints", method: "control.set", params: { mode: "position" }, targets: idle };
+  const request = { label: "Fly by position setpoints", method: "control.set", params: { mode: "position" }, targets: idle, chain };
   return (await sendOrder(store, connection, request)) === "done";
 }

@@ -31,7 +31,7 @@ test("what the guard holds gets no setpoints: the text says so, no place is kept
     return Promise.resolve({ outcomes: { a: { ok: true, result: "accepted", message: "", elapsed_s: 1 } } });
   } } as unknown as Parameters<typeof engage>[1];
   assert.ok(await engage(store, connection, ["a", "b", "c"]));
-  assert.deepEqual(asked, [["control.set", { targets: ["a"], mode: "position" }]]);
+  assert.deepEqual(asked, [["control.set", { targets: ["a", "c"], mode: "position" }]]);
 });
 
 test("a place that is kept has three axes", () => {
