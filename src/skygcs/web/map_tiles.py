@@ -44,15 +44,30 @@ def open_tiles(path: Path) -> TileSet:
     raise TileFileError(path, "is neither MBTiles nor PMTiles")
 
 
+def _thread() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, thread_name_prefix="map tiles")
+
+
 class MapTiles:
     """Serves the tiles of an open file. `close` ends it. Raises TileFileError."""
 
-    def __init__(self, tiles: TileSet, path: Path) -> None:
+    @classmethod
+    async def opened(cls, path: Path) -> MapTiles:
+        """Open a file in the thread that will read it: a foreign one may take its time. Raises TileFileError."""
+        thread = _thread()
+        try:
+            tiles = await asyncio.get_running_loop().run_in_executor(thread, open_tiles, path)
+            return cls(tiles, path, thread)
+        except BaseException:
+            thread.shutdown(wait=False)
+            raise
+
+    def __init__(self, tiles: TileSet, path: Path, thread: ThreadPoolExecutor | None = None) -> None:
         self.counts = {"served": 0, "none": 0, "refused": 0, "overrun": 0}
         self._tiles = tiles
         self._path = path
         self._waiting = 0
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="map tiles")
+        self._thread = thread or _thread()
         self._logged: set[str] = set()
         try:
             self._mtime_ns = path.stat().st_mtime_ns
