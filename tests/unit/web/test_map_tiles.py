@@ -18,7 +18,8 @@ from pmtiles.reader import MmapSource, Reader
 from pmtiles.tile import Compression, TileType, deserialize_directory, zxy_to_tileid
 
 from skygcs.web import map_tiles
-from skygcs.web.map_tiles import MAX_WAITING, MapTiles, open_tiles
+from skygcs.web.http_server import tile_response
+from skygcs.web.map_tiles import MAX_WAITING, MapTiles, TilesBusyError, open_tiles
 from skygcs.web.pmtiles_file import MAX_ENTRIES, PmtilesFile, directory_of, tile_id
 from skygcs.web.tile_set import (
     MAX_TILE_BYTES,
@@ -344,28 +345,49 @@ def test_a_file_is_opened_in_the_thread_that_reads_it(tmp_path: Path, monkeypatc
     assert [name.startswith("map tiles") for name in threads] == [True]
 
 
-def run(tiles: MapTiles, *places: tuple[int, int, int]) -> list[tuple[str, bytes] | None]:
-    async def all_at_once() -> list[tuple[str, bytes] | None]:
-        return await asyncio.gather(*(tiles.read(*place) for place in places))
+def run(tiles: MapTiles, *places: tuple[int, int, int]) -> list[tuple[str, bytes] | type[Exception] | None]:
+    async def answer(place: tuple[int, int, int]) -> tuple[str, bytes] | type[Exception] | None:
+        try:
+            return await tiles.read(*place)
+        except (TilesBusyError, TileRefusedError) as error:
+            return type(error)
+
+    async def all_at_once() -> list[tuple[str, bytes] | type[Exception] | None]:
+        return await asyncio.gather(*map(answer, places))
 
     return asyncio.run(all_at_once())
 
 
-def test_what_is_served_is_a_picture_or_nothing(tmp_path: Path) -> None:
+def test_a_picture_none_and_one_that_is_not_drawn_are_three_answers(tmp_path: Path) -> None:
     path = write_mbtiles(tmp_path / "f.mbtiles", TILES | {(3, 3, 3): b"<html>", (3, 4, 4): RED + bytes(MAX_TILE_BYTES)})
     tiles = MapTiles(open_tiles(path), path)
     places = [(3, 1, 2), (3, 0, 0), (3, 3, 3), (3, 4, 4), (3, 8, 0), (3, -1, 0), (99, 0, 0)]
-    assert run(tiles, *places) == [("image/png", RED), *[None] * 6]
+    assert run(tiles, *places) == [("image/png", RED), None, *[TileRefusedError] * 2, *[None] * 3]
     assert tiles.counts == {"served": 1, "none": 1, "refused": 2, "overrun": 0}
     tiles.close()
 
 
-def test_requests_beyond_the_bound_get_nothing(tmp_path: Path) -> None:
+def test_requests_beyond_the_bound_are_to_come_again(tmp_path: Path) -> None:
     path = write_mbtiles(tmp_path / "f.mbtiles", TILES)
     tiles = MapTiles(open_tiles(path), path)
     found = run(tiles, *[(3, 1, 2)] * (MAX_WAITING + 40))
-    assert found.count(None) == 40 and tiles.counts["overrun"] == 40
+    assert found.count(TilesBusyError) == 40 and tiles.counts["overrun"] == 40
     assert run(tiles, (3, 1, 2)) == [("image/png", RED)]  # and it goes on
+    tiles.close()
+
+
+def test_a_browser_is_told_what_to_ask_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_mbtiles(tmp_path / "f.mbtiles", TILES | {(3, 3, 3): b"<html>"})
+    tiles = MapTiles(open_tiles(path), path)
+
+    async def answers() -> list[tuple[int, str | None]]:
+        places = [(3, 1, 2), (3, 0, 0), (3, 3, 3)]
+        found = [await tile_response(tiles, *place) for place in places]
+        monkeypatch.setattr(map_tiles, "MAX_WAITING", 0)
+        found.append(await tile_response(tiles, *places[0]))
+        return [(response.status, response.headers.get("Retry-After")) for response in found]
+
+    assert asyncio.run(answers()) == [(200, None), (204, None), (422, None), (503, "1")]
     tiles.close()
 
 
@@ -373,7 +395,7 @@ def test_a_file_that_is_cut_off_later_is_no_tile_and_no_end(tmp_path: Path) -> N
     path = write_pmtiles(tmp_path / "f.pmtiles", TILES)
     tiles = MapTiles(open_tiles(path), path)
     os.truncate(path, 200)
-    assert run(tiles, *[(5, 9, 11)] * 30) == [None] * 30
+    assert run(tiles, *[(5, 9, 11)] * 30) == [TileRefusedError] * 30
     assert tiles.counts["refused"] == 30
     tiles.close()
 
