@@ -1,6 +1,6 @@
 """The HTTP side of `skygcs web`: sign-in, the built page, the map and the WebSocket, for known hosts and origins only.
 
-    GET /?token=T     a token once: a cookie and 303 to /
+    GET /?token=T     a token once: a cookie and 303 to /; later the same without a cookie for who has it
     GET /             the page; without a cookie 403 and a field for an address
     GET /assets/NAME  its files
     GET /map          the image beneath the fleet view
@@ -42,6 +42,8 @@ MAX_SOCKETS, MAX_VIEW_SOCKETS, MAX_SOCKETS_EACH = 16, 12, 4
 """WebSockets in all, of browsers that may only look, and of one browser: onlookers keep nobody out who may order."""
 
 SWEEP_S = 1.0
+
+COOKIE_KEPT_S = 7 * 86400
 
 KEEP_ALIVE_S = 30.0
 
@@ -194,7 +196,7 @@ class HttpServer:
     @property
     def cookie_name(self) -> str:
         """Browsers keep one jar for all ports of a host. Over TLS the prefix has them take it from this host only."""
-        return f"{'__Host-' if self._secure else ''}skygcs_{self.port}"
+        return f"{'__Host-' if self._secure else ''}{self._sign_in.session_cookie or f'skygcs_{self.port}'}"
 
     def _new_handler(self) -> RequestHandler:
         server = self._runner.server
@@ -279,12 +281,13 @@ class HttpServer:
         cookie = self._sign_in.exchange(
             token_of(request.query["token"]), self._unix_time(), lambda: is_own_user(request.transport)
         )
-        if cookie is None:
-            return _sign_in(refused=True)
-        self._on_sign_in()
         response = web.Response(status=303, headers={"Location": "/"})
+        if cookie is None:  # an address is opened a second time by who is signed in
+            return _sign_in(refused=True) if self._cookie(request) is None else response
+        self._on_sign_in()
+        kept_s = COOKIE_KEPT_S if self._sign_in.session_cookie is None else None
         response.set_cookie(
-            self.cookie_name, cookie, path="/", httponly=True, samesite="Strict", secure=self._secure, max_age=7 * 86400
+            self.cookie_name, cookie, path="/", httponly=True, samesite="Strict", secure=self._secure, max_age=kept_s
         )
         return response
 

@@ -54,6 +54,10 @@ from skygcs.web.tile_set import TileFileError
 
 SECRET_BYTES = 32
 
+REPLAY_COOKIE = "skygcs_replay"
+"""Of the replays that a daemon starts, one after the other and each on another port: with a cookie of its own for each,
+a browser would send more of them to the station's page than a request may hold."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -90,7 +94,8 @@ class WebProcess:
         self.options = options
         self.loop = asyncio.get_running_loop()
         self.states = LatestStates()
-        self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES))
+        cookie = REPLAY_COOKIE if options.supervised and options.replay is not None else None
+        self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES), cookie)
         self.source: DaemonConnection | ReplaySource
         if options.replay is None:
             self.source = DaemonConnection(options.socket, options.token, self.states)
