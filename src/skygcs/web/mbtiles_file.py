@@ -40,7 +40,7 @@ takes long."""
 CACHE_KIB = 2048
 
 HEAP_BYTES = 64 << 20
-"""Of SQLite in this process, once a file is open: a limit that cannot be raised again."""
+"""Largest heap of SQLite in this process, once a file is open; the limit cannot be raised again."""
 
 TABLES = frozenset({"metadata", "tiles", "map", "images", "tiles_shallow", "tiles_data"})
 """Those of the specification, and those that `tiles` is a view of where programs keep each picture once."""

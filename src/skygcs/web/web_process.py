@@ -55,8 +55,8 @@ from skygcs.web.tile_set import TileFileError
 SECRET_BYTES = 32
 
 REPLAY_COOKIE = "skygcs_replay"
-"""Of the replays that a daemon starts, one after the other and each on another port: with a cookie of its own for each,
-a browser would send more of them to the station's page than a request may hold."""
+"""Cookie of all replays that a daemon starts, one after the other and each on another port. With a cookie for each, a
+browser would send more of them to the station's page than a request may hold."""
 
 _log = structlog.get_logger(__name__)
 

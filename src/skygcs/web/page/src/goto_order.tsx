@@ -84,9 +84,10 @@ function useGotoDraft({ store, view }: Pick<ButtonsProps, "store" | "view">, at:
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   useEffect(() => () => draft?.end(), [draft]);
   useEffect(() => setDraft(null), [frame]);
+  const [x, y] = at === null ? [null, null] : [Number(at.x), Number(at.y)];
   useEffect(() => {
-    if (at !== null) draft?.show(Number(at.x), Number(at.y));
-  }, [draft, at?.x, at?.y, targets]);
+    if (x !== null && y !== null) draft?.show(x, y);
+  }, [draft, x, y, targets]);
   return {
     active: draft !== null,
     begin: () => setDraft(beginGoto(store, view, (place) => setAt({ x: place.x.toFixed(1), y: place.y.toFixed(1) }))),
