@@ -104,6 +104,11 @@ class Extension(Generic[C]):
         return []
 
     @classmethod
+    def fleet_notes(cls, config: Any, fleet: FleetConfig) -> list[str]:
+        """Return what to look at in the fleet file for this table, for `skygcs check`, though it is no error."""
+        return []
+
+    @classmethod
     def summary(cls, config: Any) -> str:
         """Return what one line of `skygcs check` shows of it; "": nothing."""
         return ""

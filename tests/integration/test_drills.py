@@ -15,7 +15,7 @@ from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError
-from skygcs.ext.drills.extension import DrillsConfig
+from skygcs.ext.drills.extension import Drills, DrillsConfig
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle import SimVehicle
@@ -156,7 +156,7 @@ async def test_a_fault_without_a_value_takes_none_and_one_that_does_not_last_can
 
 
 async def test_a_vehicle_that_is_not_simulated_here_is_refused_and_nothing_is_sent_to_it(tmp_path: Path) -> None:
-    """Its system id is that of no simulated one; and one that has such an id keeps its own state all the same."""
+    """Its system id is that of no simulated one."""
     links = {"sim": {"type": "simulated", "px4": 1, "ardupilot": 0, "first_sysid": 9}}
     async with flown(tmp_path, px4=2, takeoff=False, links=links, prepared=with_drills) as gcs:
         sent = len(gcs.sent)
@@ -168,6 +168,39 @@ async def test_a_vehicle_that_is_not_simulated_here_is_refused_and_nothing_is_se
         assert not [s for s in gcs.sent[sent:] if s.sysid in (1, 2) and s.name.startswith("COMMAND")]
         assert all(sim.faults.gps_lost is False and not sim.faults.deaf for sim in gcs.sims)
         assert (await gcs("drills.status"))["simulated"] == ["v9"]
+
+
+async def test_a_vehicle_with_the_id_of_a_simulated_one_is_refused_and_not_shown_as_under_a_drill(
+    tmp_path: Path,
+) -> None:
+    links = {"sim": {"type": "simulated", "px4": 2, "ardupilot": 0, "first_sysid": 1}}
+    async with flown(tmp_path, px4=1, takeoff=False, links=links, prepared=with_drills) as gcs:
+        await gcs.until(lambda: len(gcs.daemon.fleet.vehicles) == 2)
+        begun = (await gcs("drills.begin", targets="v1,v2", fault="gps"))["outcomes"]
+        assert begun["v1"]["result"] == "refused" and "heard on air" in begun["v1"]["message"]
+        assert begun["v2"]["ok"], "the other one is simulated alone"
+        assert (await gcs("drills.status"))["simulated"] == ["v2"]
+        assert (await gcs("vehicles.get", target="v1"))["drills"] is None
+        assert (await gcs("vehicles.get", target="v2"))["drills"] is not None
+
+
+async def test_faults_end_when_a_real_vehicle_with_its_id_is_heard(tmp_path: Path) -> None:
+    async with station(tmp_path) as lab:
+        assert (await lab.outcome("drills.begin", fault="gps"))["ok"]
+        quality = lab.daemon.hub.statistics.link_quality
+        lab.daemon.hub.statistics.link_quality = lambda key: quality(key) | {"radio": {}}  # type: ignore[method-assign]
+        assert (await lab.state())["drills"] is None
+        assert (await lab("drills.status"))["active"] == []
+        assert not lab.sim().faults.gps_lost
+
+
+def test_check_notes_other_links_beside_those_with_drills(tmp_path: Path) -> None:
+    links = {"sim": {"type": "simulated", "px4": 1}, "radio": {"type": "udp_server", "port": 14550}}
+    fleet = FleetConfig.model_validate({"links": links})
+    (note,) = Drills.fleet_notes(DrillsConfig(), fleet)
+    assert note.startswith("beside radio: ") and "first_sysid" in note
+    del fleet.links["radio"]
+    assert Drills.fleet_notes(DrillsConfig(), fleet) == []
 
 
 async def test_without_its_table_there_is_no_method_and_without_simulated_links_no_table(

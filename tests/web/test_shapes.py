@@ -146,6 +146,24 @@ def test_points_of_the_view_are_flown_in_turn(flying: WebStation, open_page: Ope
     off(flying, "v2")
 
 
+def test_points_of_the_view_are_void_in_another_frame(flying: WebStation, open_page: OpenPage) -> None:
+    page = opened(flying, open_page)
+    select(page, "v2")
+    details = shapes(page, "Points on the view")
+    details.get_by_role("button", name="Click points").click()
+    click_view(page, (0.55, 0.3), (0.6, 0.5))
+    expect(details.get_by_role("button", name="Clear 2")).to_be_visible()
+    origin = flying.call("origin.get")["origin"]
+    kept = {key: origin[key] for key in ("lat_deg", "lon_deg", "alt_amsl_m", "x_heading_deg")}
+    try:
+        flying.call("origin.set", **(kept | {"x_heading_deg": 60.0}))
+        until(page, "skygcs.view.frame.x_heading_deg === 60")
+        expect(details.get_by_role("button", name=re.compile("^Clear"))).to_have_count(0)
+        expect(details.get_by_role("button", name=re.compile("^Fly it"))).to_be_disabled()
+    finally:
+        flying.call("origin.set", **kept)
+
+
 def test_a_loaded_trajectory_is_flown_from_its_first_point(flying: WebStation, open_page: OpenPage) -> None:
     x, y, up = place(flying, "v1")
     piece = {"duration_s": 6.0, "x": [x - 6, 0, 0, 10 / 6**3 * 6, -15 / 6**4 * 6, 6 / 6**5 * 6], "y": [y], "up": [up]}

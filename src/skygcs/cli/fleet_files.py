@@ -132,6 +132,7 @@ def _notes(config: FleetConfig, owners: Mapping[str, type[TableOwner]]) -> list[
         notes.append(f"daemon.token_file: the file {token} does not exist now")
     for name, owner in owners.items():
         notes += [f"{name}: {text}" for text in owner.notes(config.extensions[name])]
+        notes += [f"{name}: {text}" for text in owner.fleet_notes(config.extensions[name], config)]
     return notes
 
 

@@ -47,6 +47,11 @@ class TableOwner(Protocol):
         ...
 
     @classmethod
+    def fleet_notes(cls, config: Any, fleet: FleetConfig) -> list[str]:
+        """Return what to look at in the fleet file for this table."""
+        ...
+
+    @classmethod
     def summary(cls, config: Any) -> str:
         """One line of `skygcs check`."""
         ...

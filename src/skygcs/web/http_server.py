@@ -1,10 +1,11 @@
 """The HTTP side of `skygcs web`: sign-in, the built page, the map and the WebSocket, for known hosts and origins only.
 
-    GET /?token=T     a token once: a cookie and 303 to /
+    GET /?token=T     a token once: a cookie and 303 to /; later the same without a cookie for who has it
     GET /             the page; without a cookie 403 and a field for an address
     GET /assets/NAME  its files
     GET /map          the image beneath the fleet view
-    GET /tiles/V/Z/X/Y  a tile of the map beneath it; 204 where there is none
+    GET /tiles/V/Z/X/Y  a tile of the map beneath it; 204 where there is none, 503 for
+                      one to be asked for again, 422 for one that is not drawn
     GET /ws           the WebSocket (`page_clients`)
 
 Anything else is 404, another verb 405. Connections: `browser_connections`.
@@ -29,17 +30,20 @@ from skygcs.config.allow_list import AllowList
 from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
-from skygcs.web.map_tiles import MapTiles
+from skygcs.web.map_tiles import RETRY_S, MapTiles, TilesBusyError
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
 from skygcs.web.sign_in import Role, SignIn, token_of
 from skygcs.web.sign_in_page import STYLE_SOURCE, sign_in_page
+from skygcs.web.tile_set import TileRefusedError
 
 MAX_SOCKETS, MAX_VIEW_SOCKETS, MAX_SOCKETS_EACH = 16, 12, 4
 """WebSockets in all, of browsers that may only look, and of one browser: onlookers keep nobody out who may order."""
 
 SWEEP_S = 1.0
+
+COOKIE_KEPT_S = 7 * 86400
 
 KEEP_ALIVE_S = 30.0
 
@@ -192,7 +196,7 @@ class HttpServer:
     @property
     def cookie_name(self) -> str:
         """Browsers keep one jar for all ports of a host. Over TLS the prefix has them take it from this host only."""
-        return f"{'__Host-' if self._secure else ''}skygcs_{self.port}"
+        return f"{'__Host-' if self._secure else ''}{self._sign_in.session_cookie or f'skygcs_{self.port}'}"
 
     def _new_handler(self) -> RequestHandler:
         server = self._runner.server
@@ -277,12 +281,13 @@ class HttpServer:
         cookie = self._sign_in.exchange(
             token_of(request.query["token"]), self._unix_time(), lambda: is_own_user(request.transport)
         )
-        if cookie is None:
-            return _sign_in(refused=True)
-        self._on_sign_in()
         response = web.Response(status=303, headers={"Location": "/"})
+        if cookie is None:  # an address is opened a second time by who is signed in
+            return _sign_in(refused=True) if self._cookie(request) is None else response
+        self._on_sign_in()
+        kept_s = COOKIE_KEPT_S if self._sign_in.session_cookie is None else None
         response.set_cookie(
-            self.cookie_name, cookie, path="/", httponly=True, samesite="Strict", secure=self._secure, max_age=7 * 86400
+            self.cookie_name, cookie, path="/", httponly=True, samesite="Strict", secure=self._secure, max_age=kept_s
         )
         return response
 
@@ -305,12 +310,7 @@ class HttpServer:
         if self._tiles is None:
             return _plain(404, "no tiles")
         zoom, x, y = (int(request.match_info[name]) for name in ("zoom", "x", "y"))
-        found = await self._tiles.read(zoom, x, y)
-        if found is None:
-            return web.Response(status=204)
-        content_type, body = found
-        headers = {"Cache-Control": "private, max-age=86400"}  # another file has another address
-        return web.Response(body=body, content_type=content_type, headers=headers)
+        return await tile_response(self._tiles, zoom, x, y)
 
     def _file(self, request: web.Request, name: str) -> web.Response | None:
         asset = self._assets.find(name)
@@ -358,6 +358,21 @@ class HttpServer:
         finally:
             client.close()
         return ws
+
+
+async def tile_response(tiles: MapTiles, zoom: int, x: int, y: int) -> web.Response:
+    """A tile, or the answer that there is none (204), that it may be asked for again (503), or is not drawn (422)."""
+    try:
+        found = await tiles.read(zoom, x, y)
+    except TilesBusyError:
+        return _plain(503, "too many tiles are asked for", **{"Retry-After": str(RETRY_S)})
+    except TileRefusedError as error:
+        return _plain(422, f"this tile is not drawn: {error}")
+    if found is None:
+        return web.Response(status=204)
+    content_type, body = found
+    headers = {"Cache-Control": "private, max-age=86400"}  # another file has another address
+    return web.Response(body=body, content_type=content_type, headers=headers)
 
 
 async def _sending(client: PageClient) -> None:

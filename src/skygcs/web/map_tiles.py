@@ -1,9 +1,10 @@
 """The tiles beneath the fleet view, from one local file: read in a thread of their own, one after the other.
 
-    request -> waiting (MAX_WAITING at most, else none) -> read -> a picture within the limits, or none
+    request -> waiting (MAX_WAITING at most, else busy) -> read -> a picture within the limits, none, or refused
 
-No tile is kept here: the system keeps what was read of the file, a browser what it has drawn. A tile that cannot be
-read is none; the first one of each reason is logged, with the file and the key.
+No tile is kept here: the system keeps what was read of the file, a browser what it has drawn. A browser asks again for
+one that was busy or refused, and keeps that there is none. The first one of each reason is logged, with the file and
+the key.
 """
 
 from __future__ import annotations
@@ -24,10 +25,17 @@ from skygcs.web.tile_set import TileFileError, TileRefusedError, TileSet, is_til
 MAX_WAITING = 64
 """Requests for tiles of all pages at once; a page asks for six."""
 
+RETRY_S = 1
+"""After which a busy tile may be asked for again: more than it takes to read all that wait."""
+
 MAX_REASONS = 20
 """That are remembered as logged."""
 
 _log = structlog.get_logger(__name__)
+
+
+class TilesBusyError(Exception):
+    """Too many requests wait: ask again after `RETRY_S`."""
 
 
 def open_tiles(path: Path) -> TileSet:
@@ -44,15 +52,30 @@ def open_tiles(path: Path) -> TileSet:
     raise TileFileError(path, "is neither MBTiles nor PMTiles")
 
 
+def _thread() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, thread_name_prefix="map tiles")
+
+
 class MapTiles:
     """Serves the tiles of an open file. `close` ends it. Raises TileFileError."""
 
-    def __init__(self, tiles: TileSet, path: Path) -> None:
+    @classmethod
+    async def opened(cls, path: Path) -> MapTiles:
+        """Open a file in the thread that will read it: a foreign one may take its time. Raises TileFileError."""
+        thread = _thread()
+        try:
+            tiles = await asyncio.get_running_loop().run_in_executor(thread, open_tiles, path)
+            return cls(tiles, path, thread)
+        except BaseException:
+            thread.shutdown(wait=False)
+            raise
+
+    def __init__(self, tiles: TileSet, path: Path, thread: ThreadPoolExecutor | None = None) -> None:
         self.counts = {"served": 0, "none": 0, "refused": 0, "overrun": 0}
         self._tiles = tiles
         self._path = path
         self._waiting = 0
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="map tiles")
+        self._thread = thread or _thread()
         self._logged: set[str] = set()
         try:
             self._mtime_ns = path.stat().st_mtime_ns
@@ -72,22 +95,23 @@ class MapTiles:
         }
 
     async def read(self, zoom: int, x: int, y: int) -> tuple[str, bytes] | None:
-        """Media type and body of a tile; None: it is not in the file, or is not drawn."""
+        """Media type and body of a tile; None: it is not in the file. Raises TilesBusyError; TileRefusedError for one
+        that cannot be read or is not drawn."""
         if not is_tile(zoom, x, y):
             return None
         if self._waiting >= MAX_WAITING:
             self.counts["overrun"] += 1
-            return None
+            raise TilesBusyError
         self._waiting += 1
         try:
             loop = asyncio.get_running_loop()
             found = await loop.run_in_executor(self._thread, self._read, zoom, x, y)
         except TileFileError as error:
             self._refuse(str(error), zoom, x, y)
-            return None
+            raise TileRefusedError("not readable") from None
         except TileRefusedError as error:
             self._refuse(str(TileFileError(self._path, f"a tile is {error}")), zoom, x, y)
-            return None
+            raise
         finally:
             self._waiting -= 1
         self.counts["none" if found is None else "served"] += 1

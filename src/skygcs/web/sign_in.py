@@ -55,9 +55,11 @@ class _Granted:
 
 
 class SignIn:
-    """Tokens and cookies. ``new_secret`` returns a new unguessable text (`secrets.token_urlsafe`)."""
+    """Tokens and cookies. ``new_secret`` returns a new unguessable text (`secrets.token_urlsafe`). ``session_cookie``:
+    the name of a cookie that ends with the browser, for a page that has another port each time."""
 
-    def __init__(self, new_secret: Callable[[], str]) -> None:
+    def __init__(self, new_secret: Callable[[], str], session_cookie: str | None = None) -> None:
+        self.session_cookie = session_cookie
         self._new_secret = new_secret
         self._tokens: dict[str, _Token] = {}
         self._cookies: dict[str, _Granted] = {}

@@ -36,7 +36,7 @@ from skygcs.web.file_checks import CHECKS, extension_checks
 from skygcs.web.fleet_digest import view_of
 from skygcs.web.http_server import HttpServer
 from skygcs.web.map_image import MapImage
-from skygcs.web.map_tiles import MapTiles, open_tiles
+from skygcs.web.map_tiles import MapTiles
 from skygcs.web.page_clients import (
     DEFAULT_RATE_HZ,
     LEAST_RATE_HZ,
@@ -53,6 +53,10 @@ from skygcs.web.state_batches import LatestStates
 from skygcs.web.tile_set import TileFileError
 
 SECRET_BYTES = 32
+
+REPLAY_COOKIE = "skygcs_replay"
+"""Cookie of all replays that a daemon starts, one after the other and each on another port. With a cookie for each, a
+browser would send more of them to the station's page than a request may hold."""
 
 _log = structlog.get_logger(__name__)
 
@@ -90,7 +94,8 @@ class WebProcess:
         self.options = options
         self.loop = asyncio.get_running_loop()
         self.states = LatestStates()
-        self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES))
+        cookie = REPLAY_COOKIE if options.supervised and options.replay is not None else None
+        self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES), cookie)
         self.source: DaemonConnection | ReplaySource
         if options.replay is None:
             self.source = DaemonConnection(options.socket, options.token, self.states)
@@ -171,7 +176,7 @@ class WebProcess:
     async def run(self, on_ready: Callable[[WebProcess], None] | None = None) -> None:
         """Serve until `stop`. Raises SkygcsError before it serves."""
         options = self.options
-        self._open_tiles()
+        await self._open_tiles()
         tls = _tls(options.tls_cert, options.tls_key)
         sock = _bound(options.host, options.port)
         self.port = sock.getsockname()[1]
@@ -220,13 +225,13 @@ class WebProcess:
             _write_cookies(cookies, self.sign_in.saved())
             sock.close()
 
-    def _open_tiles(self) -> None:
+    async def _open_tiles(self) -> None:
         """Open the map's tiles, if there are some. Raises TileFileError where a person started the process by hand."""
         path = self.options.tiles
         if path is None:
             return
         try:
-            self.tiles = MapTiles(open_tiles(path), path)
+            self.tiles = await MapTiles.opened(path)
         except TileFileError as error:
             # a page without its map is worth more than none
             if not self.options.supervised:

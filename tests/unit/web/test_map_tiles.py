@@ -8,6 +8,7 @@ import io
 import os
 import random
 import sqlite3
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,12 +17,15 @@ from PIL import Image
 from pmtiles.reader import MmapSource, Reader
 from pmtiles.tile import Compression, TileType, deserialize_directory, zxy_to_tileid
 
-from skygcs.web.map_tiles import MAX_WAITING, MapTiles, open_tiles
+from skygcs.web import map_tiles
+from skygcs.web.http_server import tile_response
+from skygcs.web.map_tiles import MAX_WAITING, MapTiles, TilesBusyError, open_tiles
 from skygcs.web.pmtiles_file import MAX_ENTRIES, PmtilesFile, directory_of, tile_id
 from skygcs.web.tile_set import (
     MAX_TILE_BYTES,
     TileFileError,
     TileRefusedError,
+    TileSet,
     attribution_of,
     bounds_of,
     is_tile,
@@ -118,7 +122,16 @@ def test_tiles_are_read_by_zoom_column_and_row_from_the_north(tmp_path: Path, na
 def test_mbtiles_may_be_a_view_and_say_its_bounds(tmp_path: Path) -> None:
     path = write_mbtiles(tmp_path / "f.mbtiles", TILES, bounds="-79.5,43.7,-79.4,43.9", format="jpg")
     base = sqlite3.connect(path)
-    base.executescript("ALTER TABLE tiles RENAME TO rows; CREATE VIEW tiles AS SELECT * FROM rows;")
+    base.executescript(
+        """CREATE TABLE images (tile_data BLOB, tile_id TEXT);
+        CREATE TABLE map (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_id TEXT);
+        INSERT INTO images SELECT DISTINCT tile_data, hex(tile_data) FROM tiles;
+        INSERT INTO map SELECT zoom_level, tile_column, tile_row, hex(tile_data) FROM tiles;
+        DROP TABLE tiles;
+        CREATE VIEW tiles AS SELECT map.zoom_level AS zoom_level, map.tile_column AS tile_column,
+            map.tile_row AS tile_row, images.tile_data AS tile_data
+            FROM map JOIN images ON images.tile_id = map.tile_id;"""
+    )
     base.close()
     tiles = open_tiles(path)
     assert tiles.info.bounds_deg == (-79.5, 43.7, -79.4, 43.9)
@@ -190,6 +203,40 @@ ENDLESS = (
     "SELECT 1 AS zoom_level, i AS tile_column, 0 AS tile_row, x'00' AS tile_data FROM n WHERE i < 0",
 )
 
+
+def _made(data: str, of: str = "") -> str:
+    return f"CREATE VIEW tiles AS SELECT 1 AS zoom_level, 0 AS tile_column, 0 AS tile_row, {data} AS tile_data {of}"
+
+
+HUGE = (
+    "CREATE TABLE metadata (name, value)",
+    "CREATE VIEW tiles AS WITH RECURSIVE n(i, b) AS (SELECT 1, zeroblob(1000000) UNION "
+    "SELECT i + 1, zeroblob(1000000 - i % 1000) FROM n) "
+    "SELECT i AS zoom_level, 0 AS tile_column, 0 AS tile_row, b AS tile_data FROM n",
+)
+"""Keeps each of its rows to find equal ones: gigabytes of temporary file within few steps."""
+
+PRODUCT = (
+    "CREATE TABLE metadata (name, value)",
+    "CREATE TABLE map (zoom_level, tile_id)",
+    "CREATE TABLE images (tile_data)",
+    "INSERT INTO map WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 3000) SELECT 1, i FROM n",
+    "INSERT INTO images VALUES (zeroblob(100000))",
+    "CREATE VIEW tiles AS SELECT map.zoom_level AS zoom_level, map.tile_id AS tile_column, 0 AS tile_row, "
+    "images.tile_data AS tile_data FROM map, map AS other, map AS third, images "
+    "WHERE other.tile_id + third.tile_id < 0",
+)
+
+KEPT = (
+    "CREATE TABLE metadata (name, value)",
+    "CREATE TABLE images (tile_id, tile_data)",
+    "INSERT INTO images WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 60) "
+    "SELECT i, randomblob(100000) FROM n",
+    "CREATE VIEW tiles AS SELECT DISTINCT one.tile_id AS zoom_level, other.tile_id AS tile_column, 0 AS tile_row, "
+    "one.tile_data || other.tile_data AS tile_data FROM images AS one, images AS other",
+)
+"""720 MB of rows, kept to find equal ones."""
+
 BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (lambda path: None, "No such file"),
     "folder": (lambda path: path.mkdir(), "Is a directory"),
@@ -200,7 +247,13 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "another schema": (sql("CREATE TABLE shopping (item)"), "no such table: metadata"),
     "other columns": (sql(EMPTY[0], "CREATE TABLE tiles (z, x, y)"), "no such column: zoom_level"),
     "no tiles": (sql(*EMPTY), "has no tiles"),
-    "endless": (sql(*ENDLESS), "no index"),
+    "endless": (sql(*ENDLESS), "its tiles need a recursion"),
+    "huge blobs without end": (sql(*HUGE), "its tiles need"),
+    "a function": (sql(EMPTY[0], _made("zeroblob(1000000)")), "its tiles need 'zeroblob'"),
+    "a table of its own": (sql(EMPTY[0], "CREATE TABLE loot (x)", _made("x", "FROM loot")), "its tiles need 'loot'"),
+    "the schema": (sql(EMPTY[0], _made("sql", "FROM sqlite_master")), "its tiles need 'sqlite_master'"),
+    "a product": (sql(*PRODUCT), "a tile takes too long to find"),
+    "a product that is kept": (sql(*KEPT), "more than 64 MiB"),
     "words for zooms": (sql(*EMPTY, "INSERT INTO tiles VALUES ('a', 0, 0, x'00')"), "zooms a to a"),
     "text for a tile": (sql(*EMPTY, "INSERT INTO tiles VALUES (1, 0, 0, 'text')"), "no picture"),
     "vector MBTiles": (lambda path: write_mbtiles(path, TILES, format="pbf"), "vector tiles"),
@@ -272,28 +325,69 @@ def test_a_directory_is_read_as_the_package_reads_it_and_no_more_than_its_bound(
 # -- served
 
 
-def run(tiles: MapTiles, *places: tuple[int, int, int]) -> list[tuple[str, bytes] | None]:
-    async def all_at_once() -> list[tuple[str, bytes] | None]:
-        return await asyncio.gather(*(tiles.read(*place) for place in places))
+def test_a_file_is_opened_in_the_thread_that_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_mbtiles(tmp_path / "f.mbtiles", TILES)
+    threads = []
+
+    def opening(path: Path) -> TileSet:
+        threads.append(threading.current_thread().name)
+        return open_tiles(path)
+
+    monkeypatch.setattr(map_tiles, "open_tiles", opening)
+
+    async def opened() -> tuple[str, bytes] | None:
+        tiles = await MapTiles.opened(path)
+        found = await tiles.read(3, 1, 2)
+        tiles.close()
+        return found
+
+    assert asyncio.run(opened()) == ("image/png", RED)
+    assert [name.startswith("map tiles") for name in threads] == [True]
+
+
+def run(tiles: MapTiles, *places: tuple[int, int, int]) -> list[tuple[str, bytes] | type[Exception] | None]:
+    async def answer(place: tuple[int, int, int]) -> tuple[str, bytes] | type[Exception] | None:
+        try:
+            return await tiles.read(*place)
+        except (TilesBusyError, TileRefusedError) as error:
+            return type(error)
+
+    async def all_at_once() -> list[tuple[str, bytes] | type[Exception] | None]:
+        return await asyncio.gather(*map(answer, places))
 
     return asyncio.run(all_at_once())
 
 
-def test_what_is_served_is_a_picture_or_nothing(tmp_path: Path) -> None:
+def test_a_picture_none_and_one_that_is_not_drawn_are_three_answers(tmp_path: Path) -> None:
     path = write_mbtiles(tmp_path / "f.mbtiles", TILES | {(3, 3, 3): b"<html>", (3, 4, 4): RED + bytes(MAX_TILE_BYTES)})
     tiles = MapTiles(open_tiles(path), path)
     places = [(3, 1, 2), (3, 0, 0), (3, 3, 3), (3, 4, 4), (3, 8, 0), (3, -1, 0), (99, 0, 0)]
-    assert run(tiles, *places) == [("image/png", RED), *[None] * 6]
+    assert run(tiles, *places) == [("image/png", RED), None, *[TileRefusedError] * 2, *[None] * 3]
     assert tiles.counts == {"served": 1, "none": 1, "refused": 2, "overrun": 0}
     tiles.close()
 
 
-def test_requests_beyond_the_bound_get_nothing(tmp_path: Path) -> None:
+def test_requests_beyond_the_bound_are_to_come_again(tmp_path: Path) -> None:
     path = write_mbtiles(tmp_path / "f.mbtiles", TILES)
     tiles = MapTiles(open_tiles(path), path)
     found = run(tiles, *[(3, 1, 2)] * (MAX_WAITING + 40))
-    assert found.count(None) == 40 and tiles.counts["overrun"] == 40
+    assert found.count(TilesBusyError) == 40 and tiles.counts["overrun"] == 40
     assert run(tiles, (3, 1, 2)) == [("image/png", RED)]  # and it goes on
+    tiles.close()
+
+
+def test_a_browser_is_told_what_to_ask_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_mbtiles(tmp_path / "f.mbtiles", TILES | {(3, 3, 3): b"<html>"})
+    tiles = MapTiles(open_tiles(path), path)
+
+    async def answers() -> list[tuple[int, str | None]]:
+        places = [(3, 1, 2), (3, 0, 0), (3, 3, 3)]
+        found = [await tile_response(tiles, *place) for place in places]
+        monkeypatch.setattr(map_tiles, "MAX_WAITING", 0)
+        found.append(await tile_response(tiles, *places[0]))
+        return [(response.status, response.headers.get("Retry-After")) for response in found]
+
+    assert asyncio.run(answers()) == [(200, None), (204, None), (422, None), (503, "1")]
     tiles.close()
 
 
@@ -301,7 +395,7 @@ def test_a_file_that_is_cut_off_later_is_no_tile_and_no_end(tmp_path: Path) -> N
     path = write_pmtiles(tmp_path / "f.pmtiles", TILES)
     tiles = MapTiles(open_tiles(path), path)
     os.truncate(path, 200)
-    assert run(tiles, *[(5, 9, 11)] * 30) == [None] * 30
+    assert run(tiles, *[(5, 9, 11)] * 30) == [TileRefusedError] * 30
     assert tiles.counts["refused"] == 30
     tiles.close()
 

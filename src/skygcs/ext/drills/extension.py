@@ -1,7 +1,8 @@
 """Drills in the daemon: begins and ends faults in simulated vehicles, and shows which last.
 
 A fault is put into the model of a vehicle on a link of type `simulated`, and nowhere else: nothing of it is sent, so no
-vehicle on any other link can have it, whatever its system id is.
+vehicle on any other link can have it. One that is heard on another link is refused, also with the system id of a
+simulated one: the daemon takes both for one vehicle, and would show a real one as under a drill.
 """
 
 from __future__ import annotations
@@ -49,6 +50,13 @@ class Drills(Extension[DrillsConfig]):
         text = "needs a link of type simulated: no other vehicle can be given a fault; remove the table"
         return [Problem(("drills",), text)]
 
+    @classmethod
+    def fleet_notes(cls, config: Any, fleet: FleetConfig) -> list[str]:
+        real = [name for name, link in fleet.links.items() if link.type != "simulated" and link.enabled]
+        if not real:
+            return []
+        return [f"beside {', '.join(real)}: give simulated vehicles system ids that no real one has (first_sysid)"]
+
     def methods(self) -> Iterable[Method[Context]]:
         return METHODS
 
@@ -80,8 +88,9 @@ class Drills(Extension[DrillsConfig]):
         """Status as drills.status answers it."""
         names = {actor.sysid: actor.name for actor in self.core.fleet.vehicles.values()}
         current = self._current()
+        simulated = self._simulated()
         return {
-            "simulated": [name for sysid, name in names.items() if sysid in self._simulated()],
+            "simulated": [name for sysid, name in names.items() if sysid in simulated],
             "faults": [
                 {"fault": name, "text": kind.text, "unit": kind.unit, "default": kind.default}
                 | {"least": kind.least, "most": kind.most}
@@ -98,8 +107,15 @@ class Drills(Extension[DrillsConfig]):
     # -- internal
 
     def _simulated(self) -> dict[int, SimVehicle]:
-        """The vehicles that this daemon simulates, by system id."""
-        return {vehicle.sysid: vehicle for link in self._links() for vehicle in link.vehicles}
+        """The vehicles that this daemon simulates and hears on no other link, by system id."""
+        elsewhere = {actor.sysid for actor in self.core.fleet.vehicles.values() if self._other_links(actor)}
+        found = {vehicle.sysid: vehicle for link in self._links() for vehicle in link.vehicles}
+        return {sysid: vehicle for sysid, vehicle in found.items() if sysid not in elsewhere}
+
+    def _other_links(self, actor: VehicleActor) -> list[str]:
+        """The links beside those of simulated vehicles that it is heard on."""
+        simulated = {link.name for link in self._links()}
+        return [name for name in self.core.hub.statistics.link_quality(actor.vehicle.key) if name not in simulated]
 
     def _links(self) -> Iterator[SimulatedVehiclesLink]:
         for name in self.core.links.configs:
@@ -108,15 +124,21 @@ class Drills(Extension[DrillsConfig]):
                 yield link
 
     def _current(self) -> dict[int, VehicleDrill]:
-        """The drills of vehicles that are there; those of others are forgotten."""
+        """The drills of vehicles that are there; those of others are ended and forgotten."""
         present = self._simulated()
-        self._drills = {s: drill for s, drill in self._drills.items() if present.get(s) is drill.vehicle}
+        for sysid, drill in list(self._drills.items()):
+            if present.get(sysid) is not drill.vehicle:
+                del self._drills[sysid]
+                for fault in list(drill.active):
+                    drill.end(fault)
         return self._drills
 
     def _begin(self, actor: VehicleActor, fault: FaultName, value: float | None) -> Outcome:
         vehicle = self._simulated().get(actor.sysid)
         if vehicle is None:
-            return Outcome.refused("it is not simulated by this daemon: no fault can be made in it")
+            others = ", ".join(self._other_links(actor))
+            heard = f"; it is heard on {others}, so it may be a real one" if others else ""
+            return Outcome.refused(f"it is not simulated by this daemon: no fault can be made in it{heard}")
         drill = self._current().setdefault(actor.sysid, VehicleDrill(vehicle))
         try:
             begun = drill.begin(fault, value, self.core.now())
@@ -138,7 +160,7 @@ class Drills(Extension[DrillsConfig]):
 
     def _state_of(self, actor: VehicleActor, now: float) -> dict[str, Any] | None:
         drill = self._drills.get(actor.sysid)
-        if drill is None or not drill.active:
+        if drill is None or not drill.active or self._other_links(actor):
             return None
         return {"faults": [self._described(active) for active in drill.active.values()]}
 

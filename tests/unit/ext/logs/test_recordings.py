@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from skygcs.errors import RefusedError
@@ -66,13 +66,37 @@ def test_a_name_that_is_none_of_the_folder_is_refused(tmp_path: Path, name: str)
         recording_of(tmp_path / "logs", name)
 
 
-@given(st.text(max_size=40))
-def test_no_text_leads_out_of_the_folder(name: str) -> None:
-    folder = Path("/does/not/exist")
-    with pytest.raises(RefusedError):
-        recording_of(folder, name)
-    with pytest.raises(RefusedError):
-        recording_of(folder, f"{name}.tlog")
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with recordings, and others outside of it that a name could lead to."""
+    above = tmp_path_factory.mktemp("station")
+    folder = above / "logs"
+    (folder / "sub").mkdir(parents=True)
+    for place in (folder, folder / "sub", above):
+        put(place, "a.tlog")
+        put(place, "secret.tlog" if place != folder else "b.tlog")
+    (folder / "link.tlog").symlink_to(above / "secret.tlog")
+    return folder
+
+
+PARTS = ["..", ".", "/", "\\", "a", "b", "sub", "link", "logs", "secret", ".tlog", "\0", "\n", "%2e%2e", "~"]
+
+
+@given(st.lists(st.sampled_from(PARTS), max_size=8).map("".join) | st.text(max_size=40))
+@example("../secret.tlog")
+@example("sub/a.tlog")
+@example("./a.tlog")
+@example("link.tlog")
+@example("../logs/a.tlog")
+@example("a.tlog")
+def test_no_text_leads_out_of_the_folder(logs: Path, name: str) -> None:
+    for text in (name, f"{name}.tlog", f"{logs.parent}/{name}", f"../{name}"):
+        try:
+            found = recording_of(logs, text)
+        except RefusedError:
+            assert text not in ("a.tlog", "b.tlog")
+        else:
+            assert found in (logs / "a.tlog", logs / "b.tlog") and text == found.name
 
 
 def test_a_link_or_a_folder_is_no_recording(tmp_path: Path) -> None:

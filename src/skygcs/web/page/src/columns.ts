@@ -4,6 +4,7 @@ import { aged, cell, UNKNOWN, withUnit, type Cell, type Tone } from "./cells.ts"
 import { ageText, fixed, percentText } from "./format.ts";
 import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
 import { EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT, troubleRank } from "./trouble.ts";
+import { isFlown } from "./setpoint_orders.ts";
 import { statusOf, statusRank, type Surroundings } from "./vehicle_status.ts";
 
 export interface Column {
@@ -176,12 +177,12 @@ function speedOf(v: Vehicle): number | null {
 
 /** Where skygcs' own control steers to: x, y and up; an axis that follows a velocity has none. */
 function targetText(v: Vehicle): string | null {
-  const target = v.control === null || v.control.state === "off" ? null : v.control.reference?.pos_enu_m;
+  const target = isFlown(v) ? v.control?.reference?.pos_enu_m : null;
   return target == null ? null : target.map((axis) => fixed(axis, 1) ?? "–").join("  ");
 }
 
 function errorOf(v: Vehicle): number | null {
-  return v.control === null || v.control.state === "off" ? null : (v.control.error_m ?? null);
+  return isFlown(v) ? (v.control?.error_m ?? null) : null;
 }
 
 export interface Sorting {

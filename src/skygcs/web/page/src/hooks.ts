@@ -1,6 +1,7 @@
 // Parts of the store as component state.
 
-import { useEffect, useLayoutEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useCallback, useEffect, useLayoutEffect, useReducer, useRef, useState } from "preact/hooks";
+import { frameKey, valueIn, type Framed } from "./framed.ts";
 import type { State, Store } from "./store.ts";
 
 /** A part of the state; the component is drawn again when it changed. */
@@ -19,6 +20,19 @@ export function useStore<T>(store: Store, pick: (state: State) => T): T {
     return store.subscribe(check);
   }, [store]);
   return value;
+}
+
+/** A choice in metres of the fleet's frame, and how to change it: `none` as soon as the frame is another one. */
+export function useFramed<T>(store: Store, none: T): [value: T, set: (next: T | ((before: T) => T)) => void] {
+  const frame = useStore(store, (state) => frameKey(state.origin));
+  const [kept, setKept] = useState<Framed<T> | null>(null);
+  const otherwise = useRef(none);
+  otherwise.current = none;
+  const set = useCallback((next: T | ((before: T) => T)): void => {
+    const now = frameKey(store.state.origin);
+    setKept((before) => ({ frame: now, value: typeof next === "function" ? (next as (before: T) => T)(valueIn(before, now, otherwise.current)) : next }));
+  }, [store]);
+  return [valueIn(kept, frame, none), set];
 }
 
 /** What calls its listeners at each change, and returns what removes a listener. */

@@ -2,6 +2,7 @@
 
 import { ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S, type Connection } from "./connection.ts";
 import { siteOf } from "./levels.ts";
+import { takeOver, type OrderChain } from "./order_chains.ts";
 import { isUnknown, lost, outcomeOf, stateOf } from "./outcomes.ts";
 import type { OrderRun, OrderState, Store } from "./store.ts";
 import type { Outcome, SiteAnswer } from "./types.ts";
@@ -16,6 +17,8 @@ export interface OrderRequest {
   /** Another way to say who: all vehicles of all sites, be they known here or not. */
   to?: string;
   withinS?: number;
+  /** It is a step of it: not sent once the chain has ended. Any other order ends the chains of its vehicles. */
+  chain?: OrderChain | undefined;
 }
 
 type OrderStore = Pick<Store, "state" | "dispatch">;
@@ -44,12 +47,17 @@ export function readOutcomes(answer: { outcomes?: Outcomes } | null): ReturnType
 export async function runOrder<T>(
   store: OrderStore,
   connection: Sender,
-  request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined },
+  request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined; chain?: OrderChain | undefined },
   read: Reader<T>,
   ended: (state: OrderState) => void = () => undefined,
 ): Promise<T | null> {
+  const { label, method, targets, chain } = request;
+  if (chain === undefined) takeOver(targets);
+  else if (!chain.goesOn) {
+    ended("failed");
+    return null;
+  }
   const id = nextId++;
-  const { label, method, targets } = request;
   store.dispatch({
     type: "orderBegun",
     order: { id, label, method, targets, startedMs: performance.now(), endedMs: null, state: "pending", outcomes: {}, error: null },
@@ -74,10 +82,10 @@ export async function runOrder<T>(
 
 /** Sends an order that is for vehicles. */
 export async function sendOrder(store: OrderStore, connection: Sender, request: OrderRequest): Promise<OrderState> {
-  const { label, method, withinS } = request;
+  const { label, method, withinS, chain } = request;
   const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params };
   let state: OrderState = "pending";
-  await runOrder(store, connection, { label, method, params, targets: request.targets ?? store.state.names, withinS }, readOutcomes, (now) => { state = now; });
+  await runOrder(store, connection, { label, method, params, targets: request.targets ?? store.state.names, withinS, chain }, readOutcomes, (now) => { state = now; });
   return state;
 }
 

@@ -10,7 +10,7 @@ import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
 import { OriginOrder } from "./origin_order.tsx";
 import type { PanelProps } from "./panels/registry.ts";
-import { isFlown, keptText } from "./setpoint_orders.ts";
+import { isControlled, keptText } from "./setpoint_orders.ts";
 import { ShapeOrder } from "./shape_order.tsx";
 import { modesFor } from "./modes.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
@@ -179,7 +179,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
 /** Flight by skygcs' own setpoints, of all that are selected. */
 function Setpoints({ store, targets, enabled, send }: ButtonsProps) {
   const who = useTargetsText({ store, targets });
-  const flown = useStore(store, (state) => targets.some((name) => isFlown(state.vehicles.get(name))));
+  const controlled = useStore(store, (state) => targets.some((name) => isControlled(state.vehicles.get(name))));
   const kept = useStore(store, (state) => keptText(targets.flatMap((name) => state.vehicles.get(name) ?? [])));
   return (
     <section class="setpoints" aria-label="Setpoints">
@@ -190,7 +190,7 @@ function Setpoints({ store, targets, enabled, send }: ButtonsProps) {
           {title}
         </HoldButton>
       ))}
-      <button type="button" disabled={!enabled || !flown} title={`End the setpoints; ${who} ${targets.length === 1 ? "holds" : "hold"}`}
+      <button type="button" disabled={!enabled || !controlled} title={`End the setpoints; ${who} ${targets.length === 1 ? "holds" : "hold"}`}
         onClick={() => void send({ label: "Setpoints off", method: "control.set", params: { mode: "off" } })}>
         Off
       </button>

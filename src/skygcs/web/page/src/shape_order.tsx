@@ -1,12 +1,14 @@
 // Squares, circles, paths and loaded trajectories: flown by the daemon from where each vehicle is, all on one clock.
 
 import { useEffect, useMemo, useState } from "preact/hooks";
+import { frameKey } from "./framed.ts";
 import { HoldButton } from "./hold_button.tsx";
-import { useStore, useTick } from "./hooks.ts";
+import { useFramed, useStore, useTick } from "./hooks.ts";
+import { OrderChain } from "./order_chains.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { readOutcomes, runOrder } from "./orders.ts";
 import { Choice, NumberField, usePolled } from "./panels/parts.tsx";
-import { engage, isOnTrajectory, keptPlace, trajectoryOf } from "./setpoint_orders.ts";
+import { canPause, engage, isOnTrajectory, isPaused, keptPlace } from "./setpoint_orders.ts";
 import { circlePieces, durationOf, pathPieces, pointsAlong, squarePoints, type Piece } from "./shape_pieces.ts";
 import type { Store } from "./store.ts";
 import type { Outcome, Vec3 } from "./types.ts";
@@ -20,6 +22,7 @@ const MOST_LAPS = 20;
 /** Of the default limits of control.trajectory. */
 const MOST_SPEED_MPS = 5;
 const DRAWN_EACH_PIECE = 8;
+const NO_POINTS: readonly Vec3[] = [];
 
 interface Loaded {
   trajectories: readonly { vehicle: string; name: string; duration_s: number; start_enu_m: Vec3 }[];
@@ -42,7 +45,7 @@ function ShapeForm(props: ButtonsProps) {
   const [size, setSize] = useState<number | null>(10);
   const [speed, setSpeed] = useState<number | null>(2);
   const [laps, setLaps] = useState<number | null>(1);
-  const [points, setPoints] = useState<readonly Vec3[]>([]);
+  const [points, setPoints] = useFramed(store, NO_POINTS);
   const loaded = usePolled<Loaded>(store, connection, kind === "loaded" && targets.length > 0 ? "trajectory.status" : null, { targets }, 2_000);
   const found = (loaded.answer?.trajectories ?? []).filter(({ vehicle }) => targets.includes(vehicle));
   useTick(1_000); // the preview begins where they are now
@@ -64,13 +67,13 @@ function ShapeForm(props: ButtonsProps) {
   });
   const what = { square: "the square", circle: "the circle", path: "these points", loaded: "what is loaded" }[kind];
   const ready = kind === "loaded" ? targets.length > 0 && found.length === targets.length : drafts.length > 0 && drafts.length === targets.length;
-  const fly = (): void => void flyShape(props, kind, made);
+  const { begun, begin: fly } = useChain(targets, (chain) => flyShape(props, kind, made, chain));
   return (
     <>
       <div class="row">
         <Choice label="Shape" value={kind} options={SHAPES} onValue={setKind} />
         {kind === "path" && <button type="button" disabled={!enabled} onClick={pick}>Click points</button>}
-        {kind === "path" && points.length > 0 && <button type="button" onClick={() => setPoints([])}>Clear {points.length}</button>}
+        {kind === "path" && points.length > 0 && <button type="button" onClick={() => setPoints(NO_POINTS)}>Clear {points.length}</button>}
       </div>
       {kind !== "loaded" && (
         <div class="fields">
@@ -85,12 +88,26 @@ function ShapeForm(props: ButtonsProps) {
           <span>To their first points</span>
         </HoldButton>
       )}
-      <HoldButton targets={targets} class="order wide" disabled={!enabled || !ready} what={`Have ${who} fly ${what}, by setpoints`} act={fly}>
+      <HoldButton targets={targets} class="order wide" disabled={!enabled || !ready} what={`Have ${who} fly ${what}, by setpoints`} act={() => fly()}>
         <span>Fly it</span>
       </HoldButton>
+      {begun && <p class="muted small" role="status">The orders are under way. Another hold begins anew; any other order ends them.</p>}
       <OnTheWay {...props} />
     </>
   );
+}
+
+/** Begins a chain of orders for the targets, and shows whether it is under way for them. */
+function useChain(targets: readonly string[], run: (chain: OrderChain) => Promise<void>): { begun: boolean; begin: () => void } {
+  const [chain, setChain] = useState<OrderChain | null>(null);
+  const begin = async (): Promise<void> => {
+    const mine = new OrderChain(targets);
+    setChain(mine);
+    await run(mine);
+    mine.end();
+    setChain((now) => (now === mine ? null : now));
+  };
+  return { begun: chain?.goesOn === true && chain.targets.join("\n") === targets.join("\n"), begin: () => void begin() };
 }
 
 /** What is flown can be stopped at once; going on is held down. */
@@ -98,14 +115,12 @@ function OnTheWay(props: ButtonsProps) {
   const { store, targets, send } = props;
   const who = useTargetsText(props);
   const flown = useStore(store, (state) => targets.some((name) => isOnTrajectory(state.vehicles.get(name))));
-  const paused = useStore(store, (state) => targets.some((name) => {
-    const vehicle = state.vehicles.get(name);
-    return vehicle !== undefined && trajectoryOf(vehicle)?.state === "paused";
-  }));
+  const paused = useStore(store, (state) => targets.some((name) => isPaused(state.vehicles.get(name))));
+  const goesOn = useStore(store, (state) => targets.some((name) => canPause(state.vehicles.get(name))));
   if (!flown) return null;
   return (
     <div class="row">
-      <button type="button" disabled={paused} onClick={() => void send({ label: "Pause on the path", method: "trajectory.pause", params: {} })}>Pause</button>
+      <button type="button" disabled={!goesOn} onClick={() => void send({ label: "Pause on the path", method: "trajectory.pause", params: {} })}>Pause</button>
       <HoldButton targets={targets} disabled={!paused} what={`Let ${who} go on`} act={() => void send({ label: "Go on", method: "trajectory.resume", params: {} })}>Resume</HoldButton>
       <button type="button" onClick={() => void send({ label: "Stop on the path", method: "trajectory.abort", params: {} })}>Stop there</button>
     </div>
@@ -113,26 +128,32 @@ function OnTheWay(props: ButtonsProps) {
 }
 
 /** Engages setpoints, loads what each is to fly from where it is kept then, and starts all of them. Ends at what fails. */
-async function flyShape({ store, connection, targets, send }: ButtonsProps, kind: Kind, made: Maker | null): Promise<void> {
-  if (!(await engage(store, connection, targets))) return;
+async function flyShape({ store, connection, targets, send }: ButtonsProps, kind: Kind, made: Maker | null, chain: OrderChain): Promise<void> {
+  const frame = frameKey(store.state.origin);
+  if (!(await engage(store, connection, targets, chain))) return;
   if (made !== null) {
     const starts = startsOf(store, targets);
     const first = starts[0]?.[1];
     if (first === undefined || starts.length !== targets.length) return;
     for (const [name, start] of starts) {
-      const request = { label: `Load a ${kind}`, method: "trajectory.load", params: { target: name, pieces: made(start, first), name: kind }, targets: [name] };
+      if (frameKey(store.state.origin) !== frame) return; // its places are others now
+      const request = { label: `Load a ${kind}`, method: "trajectory.load", params: { target: name, pieces: made(start, first), name: kind }, targets: [name], chain };
       const answer = await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
       if (answer?.outcomes[name]?.ok !== true) return;
     }
   }
-  await send({ label: `Fly the ${kind === "loaded" ? "trajectory" : kind}`, method: "trajectory.start", params: {} });
+  await send({ label: `Fly the ${kind === "loaded" ? "trajectory" : kind}`, method: "trajectory.start", params: {}, chain });
 }
 
 async function toStarts({ store, connection }: ButtonsProps, found: Loaded["trajectories"]): Promise<void> {
+  const frame = frameKey(store.state.origin);
+  const chain = new OrderChain(found.map(({ vehicle }) => vehicle));
   for (const { vehicle, start_enu_m } of found) {
-    const request = { label: "Go to the first point", method: "vehicles.goto", params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle] };
+    if (frameKey(store.state.origin) !== frame) break;
+    const request = { label: "Go to the first point", method: "vehicles.goto", params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle], chain };
     await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
   }
+  chain.end();
 }
 
 /** Where each begins: where its setpoints keep it, else where it is. Those without a place are left out. */

@@ -3,6 +3,7 @@
 import { cell, UNKNOWN, type Cell } from "./cells.ts";
 import { AT_REST } from "./plan_status.ts";
 import { isHeard, type State, type Vehicle } from "./store.ts";
+import { isControlled, isEngaging, isFlown, isHeld } from "./setpoint_orders.ts";
 import { troubleOf, troubleRank } from "./trouble.ts";
 
 /** What is around a vehicle: its state alone does not say why it is in failsafe, or which plan flies it. */
@@ -67,8 +68,8 @@ function failsafeCell(v: Vehicle, others: readonly string[], { events }: Surroun
 
 /** What the guard says of our control, and another vehicle that is near, though not dangerously. */
 function guarded(v: Vehicle): Ranked | null {
-  const reasons = v.control === null || v.control.state === "off" ? [] : (v.control.reasons ?? []);
-  if (v.control?.state === "held") return { rank: RANK.held, cell: cell(`held${reasons.length > 0 ? `: ${reasons.join(", ")}` : ""}`, "danger", reasons.join("; ")) };
+  const reasons = isControlled(v) ? (v.control?.reasons ?? []) : [];
+  if (isHeld(v)) return { rank: RANK.held, cell: cell(`held${reasons.length > 0 ? `: ${reasons.join(", ")}` : ""}`, "danger", reasons.join("; ")) };
   if (v.separation !== null) return { rank: RANK.guarded, cell: cell(`near ${v.separation.with}`, "warning") };
   return reasons.length === 0 ? null : { rank: RANK.guarded, cell: cell(reasons.join(", "), "warning", reasons.join("; ")) };
 }
@@ -79,9 +80,9 @@ function flown(v: Vehicle, { plan }: Surroundings): Ranked | null {
     const left = plan.clock?.finishes_in_s == null ? plan.state.replaceAll("_", " ") : `${plan.clock.finishes_in_s.toFixed(0)} s left`;
     return { rank: RANK.plan, cell: cell(`plan ${plan.name ?? ""}, ${left}`) };
   }
-  if (v.control !== null && v.control.state !== "off") {
+  if (v.control !== null && isFlown(v)) {
     const control = v.control.control_mode ?? v.control.mode ?? v.control.state;
-    return { rank: RANK.control, cell: cell(control.replaceAll("_", " "), v.control.state === "engaging" ? "" : "good") };
+    return { rank: RANK.control, cell: cell(control.replaceAll("_", " "), isEngaging(v) ? "" : "good") };
   }
   if (v.mission !== null && v.mission.count !== null && v.mission.count > 0 && MISSION_MODES.has(v.mode ?? "")) {
     return { rank: RANK.mission, cell: cell(`mission ${v.mission.item ?? "?"}/${v.mission.count}`) };

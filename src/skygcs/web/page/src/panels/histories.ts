@@ -1,6 +1,7 @@
 // What each vehicle did in the last minutes, kept for the charts from the page's first second on. Bounded.
 
 import type { Action, State, Store, Vehicle } from "../store.ts";
+import { isFlying } from "../setpoint_orders.ts";
 import { HistoryRing } from "./history_ring.ts";
 
 /** A row each: ten minutes of 300 rows. 13 kB a vehicle. */
@@ -35,7 +36,7 @@ export class Histories {
       const ring = this.ringOf(this.byName, vehicle.name, SERIES.length, ROWS);
       if (ring !== null && !(unix_s - ring.lastTime() < ROW_EVERY_S)) ring.add(unix_s, rowOf(vehicle));
       const { control } = vehicle;
-      if (control === null || control.state !== "flying") continue;
+      if (control === null || !isFlying(vehicle)) continue;
       const error = control["error_enu_m"] as readonly (number | null)[] | null | undefined;
       this.ringOf(this.errors, vehicle.name, ERROR_SERIES.length, ERROR_ROWS)?.add(unix_s, [control.error_m, ...(error ?? [])]);
     }

@@ -3,7 +3,7 @@
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useStore } from "../hooks.ts";
+import { useFramed, useStore } from "../hooks.ts";
 import type { Outcome, Vec3 } from "../types.ts";
 import { mayOrder, orderWith } from "./calls.ts";
 import { overlay } from "./drawing.ts";
@@ -105,7 +105,9 @@ function readStatus(): { ok: boolean; outcomes: Readonly<Record<string, Outcome>
 
 function Flying({ store, connection, view, status }: PanelProps & { status: FormationStatus }) {
   const targets = status.members.map((one) => one.vehicle);
-  const [to, setTo] = useState<Vec3>(status.middle_enu_m ?? [0, 0, 10]);
+  const [chosen, setChosen] = useFramed<Vec3 | null>(store, null);
+  const middle = status.middle_enu_m ?? [0, 0, 10];
+  const to = chosen ?? middle;
   const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
   const [scale, setScale] = useState(status.scale ?? 1);
   const order = (label: string, method: string, params: object): void => void orderWith(store, connection, { label, method, params, targets }, readStatus);
@@ -114,22 +116,22 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
     () => ({
       cursor: "crosshair",
       hint: "Click: where the formation's middle is to fly to. Nothing flies before you say so.",
-      click: (at) => setTo((before) => [Math.round(at.x * 10) / 10, Math.round(at.y * 10) / 10, before[2]]),
+      click: (at) => setChosen((before) => [round(at.x), round(at.y), (before ?? middle)[2]]),
     }),
     "live formation",
   );
   const axis = (k: 0 | 1 | 2) => (value: number | null): void => {
-    if (value !== null) setTo((before) => before.map((old, n) => (n === k ? value : old)) as unknown as Vec3);
+    if (value !== null) setChosen((before) => (before ?? middle).map((old, n) => (n === k ? value : round(old))) as unknown as Vec3);
   };
   return (
     <>
       {status.leader === "virtual" && (
         <div class="row wrap">
-          <NumberField label="To x" unit="m" value={to[0]} onValue={axis(0)} />
-          <NumberField label="y" unit="m" value={to[1]} onValue={axis(1)} />
-          <NumberField label="Height" unit="m" value={to[2]} onValue={axis(2)} />
+          <NumberField label="To x" unit="m" value={round(to[0])} onValue={axis(0)} />
+          <NumberField label="y" unit="m" value={round(to[1])} onValue={axis(1)} />
+          <NumberField label="Height" unit="m" value={round(to[2])} onValue={axis(2)} />
           {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-          <HoldButton targets={targets} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
+          <HoldButton targets={targets} disabled={chosen === null} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
             Fly there
           </HoldButton>
         </div>
@@ -151,6 +153,11 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
       </div>
     </>
   );
+}
+
+/** To a decimetre. */
+function round(metres: number): number {
+  return Math.round(metres * 10) / 10;
 }
 
 function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {

@@ -1,7 +1,8 @@
 // Plans for the fleet: files, a formation or goals that are dragged; the certificate; the timeline; the flight.
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { useStore } from "../hooks.ts";
+import { frameKey } from "../framed.ts";
+import { useFramed, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
@@ -135,9 +136,11 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   const [spacing, setSpacing] = useState(8);
   const [height, setHeight] = useState(20);
   const [yaw, setYaw] = useState(90);
-  const [middle, setMiddle] = useState<readonly [number, number]>(() => middleOf(store.state, names));
-  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const [chosen, setMiddle] = useFramed<readonly [number, number] | null>(store, null);
   const unplaced = useUnplaced(store, names);
+  const [x, y] = chosen ?? middleOf(store.state, names);
+  const middle = useMemo(() => [x, y] as const, [x, y]);
+  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
   const places = useMemo(
     () => formation(shape, names.length, spacing, [middle[0], middle[1], height], (yaw * Math.PI) / 180),
     [shape, names, spacing, middle, height, yaw],
@@ -185,11 +188,14 @@ function middleOf(state: State, names: readonly string[]): readonly [number, num
   return [mean(0), mean(1)];
 }
 
+const NO_GOALS: ReadonlyMap<string, Vec3> = new Map();
+
 function FromGoals({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
   const names = useSelected(store);
   const [height, setHeight] = useState(20);
   const [exchange, setExchange] = useState(false);
-  const [goals, setGoals] = useState<ReadonlyMap<string, Vec3>>(new Map());
+  const [goals, setGoals] = useFramed<ReadonlyMap<string, Vec3>>(store, NO_GOALS);
+  const frame = useStore(store, (state) => frameKey(state.origin));
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
   const unplaced = useUnplaced(store, names);
   // who is selected anew, or has a position only now, begins where it is; who was dragged stays where it was put
@@ -199,7 +205,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
       const place = before.get(name) ?? starts[name];
       return place === undefined ? [] : [[name, place] as const];
     })));
-  }, [store, names, height, unplaced]);
+  }, [store, names, height, unplaced, frame, setGoals]);
   const latest = useRef(goals);
   latest.current = goals;
   useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);

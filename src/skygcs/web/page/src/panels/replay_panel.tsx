@@ -15,10 +15,53 @@ const SEEK_EVERY_MS = 150;
 const STEP_S = 10;
 
 export default function ReplayPanel({ store, connection }: PanelProps) {
-  const [info, setInfo] = useState<{ info: ReplayInfo; atMs: number } | null>(null);
-  const [error, setError] = useState<string | null>(null);
+  const { info, error, order } = useReplay(connection);
   const [dragged, setDragged] = useState<number | null>(null);
   const nowMs = useTick(100);
+  const marks = useMarks(connection, info?.info.scanned === true);
+  const seek = useSeek((position_s) => order("replay.seek", { position_s }));
+  if (info === null) return <p class="replay">Replay: opening the recording … <Failure text={error} /></p>;
+  const now = info.info;
+  const position_s = dragged ?? placeAt(now, info.atMs, nowMs);
+  const may = store.state.hello?.role === "command";
+  const at = new Date((now.start_unix_s + position_s) * 1000);
+  const drag = (wanted: number | null): void => {
+    setDragged(wanted);
+    if (wanted !== null) seek(wanted);
+  };
+  return (
+    <div class="replay" role="group" aria-label="Replay">
+      <b class="replaymark">Replay</b>
+      <span class="file" title={now.file}>{now.file.split("/").at(-1)}</span>
+      <button type="button" class="primary" disabled={!may} aria-label={now.playing ? "Pause" : "Play"} onClick={() => order(now.playing ? "replay.pause" : "replay.play")}>
+        {now.playing ? "Pause" : now.ended ? "Play again" : "Play"}
+      </button>
+      <select
+        aria-label="Speed"
+        disabled={!may}
+        value={String(now.speed)}
+        onChange={(event) => order("replay.speed", { speed: Number(event.currentTarget.value) })}
+      >
+        {[...new Set([...SPEEDS, now.speed])].sort((a, b) => a - b).map((speed) => <option key={speed} value={String(speed)}>{speed}×</option>)}
+      </select>
+      <span class="clock">{clockText(position_s)}</span>
+      <MarkButtons marks={marks} position_s={position_s} may={may} seek={(at_s) => order("replay.seek", { position_s: at_s })} />
+      <span class="bar">
+        <Ticks marks={marks} duration_s={Math.max(now.duration_s, 0.1)} />
+        <Bar position_s={position_s} duration_s={now.duration_s} may={may} drag={drag} seek={seek} />
+      </span>
+      <span class="clock muted">{clockText(now.duration_s)}{now.scanned === false ? " so far" : ""}</span>
+      <span class="muted date">{at.toLocaleString([], { hour12: false })}</span>
+      <LastMark mark={markBefore(marks, position_s + HERE_S)} />
+      <Failure text={error} />
+    </div>
+  );
+}
+
+/** Where the replay is, as its process says it, and how to order it. */
+function useReplay(connection: PanelProps["connection"]) {
+  const [info, setInfo] = useState<{ info: ReplayInfo; atMs: number } | null>(null);
+  const [error, setError] = useState<string | null>(null);
   const take = (next: ReplayInfo): void => setInfo({ info: next, atMs: performance.now() });
   const order = (method: string, params: object = {}): void => {
     connection.call<ReplayInfo>(method, params).then(
@@ -37,59 +80,39 @@ export default function ReplayPanel({ store, connection }: PanelProps) {
     const undo = [connection.on<ReplayInfo>("replay.position", take), connection.onPhase((phase) => phase.kind === "open" && ask())];
     return () => undo.forEach((each) => each());
   }, [connection]);
-  const marks = useMarks(connection, info?.info.scanned === true);
-  const seek = useSeek((position_s) => order("replay.seek", { position_s }));
-  if (info === null) return <p class="replay">Replay: opening the recording … <Failure text={error} /></p>;
-  const now = info.info;
-  const position_s = dragged ?? placeAt(now, info.atMs, nowMs);
-  const may = store.state.hello?.role === "command";
-  const at = new Date((now.start_unix_s + position_s) * 1000);
+  return { info, error, order };
+}
+
+interface BarProps {
+  position_s: number;
+  duration_s: number;
+  may: boolean;
+  /** Null: it is let go. */
+  drag: (position_s: number | null) => void;
+  seek: (position_s: number) => void;
+}
+
+function Bar({ position_s, duration_s, may, drag, seek }: BarProps) {
   return (
-    <div class="replay" role="group" aria-label="Replay">
-      <b class="replaymark">Replay</b>
-      <span class="file" title={now.file}>{now.file.split("/").at(-1)}</span>
-      <button type="button" class="primary" disabled={!may} aria-label={now.playing ? "Pause" : "Play"} onClick={() => order(now.playing ? "replay.pause" : "replay.play")}>
-        {now.playing ? "Pause" : now.ended ? "Play again" : "Play"}
-      </button>
-      <select
-        aria-label="Speed"
-        disabled={!may}
-        value={String(now.speed)}
-        onChange={(event) => order("replay.speed", { speed: Number(event.currentTarget.value) })}
-      >
-        {[...new Set([...SPEEDS, now.speed])].sort((a, b) => a - b).map((speed) => <option key={speed} value={String(speed)}>{speed}×</option>)}
-      </select>
-      <span class="clock">{clockText(position_s)}</span>
-      <MarkButtons marks={marks} position_s={position_s} may={may} seek={(at_s) => order("replay.seek", { position_s: at_s })} />
-      <span class="bar"><Ticks marks={marks} duration_s={Math.max(now.duration_s, 0.1)} />
-      <input
-        type="range"
-        aria-label="Place in the recording"
-        aria-valuetext={clockText(position_s)}
-        min={0}
-        max={Math.max(now.duration_s, 0.1)}
-        step={0.1}
-        disabled={!may}
-        value={position_s}
-        onInput={(event) => {
-          const wanted = event.currentTarget.valueAsNumber;
-          setDragged(wanted);
-          seek(wanted);
-        }}
-        onChange={() => setDragged(null)}
-        onKeyDown={(event) => {
-          // a tenth of a second is too small a step for a recording of an hour
-          const step = event.key === "PageUp" ? STEP_S : event.key === "PageDown" ? -STEP_S : 0;
-          if (step === 0) return;
-          event.preventDefault();
-          seek(Math.min(Math.max(position_s + step, 0), now.duration_s));
-        }}
-      /></span>
-      <span class="clock muted">{clockText(now.duration_s)}{now.scanned === false ? " so far" : ""}</span>
-      <span class="muted date">{at.toLocaleString([], { hour12: false })}</span>
-      <LastMark mark={markBefore(marks, position_s + HERE_S)} />
-      <Failure text={error} />
-    </div>
+    <input
+      type="range"
+      aria-label="Place in the recording"
+      aria-valuetext={clockText(position_s)}
+      min={0}
+      max={Math.max(duration_s, 0.1)}
+      step={0.1}
+      disabled={!may}
+      value={position_s}
+      onInput={(event) => drag(event.currentTarget.valueAsNumber)}
+      onChange={() => drag(null)}
+      onKeyDown={(event) => {
+        // a tenth of a second is too small a step for a recording of an hour
+        const step = event.key === "PageUp" ? STEP_S : event.key === "PageDown" ? -STEP_S : 0;
+        if (step === 0) return;
+        event.preventDefault();
+        seek(Math.min(Math.max(position_s + step, 0), duration_s));
+      }}
+    />
   );
 }
 

@@ -11,6 +11,7 @@ import { histories } from "./histories.ts";
 import { Failure, NumberField } from "./parts.tsx";
 import { refusalText } from "../orders.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
+import { isControlled, isFlown, isHeld } from "../setpoint_orders.ts";
 import type { Outcome } from "../types.ts";
 
 const MODES = [
@@ -23,16 +24,17 @@ export function VehicleControl(props: VehicleProps) {
   const { store, connection, name } = props;
   useTick(200);
   const orders = useStore(store, mayOrder);
-  const control = store.state.vehicles.get(name)?.control ?? null;
+  const vehicle = store.state.vehicles.get(name);
+  const control = vehicle?.control ?? null;
   const errors = histories.errorOf(name);
   const order = (mode: string): void =>
     void sendOrder(store, connection, { label: mode === "off" ? "Setpoints off" : `Fly by ${mode} setpoints`, method: "control.set", params: { mode }, targets: [name] });
   return (
     <>
       <p>
-        {control === null || control.state === "off"
+        {control === null || !isControlled(vehicle)
           ? "Its autopilot flies it: skygcs sends no setpoints."
-          : `Setpoints: ${control.state}${control.control_mode === null ? "" : `, by ${control.control_mode}`}`}
+          : isHeld(vehicle) ? "The guard has ended the setpoints: skygcs sends none." : `Setpoints: ${control.state}${control.control_mode === null ? "" : `, by ${control.control_mode}`}`}
       </p>
       {(control?.reasons ?? []).map((reason) => <p key={reason} class="failure">{reason}</p>)}
       {orders && (
@@ -42,7 +44,7 @@ export function VehicleControl(props: VehicleProps) {
               {title}
             </HoldButton>
           ))}
-          <button type="button" disabled={control === null || control.state === "off"} onClick={() => order("off")}>
+          <button type="button" disabled={!isControlled(vehicle)} onClick={() => order("off")}>
             Off
           </button>
         </div>
@@ -59,7 +61,7 @@ export function VehicleControl(props: VehicleProps) {
         version={errors.version}
         heightPx={160}
       />
-      {control !== null && control.state !== "off" && <Figures control={control} />}
+      {control !== null && isFlown(vehicle) && <Figures control={control} />}
       <Gains {...props} enabled={orders} />
     </>
   );

@@ -5,15 +5,12 @@ import { toScreenX, toScreenY, type Camera } from "./camera.ts";
 import { placeImage, type Frame } from "./frame.ts";
 import { projectionOf, tilesSeen, tileTransform, zoomFor, type Tile } from "./mercator.ts";
 import type { Palette } from "./palette.ts";
+import { RETRY_MS, retryAfterMs, TileCache, type Kept } from "./tile_cache.ts";
 
 type Pen = CanvasRenderingContext2D;
 
 /** Requests at once; a browser has six connections to one server, and the page needs one besides. */
 const ASKED_AT_ONCE = 5;
-/** Decoded tiles that are kept: 96 MB. */
-const KEPT_PX = 24_000_000;
-/** A tile that did not come is asked for again after that. */
-const RETRY_MS = 10_000;
 /** Zooms above, of which a part stands in for a tile that has not come. */
 const STAND_INS = 5;
 /** Tiles overlap by so much of a pixel: no seam shows where the frame is turned. */
@@ -21,17 +18,10 @@ const OVERLAP_PX = 0.5;
 /** How much of the ground's colour is over the tiles, so that what is drawn on them is read. */
 const VEIL = { dark: 0.5, daylight: 0.3 };
 
-interface Kept {
-  /** Null: it is on its way, there is none, or it could not be had. */
-  picture: ImageBitmap | null;
-  /** When it may be asked for again. */
-  retryMs: number;
-}
-
 export class MapLayer {
   private image: { bitmap: HTMLImageElement; pins: NonNullable<Hello["map"]>["points"]; url: string } | null = null;
   private file: TileFile | null = null;
-  private readonly kept = new Map<string, Kept>();
+  private readonly kept = new TileCache<ImageBitmap>();
   private wanted: readonly Tile[] = [];
   private asking = 0;
 
@@ -64,7 +54,6 @@ export class MapLayer {
   }
 
   private clear(): void {
-    for (const { picture } of this.kept.values()) picture?.close();
     this.kept.clear();
     this.wanted = [];
   }
@@ -103,9 +92,7 @@ export class MapLayer {
       const name = nameOf({ zoom: zoom - up, x: Math.floor(x / cut), y: Math.floor(y / cut) });
       const kept = this.kept.get(name);
       if (kept?.picture == null) continue;
-      // the newest are last: those before go first
-      this.kept.delete(name);
-      this.kept.set(name, kept);
+      this.kept.touch(name);
       return { picture: kept.picture, left: mod(x, cut) / cut, top: mod(y, cut) / cut, size: 1 / cut };
     }
     return null;
@@ -119,7 +106,7 @@ export class MapLayer {
       const name = nameOf(tile);
       const kept = this.kept.get(name);
       if (kept !== undefined && (kept.picture !== null || nowMs < kept.retryMs)) continue;
-      this.kept.set(name, { picture: null, retryMs: Infinity });
+      this.keep(name, { picture: null, retryMs: Infinity });
       this.asking += 1;
       void this.fetch(name);
     }
@@ -127,11 +114,11 @@ export class MapLayer {
 
   private async fetch(name: string): Promise<void> {
     const { file } = this;
-    const found: Kept = { picture: null, retryMs: Infinity }; // an empty answer: there is none
+    const found: Kept<ImageBitmap> = { picture: null, retryMs: Infinity };
     try {
       const answer = await fetch(`${file?.url ?? ""}/${name}`);
       if (answer.status === 200) found.picture = await createImageBitmap(await answer.blob());
-      else if (!answer.ok) found.retryMs = performance.now() + RETRY_MS;
+      else found.retryMs = performance.now() + retryAfterMs(answer.status, answer.headers.get("Retry-After"));
     } catch {
       found.retryMs = performance.now() + RETRY_MS;
     }
@@ -141,16 +128,8 @@ export class MapLayer {
     this.loaded();
   }
 
-  private keep(name: string, found: Kept): void {
-    this.kept.delete(name);
-    this.kept.set(name, found);
-    const tilePx = this.file?.tile_px ?? 256;
-    const most = Math.max(KEPT_PX / tilePx ** 2, this.wanted.length + ASKED_AT_ONCE);
-    for (const [old, { picture }] of this.kept) {
-      if (this.kept.size <= most) return;
-      picture?.close();
-      this.kept.delete(old);
-    }
+  private keep(name: string, found: Kept<ImageBitmap>): void {
+    this.kept.keep(name, found, new Set(this.wanted.map(nameOf)), performance.now());
   }
 
   private drawImage(pen: Pen, camera: Camera, frame: Frame, ratio: number): void {
