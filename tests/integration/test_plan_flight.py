@@ -301,3 +301,20 @@ async def test_a_check_meanwhile_does_not_change_the_margins_by_which_a_flight_i
         await gcs("plan.land")
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
         assert [rule.fixed_m for rule in landed_by] == [MARGIN_M]
+
+
+async def test_a_fault_of_what_checks_a_plan_stops_it_on_its_way(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await midway(gcs)
+
+        def fails() -> None:
+            raise KeyError("v7")
+
+        plans_of(gcs.daemon).runner.tick = fails  # type: ignore[method-assign]
+        await asyncio.sleep(3.0)
+        here = gcs.place("v1")
+        await asyncio.sleep(5.0)
+        assert math.dist(here, gcs.place("v1")) < 0.3 and here[1] < 11.0
+        faults = [told for told in gcs.told if told.kind == "fault"]
+        assert len(faults) == 1 and "v7" in faults[0].text
+        gcs.told.remove(faults[0])

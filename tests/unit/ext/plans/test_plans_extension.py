@@ -74,7 +74,7 @@ def test_the_place_of_a_plan_is_empty_until_something_keeps_one() -> None:
 
         async def wind_down(self) -> None: ...
 
-    place, keeper = PlanPlace(lambda: 12.3456), Keeper()
+    place, keeper = PlanPlace(lambda: 12.3456, pytest.fail, pytest.fail), Keeper()
     place.tick()
     assert (place.moving, place.status()) == (False, {"now_s": 12.346, **NO_PLAN})
     place.keeper = keeper
