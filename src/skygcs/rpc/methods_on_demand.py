@@ -10,8 +10,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Collection, Coroutine
 from typing import Any, Protocol
 
-from skygcs.config.extension_tables import find_on_demand, on_demand
+import structlog
+
+from skygcs.config.extension_tables import entry_point_problems, find_on_demand, on_demand
 from skygcs.rpc.dispatch import Method, MethodTable
+
+_log = structlog.get_logger(__name__)
 
 Beside = Callable[[Callable[[], object]], Awaitable[None]]
 """Calls a function while the loop goes on."""
@@ -58,8 +62,14 @@ class MethodsOnDemand:
         await asyncio.shield(task)
 
     async def _look(self) -> None:
-        await self._beside(on_demand)
-        self._words = set(on_demand())
+        try:
+            await self._beside(on_demand)
+            self._words = set(on_demand())
+            for problem in entry_point_problems():
+                _log.warning("installed extensions", problem=problem)
+        except Exception as error:  # it is not asked again: unknown names are refused in the core's words
+            _log.error("the installed extensions cannot be found", exc_info=error)
+            self._words = frozenset()
 
     async def _import(self, word: str) -> None:
         await self._beside(lambda: find_on_demand(word))

@@ -32,14 +32,19 @@ class Installed:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
+        self.beside_calls = self.looked = 0
         self.broken = False
         self.beside = asyncio.Event()
         self.beside.set()
-        monkeypatch.setattr(methods_on_demand, "on_demand", lambda: {"kite": "an entry point"})
+        monkeypatch.setattr(methods_on_demand, "on_demand", self._look)
         monkeypatch.setattr(methods_on_demand, "find_on_demand", self._find)
         self.table: MethodTable[list[str]] = MethodTable((HERE,))
         loop = asyncio.get_running_loop()
         self.dispatcher = Dispatcher(self.table, None, MethodsOnDemand(self.table, self, self._call, loop))
+
+    def _look(self) -> dict[str, str]:
+        self.looked += 1
+        return {"kite": "an entry point"}
 
     def _find(self, word: str) -> None:
         self.done.append(f"import {word}")
@@ -51,6 +56,7 @@ class Installed:
         return ADDED
 
     async def _call(self, function: Callable[[], object]) -> None:
+        self.beside_calls += 1
         await self.beside.wait()
         function()
 
@@ -89,8 +95,25 @@ async def test_what_no_extension_has_is_looked_for_once(monkeypatch: pytest.Monk
     assert (await answered(first))["error"]["code"] == -32601
     later = found.start([], "dragon.land")
     assert isinstance(later, bytes) and json.loads(later)["error"]["code"] == -32601
-    assert found.done == []
+    assert found.done == [] and found.beside_calls == 1
+    looked = found.looked
+    for name in ("dragon.add", "wyvern.add", "dragon"):
+        assert isinstance(found.start([], name), bytes)
+    assert (found.looked, found.beside_calls) == (looked, 1)
     assert isinstance(found.start([], "daemon.here"), bytes)
+
+
+async def test_a_failure_to_look_is_remembered_and_answered_in_the_cores_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, looked = Installed(monkeypatch), list[bool]()
+
+    def fails() -> Any:
+        looked.append(True)
+        raise TypeError("metadata of a package")
+
+    monkeypatch.setattr(methods_on_demand, "on_demand", fails)
+    replies = [await answered(found.start([], f"dragon.{name}")) for name in ("add", "land", "add")]
+    assert [reply["error"]["code"] for reply in replies] == [-32601] * 3
+    assert len(looked) == 1
 
 
 async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_after_its_import(
