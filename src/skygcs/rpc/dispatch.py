@@ -132,10 +132,14 @@ class MethodTable(Mapping[str, Method[C]]):
 
     def add(self, methods: Collection[Method[C]]) -> None:
         """Take further methods. Raises ValueError if one of them has the name of another."""
+        self.require_free(methods)
+        self._take(methods)
+
+    def require_free(self, methods: Collection[Method[C]]) -> None:
+        """Raises ValueError if one of these has the name of another."""
         twice = sorted(method.name for method in methods if method.name in self._methods)
         if twice:
             raise ValueError(f"two methods are called {', '.join(twice)}")
-        self._take(methods)
 
     def __getitem__(self, name: str) -> Method[C]:
         found = self._methods[name]

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
 from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
@@ -51,7 +52,13 @@ class Installed:
         if self.broken:
             raise ImportError("half installed")
 
-    def demand(self, word: str) -> tuple[Method[Any], ...]:
+    def require_well(self, word: str) -> None: ...
+
+    def failed(self, word: str, error: Exception) -> Exception:
+        return RefusedError(f"{word}: {error}")
+
+    def demand(self, word: str, accept: Callable[[Any], None]) -> tuple[Method[Any], ...]:
+        accept(ADDED)
         self.done.append(f"make {word}")
         return ADDED
 
@@ -128,7 +135,7 @@ async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_afte
 async def test_a_broken_extension_is_an_error_of_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     found = Installed(monkeypatch)
     found.broken = True
-    assert (await answered(found.start([], "kite.add")))["error"]["code"] == -32603
+    assert (await answered(found.start([], "kite.add")))["error"]["message"] == "kite: half installed"
     assert (await answered(found.start([], "daemon.here")))["result"] == 0
     found.broken = False  # it was repaired
     assert (await answered(found.start([], "kite.add")))["result"] == 1
