@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply, error_reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 
@@ -121,6 +121,24 @@ async def test_a_failure_to_look_is_remembered_and_answered_in_the_cores_words(m
     replies = [await answered(found.start([], f"dragon.{name}")) for name in ("add", "land", "add")]
     assert [reply["error"]["code"] for reply in replies] == [-32601] * 3
     assert len(looked) == 1
+
+
+@pytest.mark.parametrize("notification", [False, True])
+async def test_a_call_that_waited_for_the_import_is_admitted_again_before_it_is_carried_out(
+    monkeypatch: pytest.MonkeyPatch, notification: bool
+) -> None:
+    found, calls, late = Installed(monkeypatch), list[str](), list[str]()
+    found.beside.clear()
+    request: dict[str, Any] = {"jsonrpc": "2.0", "method": "kite.add"} | ({} if notification else {"id": 1})
+    refused = lambda request: error_reply(request.get("id"), -32000, "late") if late else None  # noqa: E731
+    reply = found.dispatcher.start(calls, request, admit=refused)
+    assert isinstance(reply, Coroutine)
+    waiting = asyncio.ensure_future(reply)
+    await asyncio.sleep(0)
+    late.append("its deadline has passed")
+    found.beside.set()
+    answer = await waiting
+    assert calls == [] and (answer == b"" if notification else json.loads(answer)["error"]["message"] == "late")
 
 
 async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_after_its_import(
