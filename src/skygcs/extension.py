@@ -12,6 +12,7 @@ orders to check, and its end.
 What a running daemon calls, and when:
 
     __init__       once, before a link is open; `core` is complete but for its socket
+    registered     once its methods and groups are accepted
     send_gate      once, before a link is open; the daemon does not start without the gate
     claim          before anything begins: bind an address, open a file
     run, clocks    their tasks run from the opening of the links to the end
@@ -26,7 +27,9 @@ What a running daemon calls, and when:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
+import math
 import re
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -43,7 +46,7 @@ if TYPE_CHECKING:  # an extension imports what it uses
     from skygcs.core.vehicle.order_plan import Plan
     from skygcs.core.vehicle.vehicle import Vehicle
     from skygcs.links.base import Channel
-    from skygcs.rpc.context import Context, NewSession, Services
+    from skygcs.rpc.context import Accept, Context, NewSession, Services
     from skygcs.rpc.dispatch import Method
     from skygcs.runtime.flight_elsewhere import FlightElsewhere
     from skygcs.runtime.vehicle_actor import VehicleActor
@@ -53,6 +56,9 @@ C = TypeVar("C", bound=Model)
 
 ENDS_FLIGHT = frozenset({"land", "rtl", "hold", "stop", "disarm", "release"})
 """Orders that end a flight, or a motion: no extension is asked about them."""
+
+MADE_AGAIN_S = 5.0
+"""From a failure to make an extension on demand to the next attempt: calls meanwhile are refused at once."""
 
 AGAIN_S = 1.0
 """From a fault of an extension's work to its next begin: a fault that stays is reported, and takes no core."""
@@ -147,6 +153,10 @@ class Extension(Generic[C]):
 
     # -- its life
 
+    def registered(self) -> None:
+        """Called once its methods and groups are taken, before one of them is called: here, and not when it is made, it
+        puts itself into the core. An exception ends it."""
+
     def claim(self) -> None:
         """Take what another process could have. Raises SkygcsError: the daemon does not start then."""
 
@@ -208,6 +218,8 @@ class Extensions:
         self._on_fault = on_fault
         self._core = core
         self._closed = False
+        self._failed: dict[str, tuple[float, RefusedError]] = {}
+        """By the first word, until when one that could not be made is not tried again, and the refusal."""
         self._demanded: dict[str, tuple[Method[Context], ...]] = {}
         """Methods of those that were made on demand, by their first word."""
         self.methods: tuple[Method[Context], ...] = ()
@@ -215,7 +227,9 @@ class Extensions:
         for table, part in parts.items():
             self._take(table, part)
 
-    def _take(self, table: str, part: Extension[Any]) -> None:
+    def _take(self, table: str, part: Extension[Any], accept: Accept = lambda methods: None) -> None:
+        """Check its names, then register it. Raises what one of these raises; it is not registered
+        then."""
         methods, groups = tuple(part.methods()), part.state_groups()
         problems = [
             f"its extension names the {kind} {name}: the name must begin with {' or '.join((table, *part.names))}"
@@ -225,30 +239,54 @@ class Extensions:
         ]
         if problems:
             raise ConfigError(table, problems)
+        accept(methods)
+        part.registered()
         self._parts[table] = part
         self.methods += methods
         self.state_groups |= groups
 
-    def demand(self, word: str) -> tuple[Method[Context], ...]:
+    def demand(self, word: str, accept: Accept = lambda methods: None) -> tuple[Method[Context], ...]:
         """Make the extension without a table whose methods begin with this word, once. Returns its methods; none: no
-        such one is installed. Raises what its import and its constructor raise, and RefusedError after `close`."""
+        such one is installed. ``accept`` raises for methods that cannot be taken. Raises RefusedError if it cannot be
+        made, for `MADE_AGAIN_S` without another attempt, and after `close`."""
         if word not in self._demanded:
-            if self._closed:
-                raise RefusedError("skygcs is shutting down")
-            if self._core is None or word in self._parts or (found := find_on_demand(word)) is None:
+            self.require_well(word)
+            if self._core is None or word in self._parts:
                 return ()
-            before = len(self.methods)
-            self._take(word, cast("type[Extension[Any]]", found)(self._core, found.Config()))
+            before, part = len(self.methods), None
+            try:
+                if (found := find_on_demand(word)) is None:
+                    return ()
+                part = cast("type[Extension[Any]]", found)(self._core, found.Config())
+                self._take(word, part, accept)
+            except Exception as error:
+                if part is not None:
+                    self._close(part)
+                raise self.failed(word, error) from error
             self._demanded[word] = self.methods[before:]
         return self._demanded[word]
 
-    def every_method(self) -> tuple[Method[Context], ...]:
-        """All their methods: extensions without a table are made for it."""
+    def require_well(self, word: str) -> None:
+        """Raises RefusedError if this one is not to be made now."""
+        if self._closed:
+            raise RefusedError("skygcs is shutting down")
+        until_s, refusal = self._failed.get(word, (-math.inf, None))
+        if refusal is not None and self._core is not None and self._core.now() < until_s:
+            raise refusal
+
+    def failed(self, word: str, error: Exception) -> RefusedError:
+        """Report that this one could not be imported or made. Returns the refusal of calls from now on."""
+        self._on_fault(error)
+        refusal = RefusedError(f"the extension of {word} cannot be made, see the log: {type(error).__name__}: {error}")
+        if self._core is not None:
+            self._failed[word] = (self._core.now() + MADE_AGAIN_S, refusal)
+        return refusal
+
+    def every_method(self, accept: Accept = lambda methods: None) -> tuple[Method[Context], ...]:
+        """All their methods: extensions without a table are made for it; one that cannot be is left out."""
         for word in () if self._core is None else on_demand():
-            try:
-                self.demand(word)
-            except Exception as error:
-                self._on_fault(error)
+            with contextlib.suppress(RefusedError):  # which was reported
+                self.demand(word, accept)
         return self.methods
 
     def __iter__(self) -> Iterator[Extension[Any]]:
@@ -332,10 +370,13 @@ class Extensions:
         """End the work of all; none is made any more."""
         self._closed = True
         for part in self._parts.values():
-            try:
-                part.close()
-            except Exception as error:
-                self._on_fault(error)
+            self._close(part)
+
+    def _close(self, part: Extension[Any]) -> None:
+        try:
+            part.close()
+        except Exception as error:
+            self._on_fault(error)
 
     async def ended(self) -> None:
         """Wait for the end of all."""

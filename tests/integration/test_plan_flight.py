@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from skygcs.core.plan.margins import MarginRule
 from skygcs.errors import RefusedError
+from skygcs.ext.plans.flight_preparation import way_down
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.called import plans_of
@@ -280,3 +283,38 @@ async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_
         await asyncio.sleep(3.0)
         await gcs("plan.land", force=True)
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
+
+
+async def test_a_check_meanwhile_does_not_change_the_margins_by_which_a_flight_is_landed(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await midway(gcs)
+        runner = plans_of(gcs.daemon).runner
+        work, landed_by = runner.work, list[MarginRule]()
+
+        async def noted(function: Callable[..., Any], *arguments: Any) -> Any:
+            if function is way_down:
+                landed_by.append(arguments[2])
+            return await work(function, *arguments)
+
+        await gcs("plan.check", margin_m=MARGIN_M + 10.0)
+        runner.work = noted
+        await gcs("plan.land")
+        await gcs.until(lambda: state(gcs) == "landed", 120.0)
+        assert [rule.fixed_m for rule in landed_by] == [MARGIN_M]
+
+
+async def test_a_fault_of_what_checks_a_plan_stops_it_on_its_way(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await midway(gcs)
+
+        def fails() -> None:
+            raise KeyError("v7")
+
+        plans_of(gcs.daemon).runner.tick = fails  # type: ignore[method-assign]
+        await asyncio.sleep(3.0)
+        here = gcs.place("v1")
+        await asyncio.sleep(5.0)
+        assert math.dist(here, gcs.place("v1")) < 0.3 and here[1] < 11.0
+        faults = [told for told in gcs.told if told.kind == "fault"]
+        assert len(faults) == 1 and "v7" in faults[0].text
+        gcs.told.remove(faults[0])

@@ -6,6 +6,8 @@ import functools
 import textwrap
 from collections.abc import Iterator, Mapping
 
+from skygcs.config.entry_points import installed_points
+
 TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "look": (
         "what the fleet and the daemon do now",
@@ -63,11 +65,9 @@ INDENT = 12
 @functools.cache
 def extension_commands() -> Mapping[str, tuple[str, str]]:
     """The commands of installed extensions: their topic ("program" if it is none) and their module."""
-    from importlib.metadata import entry_points  # it takes as long to import as to read
-
     core = {name for _, names in TOPICS.values() for name in names}
     found = {}
-    for point in sorted(entry_points(group=EXTENSION_COMMANDS)):
+    for _, point in sorted(installed_points(EXTENSION_COMMANDS).points.items()):
         topic, _, command = point.name.rpartition(".")
         if command not in core:
             found[command] = (topic if topic in TOPICS else "program", point.value)
@@ -77,10 +77,8 @@ def extension_commands() -> Mapping[str, tuple[str, str]]:
 @functools.cache
 def extension_programs() -> Mapping[str, str]:
     """The commands of `skygcs` that installed extensions have, and their modules."""
-    from importlib.metadata import entry_points
-
-    points = sorted(entry_points(group=EXTENSION_PROGRAMS))
-    return {point.name: point.value for point in points if point.name not in OF_SKYGCS}
+    points = installed_points(EXTENSION_PROGRAMS).points
+    return {name: point.value for name, point in sorted(points.items()) if name not in OF_SKYGCS}
 
 
 def all_topics() -> dict[str, tuple[str, tuple[str, ...]]]:

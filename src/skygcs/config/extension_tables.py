@@ -10,10 +10,10 @@ extension is imported when one of these is first called.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
 
+from skygcs.config.entry_points import installed_points
 from skygcs.config.tables import Model, Problem
 
 if TYPE_CHECKING:
@@ -59,9 +59,7 @@ class TableOwner(Protocol):
 
 def installed() -> dict[str, EntryPoint]:
     """The extensions that are installed, by the name of their table; reads the packages' metadata (5 to 20 ms)."""
-    from importlib.metadata import entry_points  # with it come email and zipfile, which a plain daemon never uses
-
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return dict(installed_points(GROUP).points)
 
 
 def places_of_control() -> dict[str, str]:
@@ -85,13 +83,15 @@ def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], list[Prob
     return owners, problems
 
 
-@functools.cache
+def entry_point_problems() -> list[str]:
+    """What is wrong with the entry points of installed extensions, each for a person."""
+    return sorted({*installed_points(GROUP).problems, *installed_points(ON_DEMAND).problems})
+
+
 def on_demand() -> Mapping[str, EntryPoint]:
     """The installed extensions without a table, by the first word of their methods; reads the packages' metadata once
     (5 to 20 ms)."""
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group=ON_DEMAND)}
+    return installed_points(ON_DEMAND).points
 
 
 def find_on_demand(word: str) -> type[TableOwner] | None:

@@ -132,10 +132,14 @@ class MethodTable(Mapping[str, Method[C]]):
 
     def add(self, methods: Collection[Method[C]]) -> None:
         """Take further methods. Raises ValueError if one of them has the name of another."""
+        self.require_free(methods)
+        self._take(methods)
+
+    def require_free(self, methods: Collection[Method[C]]) -> None:
+        """Raises ValueError if one of these has the name of another."""
         twice = sorted(method.name for method in methods if method.name in self._methods)
         if twice:
             raise ValueError(f"two methods are called {', '.join(twice)}")
-        self._take(methods)
 
     def __getitem__(self, name: str) -> Method[C]:
         found = self._methods[name]
@@ -199,6 +203,9 @@ class OnDemand(Protocol):
         ...
 
 
+Admit = Callable[[Mapping[str, Any]], bytes | None]
+"""The encoded refusal of a request that is not to be carried out now; None: it is."""
+
 Reply = bytes | Coroutine[Any, Any, bytes] | None
 """Encoded reply without newline; or a coroutine that makes it; or None (a notification that is done)."""
 
@@ -220,10 +227,17 @@ class Dispatcher(Generic[C]):
         self.always = self._methods.always
         self.while_stopping = self._methods.while_stopping
 
-    def start(self, context: C, request: object, key_twice: Callable[[], str | None] = lambda: None) -> Reply:
+    def start(
+        self,
+        context: C,
+        request: object,
+        key_twice: Callable[[], str | None] = lambda: None,
+        admit: Admit = lambda request: None,
+    ) -> Reply:
         """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent.
 
-        ``key_twice``: `key_twice` of the line that the request came in; called where the method needs it.
+        ``key_twice``: `key_twice` of the line that the request came in; called where the method needs it. ``admit`` is
+        asked before an import, and again before the handler: much time may pass between.
         """
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
@@ -234,8 +248,10 @@ class Dispatcher(Generic[C]):
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
             return error_reply(request_id, INVALID_REQUEST, 'a request has "jsonrpc": "2.0" and a method name')
         notification = "id" not in request
+        if (refusal := admit(request)) is not None:
+            return None if notification else refusal
         if (prepare := self._preparation(name)) is not None:
-            return self._start_later(prepare, context, request, key_twice)
+            return self._start_later(prepare, context, request, key_twice, admit)
         try:
             method = self._methods.get(name)
             if method is None:
@@ -275,13 +291,14 @@ class Dispatcher(Generic[C]):
         context: C,
         request: dict[str, Any],
         key_twice: Callable[[], str | None],
+        admit: Admit,
     ) -> bytes:
         """The first calls of methods that are imported for them, beside the loop, in their order."""
         try:
             await prepare()
         except Exception as error:
             return failure_reply(request["id"], request["method"], error) if "id" in request else b""
-        reply = self.start(context, request, key_twice)
+        reply = self.start(context, request, key_twice, admit)
         return await reply if isinstance(reply, Coroutine) else reply or b""
 
     async def _finish(

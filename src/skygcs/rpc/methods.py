@@ -94,7 +94,7 @@ def unsubscribe(context: Context, params: UnsubscribeParams) -> JsonObject:
 
 def rpc_discover(context: Context, _: NoParams) -> JsonObject:
     """This interface as an OpenRPC document, with the methods of the extensions that run."""
-    return _document(context.services.extensions.every_method())
+    return _document(context.services.extensions.every_method(METHODS.require_free))
 
 
 @functools.lru_cache(maxsize=1)

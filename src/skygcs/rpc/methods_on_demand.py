@@ -10,8 +10,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Collection, Coroutine
 from typing import Any, Protocol
 
-from skygcs.config.extension_tables import find_on_demand, on_demand
+import structlog
+
+from skygcs.config.extension_tables import entry_point_problems, find_on_demand, on_demand
 from skygcs.rpc.dispatch import Method, MethodTable
+
+_log = structlog.get_logger(__name__)
 
 Beside = Callable[[Callable[[], object]], Awaitable[None]]
 """Calls a function while the loop goes on."""
@@ -20,7 +24,9 @@ Beside = Callable[[Callable[[], object]], Awaitable[None]]
 class Demanded(Protocol):
     """The extensions of the daemon."""
 
-    def demand(self, word: str) -> Collection[Method[Any]]: ...
+    def require_well(self, word: str) -> None: ...
+    def failed(self, word: str, error: Exception) -> Exception: ...
+    def demand(self, word: str, accept: Callable[[Collection[Method[Any]]], None]) -> Collection[Method[Any]]: ...
 
 
 class MethodsOnDemand:
@@ -42,8 +48,8 @@ class MethodsOnDemand:
         return name not in self._table and (self._words is None or _first_word(name) in self._words)
 
     async def add(self, name: str) -> None:
-        """Add the methods with the first word of ``name``, if an extension has them. Raises what its import and its
-        constructor raise."""
+        """Add the methods with the first word of ``name``, if an extension has them. Raises RefusedError if it
+        cannot be made."""
         if self._words is None:
             await self._once("", self._look)
         word = _first_word(name)
@@ -58,12 +64,22 @@ class MethodsOnDemand:
         await asyncio.shield(task)
 
     async def _look(self) -> None:
-        await self._beside(on_demand)
-        self._words = set(on_demand())
+        try:
+            await self._beside(on_demand)
+            self._words = set(on_demand())
+            for problem in entry_point_problems():
+                _log.warning("installed extensions", problem=problem)
+        except Exception as error:  # it is not asked again: unknown names are refused in the core's words
+            _log.error("the installed extensions cannot be found", exc_info=error)
+            self._words = frozenset()
 
     async def _import(self, word: str) -> None:
-        await self._beside(lambda: find_on_demand(word))
-        self._table.add(self._extensions.demand(word))
+        self._extensions.require_well(word)
+        try:
+            await self._beside(lambda: find_on_demand(word))
+        except Exception as error:
+            raise self._extensions.failed(word, error) from error
+        self._table.add(self._extensions.demand(word, self._table.require_free))
         assert self._words is not None
         self._words = set(self._words) - {word}
 

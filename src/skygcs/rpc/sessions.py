@@ -19,7 +19,7 @@ import os
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, cast
 
 import structlog
@@ -418,27 +418,28 @@ class Session(asyncio.Protocol):
             return error_reply(request_id, error_codes.LIMIT_EXCEEDED, text)
         if not self._relays_operator and not _is_relay(request):
             self._hub.services.operator_watchdog.on_client()
-        if self._hub.services.stopping and isinstance(request, dict):
-            method, request_id = request.get("method"), request.get("id")
-            answered = self._hub.dispatcher.while_stopping
-            if isinstance(method, str) and method not in answered and isinstance(request_id, str | int | None):
-                text = "skygcs is shutting down: it takes no further orders but those that end a flight"
-                return error_reply(request_id, error_codes.REFUSED, text) if "id" in request else None
-        if isinstance(request, dict) and "deadline_s" in request:
-            refusal = dispatch.deadline_refusal(request, self._hub.services.now())
-            if refusal is not None:
-                self._hub.counters["requests_late"] += 1
-                return refusal if "id" in request else None
         context: Context = self
         if isinstance(request, dict) and REPORT in request and (asked := wants_reports(request)) is not None:
             context = ReportingContext(self, asked)
-        reply = self._hub.dispatcher.start(context, request, key_twice)
+        reply = self._hub.dispatcher.start(context, request, key_twice, self._admission)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
             self.slices.order_came()
             if self._hub.dispatcher.outlives_client(request):
                 return self._hub.outlive(reply)
         return reply
+
+    def _admission(self, request: Mapping[str, Any]) -> bytes | None:
+        """The refusal of a request that came too late, or comes while the daemon shuts down; None: carry it out."""
+        if self._hub.services.stopping and request["method"] not in self._hub.dispatcher.while_stopping:
+            text = "skygcs is shutting down: it takes no further orders but those that end a flight"
+            return error_reply(request.get("id"), error_codes.REFUSED, text)
+        if "deadline_s" not in request:
+            return None
+        refusal = dispatch.deadline_refusal(request, self._hub.services.now())
+        if refusal is not None:
+            self._hub.counters["requests_late"] += 1
+        return refusal
 
     def _on_batch(self, requests: list[Any], key_twice: Callable[[], str | None]) -> None:
         if not requests:

@@ -2,6 +2,10 @@
 
 no method of plans was called yet    the status is that no plan is loaded, and there is nothing to do
 afterwards                           the extension's `PlanKeeper` answers
+
+It is also the one gate to the keeper: an exception of its code is reported as a fault and reaches nobody else. Then
+the last status stands with the fault as its reason, and after a fault of the clock the trajectories of plans pause:
+nothing may fly them on without the plan's checks.
 """
 
 from __future__ import annotations
@@ -52,33 +56,62 @@ class PlanKeeper(Protocol):
         ...
 
 
+FAULT = "the extension of plans has failed, see the log; its trajectories pause: order its vehicles to hold or land"
+"""The reason in a status that its keeper could not give."""
+
+
 class PlanPlace:
     """The plan of one fleet. ``observers`` are called after each change of `status` that is worth a notification."""
 
-    def __init__(self, now: Callable[[], float]) -> None:
+    def __init__(
+        self, now: Callable[[], float], on_fault: Callable[[Exception], None], pause: Callable[[], None]
+    ) -> None:
+        """``on_fault`` gets the exceptions of the keeper; ``pause`` stops the trajectories of plans on their paths."""
         self.keeper: PlanKeeper | None = None
         self.observers: set[Callable[[], None]] = set()
         self._now = now
+        self._on_fault = on_fault
+        self._pause = pause
+        self._last: dict[str, Any] = {}
+        """What the keeper answered last."""
 
     @property
     def moving(self) -> bool:
-        """True if a flight is under way."""
-        return self.keeper is not None and self.keeper.moving
+        """True if a flight is under way; also where the keeper fails: it may be."""
+        try:
+            return self.keeper is not None and self.keeper.moving
+        except Exception as error:
+            self._on_fault(error)
+            return True
 
     def status(self) -> dict[str, Any]:
         """Status as plan.status answers it."""
-        nothing = {"now_s": round(self._now(), 3), **NO_PLAN}
-        return nothing if self.keeper is None else nothing | self.keeper.status()
+        try:
+            if self.keeper is not None:
+                self._last = self.keeper.status()
+            found = self._last
+        except Exception as error:
+            self._on_fault(error)
+            found = self._last | {"reason": FAULT}
+        return {"now_s": round(self._now(), 3), **NO_PLAN} | found
 
     def tick(self) -> None:
         """Five times a second."""
-        if self.keeper is not None:
-            self.keeper.tick()
+        try:
+            if self.keeper is not None:
+                self.keeper.tick()
+        except Exception as error:
+            self._on_fault(error)
+            self._pause()
 
     async def wind_down(self) -> None:
         """See `PlanKeeper.wind_down`."""
-        if self.keeper is not None:
-            await self.keeper.wind_down()
+        try:
+            if self.keeper is not None:
+                await self.keeper.wind_down()
+        except Exception as error:
+            self._on_fault(error)
+            self._pause()
 
     def changed(self) -> None:
         """Notify the observers."""

@@ -306,6 +306,13 @@ class Trajectories:
         """Stop their groups on their paths."""
         return self._order(actors, lambda group, now: group.clock.pause(now), "stops on its path")
 
+    def pause_plans(self) -> None:
+        """Stop the groups of plans on their paths: nobody checks their flights any more."""
+        now = self._loop.time()
+        for group in self._groups:
+            if group.plan is not None and group.clock.at(now).state in (ClockState.WAITING, ClockState.RUNNING):
+                group.clock.pause(now)
+
     def resume(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
         """Let their groups go on; those that left a group stay out of it."""
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
+from skygcs.config.entry_points import installed_points
 from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.compare import Change, plan
 from skygcs.core.params.names import SORTS, Sort
@@ -22,10 +23,14 @@ from skygcs.core.params.param_file import ParamFile, parse
 from skygcs.errors import RefusedError
 from skygcs.web.dropped import DroppedFile, Request, parsed
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 MAX_PARAMS = 5000
 """More than any autopilot has."""
 
 EXTENSION_CHECKS = "skygcs.page_checks"
+_CHECK_NAME = re.compile(r"web\.[a-z_]+\.check")
 
 Check = Callable[[Mapping[str, Any]], dict[str, Any]]
 
@@ -117,8 +122,10 @@ CHECKS: dict[str, Check] = {
 
 @functools.cache
 def extension_checks() -> Mapping[str, EntryPoint]:
-    """The checks of installed extensions, by the method that they answer."""
-    return {point.name: point for point in entry_points(group=EXTENSION_CHECKS) if point.name not in CHECKS}
+    """The checks of installed extensions, by the method that they answer: `web.<word>.check`, and none of the core's.
+    What is called otherwise is left out: it would take the place of a method of the page."""
+    points = installed_points(EXTENSION_CHECKS).points
+    return {name: point for name, point in points.items() if _CHECK_NAME.fullmatch(name) and name not in CHECKS}
 
 
 def find_check(name: str) -> Check:

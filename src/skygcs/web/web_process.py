@@ -24,6 +24,7 @@ from skygcs import __version__
 from skygcs.cancellation import ended
 from skygcs.config.allow_list import allow_list, check_address
 from skygcs.config.dialects import load_dialect
+from skygcs.config.entry_points import installed_points
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
@@ -32,7 +33,7 @@ from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection
-from skygcs.web.file_checks import CHECKS, extension_checks
+from skygcs.web.file_checks import CHECKS, EXTENSION_CHECKS, extension_checks
 from skygcs.web.fleet_digest import view_of
 from skygcs.web.http_server import HttpServer
 from skygcs.web.map_image import MapImage
@@ -119,6 +120,8 @@ class WebProcess:
         }
         if isinstance(self.source, ReplaySource):
             methods |= self.source.own_methods()
+        for problem in installed_points(EXTENSION_CHECKS).problems:
+            _log.warning("installed checks of files", problem=problem)
         return methods | {name: self._check(name) for name in (*CHECKS, *extension_checks())}
 
     def _check(self, name: str) -> OwnMethod:

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply, error_reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 
@@ -32,25 +33,37 @@ class Installed:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
+        self.beside_calls = self.looked = 0
         self.broken = False
         self.beside = asyncio.Event()
         self.beside.set()
-        monkeypatch.setattr(methods_on_demand, "on_demand", lambda: {"kite": "an entry point"})
+        monkeypatch.setattr(methods_on_demand, "on_demand", self._look)
         monkeypatch.setattr(methods_on_demand, "find_on_demand", self._find)
         self.table: MethodTable[list[str]] = MethodTable((HERE,))
         loop = asyncio.get_running_loop()
         self.dispatcher = Dispatcher(self.table, None, MethodsOnDemand(self.table, self, self._call, loop))
+
+    def _look(self) -> dict[str, str]:
+        self.looked += 1
+        return {"kite": "an entry point"}
 
     def _find(self, word: str) -> None:
         self.done.append(f"import {word}")
         if self.broken:
             raise ImportError("half installed")
 
-    def demand(self, word: str) -> tuple[Method[Any], ...]:
+    def require_well(self, word: str) -> None: ...
+
+    def failed(self, word: str, error: Exception) -> Exception:
+        return RefusedError(f"{word}: {error}")
+
+    def demand(self, word: str, accept: Callable[[Any], None]) -> tuple[Method[Any], ...]:
+        accept(ADDED)
         self.done.append(f"make {word}")
         return ADDED
 
     async def _call(self, function: Callable[[], object]) -> None:
+        self.beside_calls += 1
         await self.beside.wait()
         function()
 
@@ -89,8 +102,43 @@ async def test_what_no_extension_has_is_looked_for_once(monkeypatch: pytest.Monk
     assert (await answered(first))["error"]["code"] == -32601
     later = found.start([], "dragon.land")
     assert isinstance(later, bytes) and json.loads(later)["error"]["code"] == -32601
-    assert found.done == []
+    assert found.done == [] and found.beside_calls == 1
+    looked = found.looked
+    for name in ("dragon.add", "wyvern.add", "dragon"):
+        assert isinstance(found.start([], name), bytes)
+    assert (found.looked, found.beside_calls) == (looked, 1)
     assert isinstance(found.start([], "daemon.here"), bytes)
+
+
+async def test_a_failure_to_look_is_remembered_and_answered_in_the_cores_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, looked = Installed(monkeypatch), list[bool]()
+
+    def fails() -> Any:
+        looked.append(True)
+        raise TypeError("metadata of a package")
+
+    monkeypatch.setattr(methods_on_demand, "on_demand", fails)
+    replies = [await answered(found.start([], f"dragon.{name}")) for name in ("add", "land", "add")]
+    assert [reply["error"]["code"] for reply in replies] == [-32601] * 3
+    assert len(looked) == 1
+
+
+@pytest.mark.parametrize("notification", [False, True])
+async def test_a_call_that_waited_for_the_import_is_admitted_again_before_it_is_carried_out(
+    monkeypatch: pytest.MonkeyPatch, notification: bool
+) -> None:
+    found, calls, late = Installed(monkeypatch), list[str](), list[str]()
+    found.beside.clear()
+    request: dict[str, Any] = {"jsonrpc": "2.0", "method": "kite.add"} | ({} if notification else {"id": 1})
+    refused = lambda request: error_reply(request.get("id"), -32000, "late") if late else None  # noqa: E731
+    reply = found.dispatcher.start(calls, request, admit=refused)
+    assert isinstance(reply, Coroutine)
+    waiting = asyncio.ensure_future(reply)
+    await asyncio.sleep(0)
+    late.append("its deadline has passed")
+    found.beside.set()
+    answer = await waiting
+    assert calls == [] and (answer == b"" if notification else json.loads(answer)["error"]["message"] == "late")
 
 
 async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_after_its_import(
@@ -105,7 +153,7 @@ async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_afte
 async def test_a_broken_extension_is_an_error_of_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     found = Installed(monkeypatch)
     found.broken = True
-    assert (await answered(found.start([], "kite.add")))["error"]["code"] == -32603
+    assert (await answered(found.start([], "kite.add")))["error"]["message"] == "kite: half installed"
     assert (await answered(found.start([], "daemon.here")))["result"] == 0
     found.broken = False  # it was repaired
     assert (await answered(found.start([], "kite.add")))["result"] == 1

@@ -28,7 +28,9 @@ class Plans(Extension[NoTable]):
         self.runner = PlanRunner(core.fleet, self.processes.call, loop, core.event_log.publish)
         if core.stopping:
             self.runner.end()
-        core.fleet.plans.keeper = self.runner
+
+    def registered(self) -> None:
+        self.core.fleet.plans.keeper = self.runner
 
     def methods(self) -> Iterable[Method[Context]]:
         return METHODS

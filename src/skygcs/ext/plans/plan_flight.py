@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 from skygcs.core.geo import EnuFrame, world_from_enu
 from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.plan.margins import MarginRule
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
@@ -115,16 +116,19 @@ class PlanFlight:
         actors: Mapping[str, VehicleActor],
         loaded: Sequence[Loaded],
         lock: FlightLock,
+        rule: MarginRule,
         guidance: FlightGuidance,
         known: Callable[[VehicleActor], bool] = lambda actor: True,
     ) -> None:
         """``loaded``: the trajectories of each step, with their bounds; ``lock``: what they were certified with;
-        ``known``: whether the fleet still has a vehicle."""
+        ``rule``: the margins of their certificate, and of that of their landing; ``known``: whether the fleet still has
+        a vehicle."""
         self.settings = settings
         self.guidance = guidance
         self.execution = execution
         self.actors = dict(actors)
         self.lock = lock
+        self.rule = rule
         self.known = known
         self.frame = EnuFrame(lock.origin)
         self.sights: dict[str, Sight] = {}

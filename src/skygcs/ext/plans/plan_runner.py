@@ -115,7 +115,6 @@ class PlanRunner:
         self._numbers = itertools.count(1)
         self._busy: str | None = None
         """Work under way that must not run twice: a check before a flight, or a new certificate."""
-        self._rule: MarginRule = MarginRule()
         self._by = Guidance.SETPOINTS
         self._request = FlightRequest()
         self._force_landing = False
@@ -165,11 +164,9 @@ class PlanRunner:
     async def _check(self, request: FlightRequest, *, set_return_heights: bool = False, held: bool = False) -> Checked:
         """``held``: nobody may change what it is checked with from here on."""
         lock = functools.partial(self._locked, held=held)
-        checked = await self._flight_check.check(
+        return await self._flight_check.check(
             self._kept(request.plan), request, lock, set_return_heights=set_return_heights
         )
-        self._rule = checked.rule or self._rule
-        return checked
 
     def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
         """See `FlightCheck.chosen_way`."""
@@ -187,7 +184,7 @@ class PlanRunner:
         try:
             await self._last_ended()
             checked = await self._check(request, set_return_heights=set_return_heights, held=True)
-            if not checked.passes(force=request.force) or checked.execution is None:
+            if not checked.passes(force=request.force) or checked.execution is None or checked.rule is None:
                 return False, checked.report(force=request.force)
             if (lacking := await self._relayed(checked.actors, checked.loaded)) is not None:
                 raise RefusedError(lacking)
@@ -197,7 +194,7 @@ class PlanRunner:
                 await write_heights(checked, self._tasks, lambda: self._ending)
             report = checked.report(force=request.force)
             if report["ok"]:
-                self._begin(request, checked, checked.execution)
+                self._begin(request, checked, checked.execution, checked.rule)
             return bool(report["ok"]), report
         finally:
             self._busy = self._checking = None
@@ -211,13 +208,13 @@ class PlanRunner:
         except TimeoutError:
             raise RefusedError("orders of the last flight are still under way: `skygcs-cli plan status`") from None
 
-    def _begin(self, request: FlightRequest, checked: Checked, execution: Execution) -> None:
+    def _begin(self, request: FlightRequest, checked: Checked, execution: Execution, rule: MarginRule) -> None:
         """Let a checked flight begin."""
         settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
         actors = {actor.name: actor for actor in checked.actors}
         self._request, self._by = request, checked.by.by
         guidance = self._guidance(checked.by.by)
-        self.flight = PlanFlight(settings, execution, actors, checked.loaded, checked.lock, guidance, self._knows)
+        self.flight = PlanFlight(settings, execution, actors, checked.loaded, checked.lock, rule, guidance, self._knows)
         self.flight.look(self._loop.time())
         self._orders.carry_out(self.flight, execution.begin())
 
@@ -343,6 +340,7 @@ class PlanRunner:
         if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED) or self._ending:
             raise RefusedError(f"the plan is {execution.state} by now")
         if in_place and not execution.left:
+            flight.rule = situation.rule
             self._orders.carry_out(flight, execution.go_on())
             return True, "going on: all are at their places", []
         # a new flight from here
@@ -350,7 +348,8 @@ class PlanRunner:
         again = Execution(prepared.steps, (), prepared.tubes, prepared.steps[0].starts(), by=by)
         lock = flight.lock.of(frozenset(staying))
         guidance = self._guidance(flight.guidance.by)
-        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, lock, guidance, self._knows)
+        flown, rule = {actor.name: actor for actor in actors}, situation.rule
+        later = PlanFlight(flight.settings, again, flown, loaded, lock, rule, guidance, self._knows)
         self.flight = later
         self._hold(lock)
         later.look(self._loop.time())
@@ -400,7 +399,7 @@ class PlanRunner:
         ground_m = min([*known, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
         try:
-            rounds, certificate = await self.work(way_down, measured.places, ground_m, self._rule, space)
+            rounds, certificate = await self.work(way_down, measured.places, ground_m, flight.rule, space)
         except SkygcsError as error:  # no process, or it took too long
             todo = "`plan land --force` lands all at once"
             self._orders.carry_out(flight, execution.landing_refused([str(error), todo]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
-import resource
 import signal
 import sys
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import Node
+from skygcs.ext.ros.rospy_program import limit_memory
 from skygcs.rpc.client import connect
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
@@ -68,7 +68,7 @@ def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosCo
 async def serve_ros(options: Options) -> None:
     """Run until SIGINT or SIGTERM; supervised also until the daemon has gone. Raises SkygcsError."""
     config = with_environment(options.config, os.environ)
-    limit_memory()
+    limit_memory(MOST_MEMORY_BYTES)
     loop = asyncio.get_running_loop()
     stopping = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -91,13 +91,6 @@ async def serve_ros(options: Options) -> None:
         node.close()
         if running is not None:
             await ended(running)
-
-
-def limit_memory() -> None:
-    """Limit the data of this process to MOST_MEMORY_BYTES, or to less if that is its limit already."""
-    _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    most = MOST_MEMORY_BYTES if most == resource.RLIM_INFINITY else min(most, MOST_MEMORY_BYTES)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _node_of(config: RosConfig, loop: asyncio.AbstractEventLoop) -> tuple[Node, asyncio.Task[None] | None]:

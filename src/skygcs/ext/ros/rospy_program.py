@@ -41,7 +41,7 @@ MOST_CALLS = 64
 ANSWER_S = 600.0
 """All parameters over a slow radio take minutes."""
 
-MOST_MEMORY_BYTES = 512 << 20
+ROSPY_MEMORY_BYTES = 512 << 20
 """Limit of this process: rospy collects a message of any length that a peer names before it is seen here."""
 
 COUNT_S = 0.25
@@ -250,10 +250,17 @@ def _is_here(host: Any) -> bool:
     return bool(found) and bool(str(host))
 
 
+def limit_memory(most_bytes: int) -> None:
+    """Limit the data of this process, or leave it at a lower limit that it has, of the two that a system knows."""
+    limits = [one for one in resource.getrlimit(resource.RLIMIT_DATA) if one != resource.RLIM_INFINITY]
+    most = min([most_bytes, *limits])
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+
+
 def main() -> int:
     """Run until the input ends; the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process ends this one
-    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
+    limit_memory(ROSPY_MEMORY_BYTES)
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # rospy prints
     try:

@@ -1,7 +1,9 @@
 """Orders of one vehicle as actions: <vehicle>/skygcs/goto, takeoff and land.
 
 Each is the daemon's method of that name, with all of its checks. At most one goal of a vehicle is under way: an order
-that is accepted later, whoever gave it, ends the one before as aborted. A goal whose connection to the daemon is lost
+that is accepted later, whoever gave it, ends the one before as aborted. A cancel holds the vehicle only where its goal
+is the newest order: while a newer one is not answered, nothing is sent for it, and if that is accepted, the goal ends
+as replaced; the hold goes out if it is refused. A goal whose connection to the daemon is lost
 ends at once as aborted; the vehicle flies on by its autopilot then, as with every order.
 """
 
@@ -57,7 +59,7 @@ class VehicleActions:
         self._clock = clock
         self._unix_ns = unix_ns
         self._under_way: UnderWay | None = None
-        self._asked: dict[Order, OrderProgress] = {}
+        self._asked: list[OrderProgress] = []
         """Orders that were sent and are not answered."""
         self._holds: dict[bytes, asyncio.Task[None]] = {}
         """By the id of the goal that is canceling by it."""
@@ -68,7 +70,7 @@ class VehicleActions:
                 f"{vehicle.root}/skygcs/{order}",
                 type_,
                 partial(self._on_goal, order),
-                partial(self._on_cancel, order),
+                lambda goal: self._hold_if_due(),
                 unix_ns,
                 partial(self._log, ERROR),
             )
@@ -86,7 +88,7 @@ class VehicleActions:
 
     def on_event(self, event: Mapping[str, Any]) -> None:
         """An event of kind command, of any vehicle."""
-        for progress in self._asked.values():
+        for progress in self._asked:
             progress.on_event(event)
         if (under_way := self._under_way) is not None:
             self._settle(under_way, under_way.progress.on_event(event))
@@ -114,18 +116,24 @@ class VehicleActions:
         try:
             params = order_params(order, goal)
             progress = OrderProgress(order, goal, self._vehicle.state, self._takeoff_height_m())
-            self._asked[order] = progress
-            outcome = await self._order(order, **params)
+            refusal = await self._ask(progress, params)
         except (GoalError, RpcError, DaemonUnreachable) as error:
-            self._log(ERROR, f"{order}: goal refused: {error}")
-            return False
-        finally:
-            self._asked.pop(order, None)
-        if not outcome["ok"]:
-            self._log(ERROR, f"{order}: goal refused: {outcome['message']}")
+            refusal = str(error)
+        if refusal is not None:
+            self._log(ERROR, f"{order}: goal refused: {refusal}")
+            self._hold_if_due()
             return False
         self._begin(order, progress)
         return True
+
+    async def _ask(self, progress: OrderProgress, params: dict[str, Any]) -> str | None:
+        """Why the daemon refuses an order; None: it has accepted it."""
+        self._asked.append(progress)
+        try:
+            outcome = await self._order(progress.order, **params)
+        finally:
+            self._asked.remove(progress)
+        return None if outcome["ok"] else str(outcome["message"])
 
     def _begin(self, order: Order, progress: OrderProgress) -> None:
         self._on_order()
@@ -138,15 +146,19 @@ class VehicleActions:
             self._end(under_way, LOST)
         elif end is not None:
             self._end(under_way, end)
-        elif under_way.goal.status == CANCELING:
-            self._on_cancel(order, under_way.goal)
+        else:
+            self._hold_if_due()
 
-    def _on_cancel(self, order: Order, goal: Goal) -> None:
-        """Hold, once for each goal."""
+    def _hold_if_due(self) -> None:
+        """Hold, once for each goal that is canceling, if no newer order was sent: a hold would take its place."""
         under_way = self._under_way
-        if under_way is None or under_way.goal is not goal or goal.id in self._holds:
+        if under_way is None or under_way.goal.status != CANCELING or self._asked:
             return
-        task = asyncio.create_task(self._hold(under_way), name=f"cancel {order} of {self._vehicle.name}")
+        goal = under_way.goal
+        if goal.id in self._holds:
+            return
+        name = f"cancel {under_way.progress.order} of {self._vehicle.name}"
+        task = asyncio.create_task(self._hold(under_way), name=name)
         self._holds[goal.id] = task
         task.add_done_callback(lambda _: self._holds.pop(goal.id))
 

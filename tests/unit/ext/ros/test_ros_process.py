@@ -11,11 +11,12 @@ from skygcs.ext.ros.process import MOST_MEMORY_BYTES
 
 LIMITED = """
 import resource
-from skygcs.ext.ros.process import limit_memory
-limit_memory()
+from skygcs.ext.ros.process import MOST_MEMORY_BYTES
+from skygcs.ext.ros.rospy_program import limit_memory
+limit_memory(MOST_MEMORY_BYTES)
 print(*resource.getrlimit(resource.RLIMIT_DATA))
-resource.setrlimit(resource.RLIMIT_DATA, (1 << 29, 1 << 29))
-limit_memory()
+resource.setrlimit(resource.RLIMIT_DATA, (1 << 29, MOST_MEMORY_BYTES))  # the lower one is what counts
+limit_memory(MOST_MEMORY_BYTES)
 print(*resource.getrlimit(resource.RLIMIT_DATA))
 try:
     bytearray(1 << 30)

@@ -234,3 +234,32 @@ async def test_goals_without_end_are_refused_and_remembered_within_bounds(rig: R
     assert len(rig.table.goals) == 65 and len(rig.table.under_way) == 1
     assert rig.actions.counters()["results_forgotten"] == 35
     assert not rig.actions._asked and not rig.actions._holds
+
+
+async def test_a_cancel_of_an_older_goal_sends_nothing_where_a_newer_order_was_sent(rig: Rig) -> None:
+    assert rig.daemon is not None
+    old, landing = await rig.begin(), Goal(rig.node, "/alpha/skygcs/land")
+    sent = asyncio.create_task(landing.service("send_goal").call(goal_id=landing.id, goal={}))
+    await soon(lambda: rig.daemon is not None and bool(rig.daemon.asked))
+    for _ in range(2):
+        assert (await old.cancel())["return_code"] == 0
+    await asyncio.sleep(0.1)
+    assert [asked[0] for asked in rig.daemon.asked] == ["vehicles.land"]
+    await rig.daemon.answer("land")
+    assert (await sent)["accepted"] and landing.status() == EXECUTING
+    result = await old.result()
+    assert result["status"] == ABORTED and result["result"]["reason"] == "replaced: land was ordered"
+    await asyncio.sleep(0.1)
+    assert rig.daemon.asked == [] and landing.status() == EXECUTING
+
+
+async def test_a_cancel_holds_once_the_newer_order_was_refused(rig: Rig) -> None:
+    assert rig.daemon is not None
+    old, landing = await rig.begin(), Goal(rig.node, "/alpha/skygcs/land")
+    sent = asyncio.create_task(landing.service("send_goal").call(goal_id=landing.id, goal={}))
+    await soon(lambda: rig.daemon is not None and bool(rig.daemon.asked))
+    await old.cancel()
+    await rig.daemon.answer("land", ok=False, message="refused: not yours")
+    assert not (await sent)["accepted"]
+    await rig.daemon.answer("hold", message="holding")
+    assert old.status() == CANCELED and rig.daemon.asked == []
