@@ -270,3 +270,20 @@ async def test_the_current_item_has_one_number_everywhere(tmp_path: Path) -> Non
             await gcs.until(lambda name=name: gcs.place(name)[1] > 30.0, 60.0)  # type: ignore[misc]
             texts = gcs.texts(0.0, "mission", name)
             assert any("goes on with item 3" in text for text in texts), texts
+
+
+async def test_rovers_take_turns_though_they_stand_armed_after_their_return(tmp_path: Path) -> None:
+    """The second one never started: a return counted as ending disarmed on the ground."""
+    async with flown(tmp_path, px4=0, takeoff=False, others={"rover": 2}) as gcs:
+        for n, sim in enumerate(gcs.sims):
+            east_m = sim.motion.pos_enu_m[0]
+            items = (item(16, east_m, 15.0, 0.0), item(16, east_m, 25.0, 0.0))
+            plan = MissionPlan((*items, MissionItem.from_params(20, 2, (0.0,) * 7, True)))
+            await gcs.done("missions.upload", targets=f"v{n + 1}", plan=write_qgc(plan))
+        outcomes = (await gcs("missions.start", targets="all", one_after_another=True))["outcomes"]
+        assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
+        first, second = gcs.sims
+        await gcs.until(lambda: first.motion.pos_enu_m[1] > 20.0, 120.0)
+        assert not second.armed
+        await gcs.until(lambda: second.armed, 180.0)
+        assert first.armed and first.motion.pos_enu_m[1] < 6.0
