@@ -84,7 +84,8 @@ function useGotoDraft({ store, view }: Pick<ButtonsProps, "store" | "view">, at:
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   useEffect(() => () => draft?.end(), [draft]);
   useEffect(() => setDraft(null), [frame]);
-  const [x, y] = at === null ? [null, null] : [Number(at.x), Number(at.y)];
+  const x = at === null ? null : Number(at.x);
+  const y = at === null ? null : Number(at.y);
   useEffect(() => {
     if (x !== null && y !== null) draft?.show(x, y);
   }, [draft, x, y, targets]);

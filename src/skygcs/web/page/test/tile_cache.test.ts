@@ -25,6 +25,7 @@ test("the budget counts the pixels of each picture, whatever the first one has",
   const cache = new TileCache<ReturnType<typeof picture>>();
   cache.keep("small", { picture: picture(16), retryMs: 0 }, new Set(), 0);
   for (let n = 0; n < 100; n++) cache.keep(`t${n}`, { picture: picture(1024), retryMs: 0 }, new Set(["t0"]), 0);
+  assert.equal(cache.keptPx, openPx());
   assert.ok(openPx() <= KEPT_PX && openPx() > KEPT_PX - 2 * 1024 ** 2);
   assert.equal(cache.get("small"), undefined);
   assert.ok(cache.get("t0")?.picture != null && cache.get("t1") === undefined && cache.get("t99")?.picture != null);

@@ -33,6 +33,15 @@ export class TileCache<P extends Picture> {
   private readonly kept = new Map<string, Kept<P>>();
   private px = 0;
 
+  /** Decoded pixels of all pictures. */
+  get keptPx(): number {
+    return this.px;
+  }
+
+  values(): Iterable<Kept<P>> {
+    return this.kept.values();
+  }
+
   get(name: string): Kept<P> | undefined {
     return this.kept.get(name);
   }
