@@ -141,10 +141,10 @@ class Daemon:
     def _new_extensions(self) -> Extensions:
         """The extensions whose tables the fleet file has. Raises ConfigError for one that cannot be made."""
         tables = self.config.extensions
-        owners, problems = find_owners(set(tables))
-        if problems or owners.keys() != tables.keys():
+        owners, unusable = find_owners(set(tables))
+        if unusable or owners.keys() != tables.keys():
             missing = [f"no extension is installed for [{name}]" for name in tables.keys() - owners.keys()]
-            raise ConfigError(self.source, [*(f"{p.path[0]}: {p.text}" for p in problems), *missing])
+            raise ConfigError(self.source, [*(f"{name}: {text}" for name, text in unusable.items()), *missing])
         made = {name: cast("type[Extension[Any]]", owners[name])(self, table) for name, table in tables.items()}
         extensions = Extensions(made, self.hub.fault, self)
         if problems := control_place_problems(self.config, extensions.places_of_control()):
@@ -176,7 +176,7 @@ class Daemon:
         """Give them orders to check, frames to observe and vehicles to gate, and leave them their part of the links."""
         self.hub.gate_sending(self.extensions.send_gates())
         self.fleet.order_refusal = self.extensions.order_refusal
-        self.fleet.on_fault = self.hub.fault
+        self.fleet.plans.on_fault = self.hub.fault
         self.fleet.flights_elsewhere.update(self.extensions.flights_elsewhere())
         view.taken_bytes_per_s = self.extensions.bytes_per_s
         for extension in self.extensions:

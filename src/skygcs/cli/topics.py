@@ -6,7 +6,7 @@ import functools
 import textwrap
 from collections.abc import Iterator, Mapping
 
-from skygcs.config.entry_points import installed_points
+from skygcs.config.extension_tables import installed_points
 
 TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "look": (

@@ -6,23 +6,30 @@ owns the table [metrics]. Only the extensions whose tables a file has are import
 
 Those of the group `ON_DEMAND` have no table: the entry point names the first word of their methods, and such an
 extension is imported when one of these is first called.
+
+`installed_points` is the one reader of entry points, for the groups of the shell and of the page as well. Packages are
+read one by one: one that names a group of `skygcs` in metadata which cannot be read, or does not follow the format, is
+left out and reported, and hides no other. https://packaging.python.org/en/latest/specifications/entry-points/
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
-
-from skygcs.config.entry_points import installed_points
-from skygcs.config.tables import Model, Problem
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from skygcs.config.models import FleetConfig
+    from skygcs.config.tables import Model, Problem
 
 GROUP = "skygcs.extensions"
 ON_DEMAND = "skygcs.on_demand"
+
+
+OWN_PACKAGE = "skygcs."
+"""Modules of the core and of the extensions that come with it begin so."""
 
 
 class TableOwner(Protocol):
@@ -57,6 +64,53 @@ class TableOwner(Protocol):
         ...
 
 
+class Installed(NamedTuple):
+    """Entry points of one group by their names, and what is wrong with the packages, each for a person."""
+
+    points: Mapping[str, EntryPoint]
+    problems: tuple[str, ...]
+
+
+def installed_points(group: str) -> Installed:
+    """The entry points of a group; reads the packages' metadata (5 to 20 ms). Where two packages give one name,
+    that of skygcs itself counts, else the first by its value. Never raises for what a package has written."""
+    found: dict[str, EntryPoint] = {}
+    problems: list[str] = []
+    points, unreadable = _all_points()
+    for point in sorted((p for p in points if p.group == group), key=_precedence):
+        if point.name not in found:
+            found[point.name] = point
+        elif found[point.name].value != point.value:
+            first = found[point.name].value
+            problems.append(f"{group}: {point.name} is {first}; another package's {point.value} is not used")
+    return Installed(found, (*unreadable, *problems))
+
+
+def _precedence(point: EntryPoint) -> tuple[str, bool, str]:
+    return point.name, not point.value.startswith(OWN_PACKAGE), point.value
+
+
+def _all_points() -> tuple[list[EntryPoint], tuple[str, ...]]:
+    from importlib.metadata import distributions  # with it come email and zipfile, which a plain daemon never uses
+
+    points: list[EntryPoint] = []
+    problems: list[str] = []
+    seen: set[str] = set()
+    for package in distributions():
+        name = "a package"
+        try:
+            if "[skygcs." not in (package.read_text("entry_points.txt") or ""):
+                continue
+            name = str(package.metadata["Name"])  # it takes long: of those that have something for us
+            if name in seen:  # another version of it, which an import does not find
+                continue
+            seen.add(name)
+            points += [point for point in package.entry_points if point.group.startswith(OWN_PACKAGE)]
+        except Exception as error:  # whatever a package has written
+            problems.append(f"the entry points of {name} cannot be read, and are not used: {error!r}"[:300])
+    return points, tuple(problems)
+
+
 def installed() -> dict[str, EntryPoint]:
     """The extensions that are installed, by the name of their table; reads the packages' metadata (5 to 20 ms)."""
     return dict(installed_points(GROUP).points)
@@ -69,25 +123,27 @@ def places_of_control() -> dict[str, str]:
     return {owner.control_at: name for name, owner in owners.items() if owner.control_at is not None}
 
 
-def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], list[Problem]]:
-    """The extensions that own these tables, and a problem for each that cannot be imported. Names without an extension
-    are left out."""
+def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], dict[str, str]]:
+    """The extensions that own these tables, and what is wrong with each that cannot be imported. Names without an
+    extension are left out."""
     owners: dict[str, type[TableOwner]] = {}
-    problems: list[Problem] = []
+    problems: dict[str, str] = {}
     known = installed() if names else {}
     for name in sorted(names & known.keys()):
         try:
             owners[name] = cast("type[TableOwner]", known[name].load())
         except (ImportError, AttributeError) as error:
-            problems.append(Problem((name,), f"its extension {known[name].value} cannot be imported: {error}"))
+            problems[name] = f"its extension {known[name].value} cannot be imported: {error}"
     return owners, problems
 
 
+@functools.cache
 def entry_point_problems() -> list[str]:
-    """What is wrong with the entry points of installed extensions, each for a person."""
+    """Faults in the entry points of installed extensions, each for a person."""
     return sorted({*installed_points(GROUP).problems, *installed_points(ON_DEMAND).problems})
 
 
+@functools.cache
 def on_demand() -> Mapping[str, EntryPoint]:
     """The installed extensions without a table, by the first word of their methods; reads the packages' metadata once
     (5 to 20 ms)."""

@@ -82,10 +82,9 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     table = _parse(path, text)
     lines = key_lines(text)
     # find the extensions of the tables, and validate
-    owners, problems = find_owners(set(table) - _CORE_TABLES)
-    unusable = {problem.path[0] for problem in problems}
+    owners, unusable = find_owners(set(table) - _CORE_TABLES)
     config, found, wrong = _validate({name: part for name, part in table.items() if name not in unusable}, owners)
-    problems += found
+    problems = [*(Problem((name,), text) for name, text in unusable.items()), *found]
     dialect: Dialect | None = None
     # rules between tables
     if config is not None:

@@ -66,6 +66,7 @@ class MethodsOnDemand:
     async def _look(self) -> None:
         try:
             await self._beside(on_demand)
+            await self._beside(entry_point_problems)
             self._words = set(on_demand())
             for problem in entry_point_problems():
                 _log.warning("installed extensions", problem=problem)

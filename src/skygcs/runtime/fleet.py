@@ -108,7 +108,6 @@ class Fleet:
         self.on_woke: list[Callable[[float], None]] = []
         """Called with the seconds after a sleep of the computer."""
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
-        self.on_fault = self._report_fault  # of the extension that keeps the plan; the daemon sets `Hub.fault`
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
         self._links = links or WideLinks()
         self.locks = FlightLocks(self._links.links_to)  # of the flights under way
@@ -140,7 +139,7 @@ class Fleet:
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
-        self.plans = PlanPlace(loop.time, lambda error: self.on_fault(error), self.trajectories.pause_plans)
+        self.plans = PlanPlace(loop.time, self._report_fault, self.trajectories.pause_plans)
         self.charges = ChargeRecords(self.everybody)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)

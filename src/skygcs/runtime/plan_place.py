@@ -66,14 +66,15 @@ class PlanPlace:
     def __init__(
         self, now: Callable[[], float], on_fault: Callable[[Exception], None], pause: Callable[[], None]
     ) -> None:
-        """``on_fault`` gets the exceptions of the keeper; ``pause`` stops the trajectories of plans on their paths."""
+        """``on_fault`` gets the exceptions of the keeper (the daemon sets `Hub.fault`); ``pause`` stops the
+        trajectories of plans on their paths."""
         self.keeper: PlanKeeper | None = None
         self.observers: set[Callable[[], None]] = set()
         self._now = now
-        self._on_fault = on_fault
+        self.on_fault = on_fault
         self._pause = pause
         self._last: dict[str, Any] = {}
-        """What the keeper answered last."""
+        """The keeper's last answer."""
 
     @property
     def moving(self) -> bool:
@@ -81,7 +82,7 @@ class PlanPlace:
         try:
             return self.keeper is not None and self.keeper.moving
         except Exception as error:
-            self._on_fault(error)
+            self.on_fault(error)
             return True
 
     def status(self) -> dict[str, Any]:
@@ -91,7 +92,7 @@ class PlanPlace:
                 self._last = self.keeper.status()
             found = self._last
         except Exception as error:
-            self._on_fault(error)
+            self.on_fault(error)
             found = self._last | {"reason": FAULT}
         return {"now_s": round(self._now(), 3), **NO_PLAN} | found
 
@@ -101,7 +102,7 @@ class PlanPlace:
             if self.keeper is not None:
                 self.keeper.tick()
         except Exception as error:
-            self._on_fault(error)
+            self.on_fault(error)
             self._pause()
 
     async def wind_down(self) -> None:
@@ -110,7 +111,7 @@ class PlanPlace:
             if self.keeper is not None:
                 await self.keeper.wind_down()
         except Exception as error:
-            self._on_fault(error)
+            self.on_fault(error)
             self._pause()
 
     def changed(self) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from skygcs.config.entry_points import installed_points
+from skygcs.config.extension_tables import installed_points
 from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.compare import Change, plan
 from skygcs.core.params.names import SORTS, Sort

@@ -24,7 +24,7 @@ from skygcs import __version__
 from skygcs.cancellation import ended
 from skygcs.config.allow_list import allow_list, check_address
 from skygcs.config.dialects import load_dialect
-from skygcs.config.entry_points import installed_points
+from skygcs.config.extension_tables import installed_points
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config import entry_points as reader
-from skygcs.config.entry_points import installed_points
-from skygcs.config.extension_tables import GROUP, ON_DEMAND, installed, on_demand
+from skygcs.config.extension_tables import GROUP, ON_DEMAND, installed, installed_points, on_demand
 from skygcs.web.file_checks import CHECKS, EXTENSION_CHECKS, extension_checks
 
 Install = Callable[[str, str | bytes], None]
@@ -19,7 +17,7 @@ Install = Callable[[str, str | bytes], None]
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Packages before all others on the path of imports, by name and the text of their entry points."""
-    caches = (reader._all_points, installed_points, extension_checks)
+    caches = (on_demand, extension_checks)
 
     def new(name: str, text: str | bytes) -> None:
         folder = tmp_path / f"{name}-1.0.dist-info"
