@@ -125,3 +125,22 @@ async def test_a_vehicle_lost_in_the_air_is_in_the_way_of_everything_that_goes_o
         assert (await gcs("trajectory.load", target="v1", pieces=pieces))["outcomes"]["v1"]["ok"]
         flies = await gcs.outcome("trajectory.start", "v1")
         assert not flies["ok"] and "near v2 (lost in the air" in flies["message"], flies
+
+
+async def test_a_mission_that_lands_on_one_that_stands_is_refused(tmp_path: Path) -> None:
+    """One after another by the same mission: the second came down on the first."""
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        homes = {name: gcs.place_of_home(name)[:2] for name in ("v1", "v2")}
+        text = mission((0.0, 30.0, 10.0), home=homes["v1"])
+        plan = json.loads(text)
+        there = [round(degrees, 7) for degrees in FIELD.to_geodetic(0.0, 30.0)]
+        plan["mission"]["items"][-1] |= {"command": 21, "params": [0, 0, 0, None, *there, 0], "frame": 3}
+        await gcs.done("missions.upload", targets="all", plan=json.dumps(plan))
+        await gcs.done("missions.start", targets="v1")
+        await gcs.until(lambda: gcs.sim("v1").armed, 30.0)
+        await gcs.until(lambda: not gcs.sim("v1").armed, 240.0)
+        await asyncio.sleep(5.0)
+        refused = await gcs.outcome("missions.start", "v2")
+        assert refused["result"] == "refused" and "m from v1, which stands there" in refused["message"], refused
+        assert not gcs.sim("v2").armed
+        await gcs.done("missions.start", targets="v2", force=True)

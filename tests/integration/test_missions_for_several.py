@@ -76,6 +76,17 @@ async def test_the_present_formation_is_kept_on_one_mission_for_all(tmp_path: Pa
         assert nearest_m(gcs) > MARGIN_M
 
 
+async def test_where_a_silent_vehicle_was_is_no_place_to_arrange_others_by(tmp_path: Path) -> None:
+    """The others were moved by where the first one had been two minutes before."""
+    async with flown(tmp_path, takeoff=False, px4=2) as gcs:
+        gcs.muted.add(1)
+        await asyncio.sleep(30.0)
+        call = {"plan": mission(*NORTH), "arrangement": {"kind": "present"}}
+        outcomes = (await gcs("missions.upload", targets="all", **call))["outcomes"]
+        assert outcomes["v2"]["result"] == "refused", outcomes
+        assert "has to be known" in outcomes["v2"]["message"], outcomes
+
+
 async def test_missions_that_come_too_near_are_refused_and_go_up_when_insisted_on(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         plan = mission(*NORTH)

@@ -34,7 +34,7 @@ ALL_METHODS: dict[str, Method[Any]] = dict(METHODS) | {
 def extension_tables() -> Iterator[type[BaseModel]]:
     """The models of our own extensions' tables, and of the tables in them."""
     owners, problems = find_owners(set(OWN))
-    assert problems == []
+    assert not problems
     left: list[Any] = [owner.Config for owner in owners.values()]
     while left:
         annotation = left.pop()

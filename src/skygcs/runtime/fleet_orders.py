@@ -266,8 +266,11 @@ class FleetOrders:
             if first is not None and actor.vehicle.connected and not actor.vehicle.replayed:
                 starting[actor] = first
         others = [a for a in self._targets.vehicles.values() if a not in starting and is_flying(a.vehicle, now)]
-        if arguments.get("force") or self._monitor.mode == "off" or not starting or len(starting) + len(others) < 2:
+        if arguments.get("force") or self._monitor.mode == "off" or not starting:
             return {}
+        if len(starting) + len(others) < 2:  # one alone may only land on one that stands: nothing is read for that
+            alone = {a: MissionRun(a.missions.items, first) for a, first in starting.items() if a.missions.items}
+            return await self._monitor.mission_refusals(alone)
         read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
         known = await self._with_return_heights(
             {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None}
@@ -284,10 +287,7 @@ class FleetOrders:
         arrangement: Arrangement | None = arguments.pop("arrangement", None)
         if arrangement is None:
             return {}, {}
-        positions = {actor: actor.vehicle.telemetry("position") for actor in actors}
-        places = [
-            None if p is None or p["lat_deg"] is None else (p["lat_deg"], p["lon_deg"]) for p in positions.values()
-        ]
+        places = [self._fresh_place(actor) for actor in actors]
         try:
             footprints = [self._monitor.footprint(a) for a in actors]
             plans = await _in_turns(arranging(arguments["plan"], arrangement, places, footprints))
@@ -298,6 +298,13 @@ class FleetOrders:
             return own, {}
         runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
         return own, await self._monitor.mission_overlaps(await self._with_return_heights(runs))
+
+    def _fresh_place(self, actor: VehicleActor) -> tuple[float, float] | None:
+        """Latitude and longitude of a vehicle now; None: not known, or older than `orders.POSITION_FRESH_S`."""
+        found, at = actor.vehicle.telemetry("position"), actor.vehicle.telemetry_at("position")
+        if found is None or at is None or found["lat_deg"] is None:
+            return None
+        return (found["lat_deg"], found["lon_deg"]) if self._loop.time() - at <= orders.POSITION_FRESH_S else None
 
     async def _with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
         """These runs with the heights of their returns, which are read; without an answer any height is possible."""

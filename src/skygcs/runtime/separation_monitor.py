@@ -16,7 +16,7 @@ from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.departures import UNKNOWN
-from skygcs.core.monitor.mission_ways import MissionRun, mission_way
+from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
@@ -32,7 +32,7 @@ from skygcs.core.monitor.order_check import (
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
-from skygcs.core.separation import Footprint
+from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, current_item
@@ -259,7 +259,8 @@ class SeparationMonitor:
 
     async def mission_refusals(self, starting: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
         """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
-        flies, or a vehicle that flies otherwise, and why. They are compared as space, in turns with others."""
+        flies, or a vehicle that flies otherwise, or end on one that stands, and why. They are compared as space, in
+        turns with others."""
         ways = await self._mission_ways(starting)
         others = []
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
@@ -269,7 +270,27 @@ class SeparationMonitor:
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
             others.append(self._present_way(actor, track) if way is None else way)
-        return await self._way_refusals(ways, others)
+        return await self._way_refusals(ways, others) | self._landing_refusals(ways)
+
+    def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
+        """Which of these ways come down on a vehicle that stands, and why that is refused."""
+        refused, frame = dict[VehicleActor, str](), self.monitor.tracks.frame
+        if frame is None:
+            return refused
+        standing = [track for track in self.monitor.tracks.tracks.values() if track.parked]
+        for actor, way in ways.items():
+            home = actor.vehicle.telemetry("home")
+            at_home = (
+                way.legs[0].begin if home is None else frame.from_geodetic(home["lat_deg"], home["lon_deg"], 0.0)[:2]
+            )
+            for track in standing:
+                if track.key == way.key:
+                    continue
+                off_m = landing_distance_m(way, frame.from_ecef(track.ecef_m)[:2], at_home)
+                if off_m < pair_margin(way.footprint, track.footprint).total_m:
+                    where = f"{off_m:.1f} m from {track.name}, which stands there"
+                    refused[actor] = f"{way.name} would land {where}; {FORCE_HINT}"
+        return refused
 
     async def mission_overlaps(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
         """Which of these missions, that are to be flown at the same time, lead too near another of them, and why; also

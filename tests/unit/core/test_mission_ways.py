@@ -10,7 +10,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
-from skygcs.core.monitor.mission_ways import MissionRun, mission_way
+from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
 from skygcs.core.monitor.ways import Way, standing, too_near
 from skygcs.core.separation import Footprint
 from support.table import each
@@ -123,3 +123,13 @@ def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
 def place_of(at: Point, up_m: float) -> tuple[float, float, float]:
     lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
     return lat_deg, lon_deg, HOME[2] + up_m
+
+
+def test_a_landing_is_compared_with_what_stands_but_for_one_where_the_vehicle_stood_itself() -> None:
+    elsewhere = [item(22, (0.0, 0.0)), item(16, (0.0, 50.0)), item(21, (30.0, 50.0), 0.0)]
+    at_home = [item(22, (0.0, 0.0)), item(16, (0.0, 50.0)), item(21, (0.0, 0.0), 0.0)]
+    assert landing_distance_m(way(elsewhere, up_m=0.0), (30.0, 52.0), (0.0, 0.0)) == pytest.approx(2.0, abs=0.01)
+    assert landing_distance_m(way(at_home, up_m=0.0), (2.0, 0.0), (0.0, 0.0)) == math.inf
+    # gone on with in flight: home is where it began, and not where it is now
+    assert landing_distance_m(way(at_home, first=2, at=(0.0, 30.0)), (2.0, 0.0), (0.0, 0.0)) == math.inf
+    assert landing_distance_m(way(elsewhere[:2], up_m=0.0), (0.0, 50.0), (0.0, 0.0)) == math.inf, "it does not land"

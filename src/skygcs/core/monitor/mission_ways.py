@@ -14,6 +14,7 @@ Heights above terrain are taken as above home.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,12 +26,20 @@ from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.monitor.ways import Leg, Way, along, column
+from skygcs.core.monitor.ways import Leg, Point, Way, along, column
 from skygcs.core.separation import Footprint
 
 JUMPS = frozenset({mav_cmd.DO_JUMP, mav_cmd.DO_JUMP_TAG})
 
 LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
+
+
+ON_GROUND_M = 1.0
+"""A leg that is so near the lowest of its way ends on the ground: heights of landings are those of home."""
+
+
+AT_HOME_M = 1.5
+"""A landing so near home is one at home: the error of two positions of one receiver."""
 
 
 class MissionRun(NamedTuple):
@@ -102,6 +111,16 @@ def _radius_m(item: MissionItem) -> float:
     """Radius of the circle that it makes the vehicle fly; 0: none."""
     index = RADIUS_PARAM.get(item.command)
     return 0.0 if index is None else abs(item.params[index] or 0.0)
+
+
+def landing_distance_m(way: Way, place: Point, home: Point) -> float:
+    """Least distance over the ground between a place and where the way comes down, but at home or where it begins: a
+    vehicle that stood beside its neighbour may stand there again. Infinite if it comes down nowhere else."""
+    own = (way.legs[0].begin, home)
+    low_m = way.heights[0] + ON_GROUND_M
+    down = [leg.begin for leg in way.legs if leg.begin == leg.end and leg.low_m <= low_m]
+    elsewhere = [point for point in down if min(math.dist(point, one) for one in own) > AT_HOME_M]
+    return min((math.dist(point, place) for point in elsewhere), default=math.inf)
 
 
 def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vector:
