@@ -262,9 +262,11 @@ def test_a_crowd_has_names_with_lines_to_them(
     page.evaluate(
         "skygcs.view.camera = {...skygcs.view.camera, pxPerM: 4}; skygcs.view.moved = true; skygcs.view.redraw()"
     )
-    until(page, "[...skygcs.view.placements.values()].filter(p => p.led).length >= 4")
-    assert page.evaluate("[...skygcs.view.placements.values()].filter(p => p.full).length") == 0
-    assert page.evaluate("skygcs.view.placements.size") == 16
+    until(  # one that is heard late on a busy machine is in trouble for that moment, and says more
+        page,
+        "skygcs.view.placements.size === 16 && [...skygcs.view.placements.values()].every(p => !p.full)"
+        " && [...skygcs.view.placements.values()].filter(p => p.led).length >= 4",
+    )
     shot(page, "labels-crowd")
     page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v6'], how: 'only'})")
     until(page, "skygcs.view.placements.get('v6')?.full")  # one that a person chose says more
