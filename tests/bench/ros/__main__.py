@@ -71,7 +71,7 @@ type = "simulated"
 role = "radio"
 px4 = 5
 ardupilot = 5
-air_kbps = 64
+air_speed_kbps = 64
 nodes = 11
 [ros]
 domain = {domain}
