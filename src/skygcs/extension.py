@@ -212,8 +212,8 @@ class Extensions:
         on_fault: Callable[[Exception], None],
         core: Services | None = None,
     ) -> None:
-        """``parts``: by the names of their tables; ``core``: for those without a table, None: there are none. Raises
-        ConfigError for a name that is not the extension's own."""
+        """``parts``: by the names of their tables; ``core``: what extensions without a table are made with, None: none
+        is made. Raises ConfigError for a name that is not the extension's own."""
         self._parts: dict[str, Extension[Any]] = {}
         self._on_fault = on_fault
         self._core = core
@@ -293,7 +293,7 @@ class Extensions:
         return iter(self._parts.values())
 
     def __getitem__(self, table: str) -> Extension[Any]:
-        """The extension of this table, or of this first word of methods. Raises KeyError if there is none."""
+        """The extension of this table, or of this first word of methods. Raises KeyError."""
         return self._parts[table]
 
     def flights_elsewhere(self) -> dict[str, NewFlight]:

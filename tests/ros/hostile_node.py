@@ -25,7 +25,7 @@ from skygcs.ext.ros.dds import SERVICE_HEADER, DdsNode, Network, Publication, _q
 SETPOINTS_EACH = 40
 WRONG_EACH = 12
 MOST_WRITERS = 2000
-FOREIGN_TOPICS = 500
+OTHER_TOPICS = 500
 HUGE_BYTES = 3 << 20
 
 WRONG_TYPE = "std_msgs/msg/String"
@@ -168,8 +168,8 @@ class Attack:
                 )
                 if n % 50 == 0:
                     await asyncio.sleep(0.01)
-            for n in range(FOREIGN_TOPICS):
-                topic = self.node.topic(f"rt/foreign/t{n}", WRONG_TYPE)
+            for n in range(OTHER_TOPICS):
+                topic = self.node.topic(f"rt/other/t{n}", WRONG_TYPE)
                 kept.append(DataWriter(self.node.participant, topic, qos=_qos("latched", os.urandom(1000))))
                 if n % 50 == 0:
                     await asyncio.sleep(0.01)

@@ -209,7 +209,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool, web_port: int | N
 
 
 def _tables() -> dict[str, Model]:
-    """The tables [drills] and [recordings]: whoever looks at the demo may give its vehicles faults, and replay it."""
+    """The tables [drills] and [recordings]: the page of the demo offers faults for its vehicles, and replays."""
     owners, _ = find_owners({"drills", "recordings"})
     return {name: owner.Config() for name, owner in owners.items()}
 

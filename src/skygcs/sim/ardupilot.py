@@ -570,3 +570,31 @@ class CopterVehicle(SimVehicle):
         self.home_fixed = True
         self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
         return m.MAV_RESULT_ACCEPTED
+
+
+WITHOUT_TARGETS = ControlGains(1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.5, 5.0, 5.0)
+"""Gains of what follows no streamed targets."""
+
+
+class CourseVehicle(CopterVehicle):
+    """An ArduPilot vehicle that goes only where its nose points: it has neither sticks, nor streamed targets (skygcs
+    sends it none), nor a landing mode, nor a position from outside."""
+
+    vtol_state = m.MAV_VTOL_STATE_UNDEFINED
+    landing_modes = frozenset()
+
+    @property
+    def by_vision(self) -> bool:
+        return False
+
+    def control_gains(self) -> ControlGains:
+        return WITHOUT_TARGETS
+
+    def go_to(self, east_m: float, north_m: float, up_m: float) -> None:
+        self.plan.fly(GoTo(east_m, north_m, up_m))
+
+    def reported_target_enu_m(self) -> None:
+        return None
+
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        return

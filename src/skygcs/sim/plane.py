@@ -12,11 +12,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
 from math import radians
-from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.sim import protocol as m
-from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.ardupilot import CourseVehicle
 from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
@@ -28,8 +27,6 @@ from skygcs.sim.kinematics import Limits
 from skygcs.sim.legs import ClimbOut, GoTo
 from skygcs.sim.mission_run import MissionVehicle
 from skygcs.sim.param_table import Params
-from skygcs.sim.position_control import ControlGains
-from skygcs.sim.rover import WITHOUT_TARGETS
 from skygcs.sim.wings_and_wheels import Wing, turn_limit_radps
 
 
@@ -137,11 +134,10 @@ class PlaneRun(CopterRun):
         return False
 
 
-class PlaneVehicle(CopterVehicle):
+class PlaneVehicle(CourseVehicle):
     """An ArduPlane without sticks, which stands on its wheels in the wind's eye."""
 
     run: PlaneRun
-    vtol_state = m.MAV_VTOL_STATE_UNDEFINED
     mav_type = m.MAV_TYPE_FIXED_WING
     looks = "plane"
     firmware = PLANE
@@ -149,7 +145,6 @@ class PlaneVehicle(CopterVehicle):
     first_mode = PlaneMode.MANUAL  # INITIAL_MODE 0
     boot_texts = ("ArduPlane V4.6.3 (skygcs01)", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
     reaction_modes = _REACTION_MODES
-    landing_modes = frozenset()
     not_supported = frozenset({m.MAV_CMD_NAV_LAND, m.MAV_CMD_CONDITION_YAW})
 
     @staticmethod
@@ -165,13 +160,6 @@ class PlaneVehicle(CopterVehicle):
 
     def make_run(self) -> PlaneRun:
         return PlaneRun(self)
-
-    def control_gains(self) -> ControlGains:
-        return WITHOUT_TARGETS
-
-    @property
-    def by_vision(self) -> bool:
-        return False
 
     @property
     def circle_m(self) -> float:
@@ -220,9 +208,6 @@ class PlaneVehicle(CopterVehicle):
             up_m = self.estimated.up_m if wanted < 0 else home.up_m + wanted
             self.plan.fly(GoTo(home.east_m, home.north_m, up_m))
 
-    def go_to(self, east_m: float, north_m: float, up_m: float) -> None:
-        self.plan.fly(GoTo(east_m, north_m, up_m))
-
     def arm(self, now: float) -> None:
         super().arm(now)
         if self.mode in (PlaneMode.TAKEOFF, PlaneMode.AUTO):
@@ -250,9 +235,3 @@ class PlaneVehicle(CopterVehicle):
 
     def _mode_refusal(self) -> str | None:
         return None
-
-    def reported_target_enu_m(self) -> None:
-        return None
-
-    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        return  # skygcs sends a plane none

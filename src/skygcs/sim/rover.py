@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
-from typing import Any
 
 from skygcs.sim import protocol as m
-from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.ardupilot import CourseVehicle
 from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
@@ -24,7 +23,6 @@ from skygcs.sim.firmware_params import rover_params
 from skygcs.sim.kinematics import Limits
 from skygcs.sim.legs import GoTo
 from skygcs.sim.param_table import Params
-from skygcs.sim.position_control import ControlGains
 from skygcs.sim.wings_and_wheels import SIDE_MPS2, Rover
 
 
@@ -106,10 +104,9 @@ _REACTION_MODES: Mapping[Reaction, RoverMode] = {
 }
 
 
-class RoverVehicle(CopterVehicle):
+class RoverVehicle(CourseVehicle):
     """A Rover on wheels, without sticks."""
 
-    vtol_state = m.MAV_VTOL_STATE_UNDEFINED
     mav_type = m.MAV_TYPE_GROUND_ROVER
     looks = "rover"
     flies = False
@@ -118,7 +115,6 @@ class RoverVehicle(CopterVehicle):
     first_mode = RoverMode.MANUAL  # INITIAL_MODE 0
     boot_texts = ("ArduRover V4.6.3 (skygcs01)", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
     reaction_modes = _REACTION_MODES
-    landing_modes = frozenset()
     not_supported = frozenset({m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND, m.MAV_CMD_CONDITION_YAW})
 
     @staticmethod
@@ -131,13 +127,6 @@ class RoverVehicle(CopterVehicle):
 
     def make_plan(self) -> CoursePlan:
         return CoursePlan(lambda: self.estimated, lambda: Turning(max(0.1, self.params["WP_RADIUS"])))
-
-    def control_gains(self) -> ControlGains:
-        return WITHOUT_TARGETS
-
-    @property
-    def by_vision(self) -> bool:
-        return False
 
     @property
     def base_mode(self) -> int:
@@ -180,9 +169,6 @@ class RoverVehicle(CopterVehicle):
         if self.home is not None:
             self.plan.fly(GoTo(self.home.east_m, self.home.north_m, 0.0))
 
-    def go_to(self, east_m: float, north_m: float, up_m: float) -> None:
-        self.plan.fly(GoTo(east_m, north_m, up_m))
-
     def arm(self, now: float) -> None:
         super().arm(now)
         self.landed = False
@@ -198,13 +184,3 @@ class RoverVehicle(CopterVehicle):
             self.switch_off()
             return m.MAV_RESULT_ACCEPTED
         return super()._command_arm(c, now)
-
-    def reported_target_enu_m(self) -> None:
-        return None
-
-    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        return  # skygcs sends a rover none
-
-
-WITHOUT_TARGETS = ControlGains(1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.5, 5.0, 5.0)
-"""Gains of what follows no streamed targets."""

@@ -61,7 +61,7 @@ class MapTiles:
 
     @classmethod
     async def opened(cls, path: Path) -> MapTiles:
-        """Open a file in the thread that will read it: a foreign one may take its time. Raises TileFileError."""
+        """Open a file in the thread that will read it: an untrusted one may take seconds. Raises TileFileError."""
         thread = _thread()
         try:
             tiles = await asyncio.get_running_loop().run_in_executor(thread, open_tiles, path)

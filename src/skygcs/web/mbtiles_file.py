@@ -1,6 +1,6 @@
 """Tiles of an MBTiles file: an SQLite database with the tables metadata and tiles (specification 1.3).
 
-The file is foreign: it is opened to be read only, and `tiles` may be a view that joins without an index, never ends, or
+It is not trusted: it is opened to be read only, and `tiles` may be a view that joins without an index, never ends, or
 makes what it returns. A query may read the tables of a map (`TABLES`) and do nothing else: no function, no recursion. A
 value has a bounded size, SQLite a bounded heap and no file for what it sorts, and a query a bounded time and number of
 steps.
@@ -77,7 +77,7 @@ class MbtilesFile:
             raise
 
     def _opened(self) -> TileSetInfo:
-        # what a foreign database may cost
+        # what an untrusted database may cost
         self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TILE_BYTES)
         self._base.set_progress_handler(self._on_steps, STEPS_A_LOOK)
         self._base.text_factory = lambda text: text.decode(errors="replace")

@@ -4,7 +4,7 @@
     root directory       entries: of a tile id, a run of ids with one tile, or a leaf directory
     leaf directories     the same, of what the root has no room for
 
-The file is foreign: what is read of it at once, what it may become when it is decompressed, the entries of a directory,
+It is not trusted: what is read of it at once, what it may become when it is decompressed, the entries of a directory,
 and the directories kept are bounded. A tile's id is its place along a Hilbert curve through all tiles of all zooms.
 """
 

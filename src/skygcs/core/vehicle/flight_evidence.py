@@ -30,7 +30,8 @@ RECENTLY_ARMED_S = 3.0
 
 
 def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
-    """Telemetry that shows the vehicle flying, whatever its armed bit; None if there is none, or it flies never."""
+    """Telemetry that shows the vehicle flying, whatever its armed bit says; None if there is none, or if its class does
+    not fly."""
     if not vehicle.abilities.flies:
         return None
     state, at = vehicle.landed_state()

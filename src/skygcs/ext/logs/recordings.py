@@ -221,7 +221,7 @@ class Recordings(Extension[RecordingsConfig]):
 
 
 def recordings_in(folder: Path) -> tuple[list[Found], int]:
-    """The newest recordings of a folder, newest first, and how many more there are. Links are none. Raises
+    """The newest recordings of a folder, newest first, and how many more there are. Symbolic links are left out. Raises
     RefusedError if it cannot be read."""
     found: list[Found] = []
     try:
@@ -242,7 +242,7 @@ def recordings_in(folder: Path) -> tuple[list[Found], int]:
 
 
 def recording_of(folder: Path, name: str) -> Path:
-    """The file of a recording. Raises RefusedError for a name that is none of this folder's recordings."""
+    """The file of a recording. Raises RefusedError for a name that is no recording of this folder."""
     if not NAME.fullmatch(name):
         raise RefusedError(f"{name[:80]!r} is not the name of a recording; recordings.list has them")
     path = folder / name

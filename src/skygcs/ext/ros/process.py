@@ -30,7 +30,7 @@ FAREWELL_S = 0.2
 MOST_MEMORY_BYTES = 1 << 30
 """Limit of this process: DDS keeps something of every endpoint that any participant of the network announces, and of no
 more than this. A process that needs more ends, and is started again. With three vehicles it took 70 MB, 81 MB under
-a flood of 2,500 foreign writers (tests/ros/test_hostile_participant.py)."""
+a flood of 2,500 writers of another node (tests/ros/test_hostile_participant.py)."""
 
 _log = structlog.get_logger(__name__)
 

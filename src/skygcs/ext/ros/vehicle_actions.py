@@ -1,10 +1,10 @@
 """Orders of one vehicle as actions: <vehicle>/skygcs/goto, takeoff and land.
 
 Each is the daemon's method of that name, with all of its checks. At most one goal of a vehicle is under way: an order
-that is accepted later, whoever gave it, ends the one before as aborted. A cancel holds the vehicle only where its goal
-is the newest order: while a newer one is not answered, nothing is sent for it, and if that is accepted, the goal ends
-as replaced; the hold goes out if it is refused. A goal whose connection to the daemon is lost
-ends at once as aborted; the vehicle flies on by its autopilot then, as with every order.
+from any client that is accepted later ends the one before as aborted. A cancel holds the vehicle only if its goal is
+the newest order. While a newer order is unanswered nothing is sent: if that order is accepted the goal ends as
+replaced, if it is refused the hold is sent. A goal whose connection to the daemon is lost ends at once as aborted; the
+vehicle flies on by its autopilot then, as with every order.
 """
 
 from __future__ import annotations
