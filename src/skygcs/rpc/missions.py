@@ -15,7 +15,7 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.fence_params import FenceAction
-from skygcs.core.vehicle.formation import SPACING_M, Arrangement
+from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
 from skygcs.errors import PlanFileError
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, command_with, one_vehicle, resolve
@@ -47,14 +47,14 @@ ItemNumber = Annotated[int, Field(ge=FIRST_ITEM, le=65535, description="An item 
 class ArrangementParams(MethodParams):
     """How the missions of several vehicles differ that are made from one."""
 
-    kind: Literal["heights", "present", "line", "column"] = Field(
+    kind: ArrangementKind = Field(
         description="heights: each next vehicle higher; present: the path moved by where each is now, seen from the "
         "first; line, column: each next one beside or behind the one before."
     )
     step_m: float | None = Field(
-        None, gt=0, le=100, description="Of heights; null: what the margins and the climbs need, at least 3 m."
+        None, gt=0, le=MAX_STEP_M, description="Of heights; null: what the margins and the climbs need, at least 3 m."
     )
-    spacing_m: float = Field(SPACING_M, gt=0, le=1000, description="Of line and column.")
+    spacing_m: float = Field(SPACING_M, gt=0, le=MAX_SPACING_M, description="Of line and column.")
     heading_deg: float | None = Field(
         None, ge=-360, le=360, description="Of line and column, by compass; null: the course of the first leg."
     )

@@ -287,7 +287,9 @@ class FleetOrders:
         arrangement: Arrangement | None = arguments.pop("arrangement", None)
         if arrangement is None:
             return {}, {}
-        places = [self._fresh_place(actor) for actor in actors]
+        now = self._loop.time()
+        found = [orders.fresh_position(actor.vehicle, now) for actor in actors]
+        places = [None if place is None else place[:2] for place in found]
         try:
             footprints = [self._monitor.footprint(a) for a in actors]
             plans = await _in_turns(arranging(arguments["plan"], arrangement, places, footprints))
@@ -298,13 +300,6 @@ class FleetOrders:
             return own, {}
         runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
         return own, await self._monitor.mission_overlaps(await self._with_return_heights(runs))
-
-    def _fresh_place(self, actor: VehicleActor) -> tuple[float, float] | None:
-        """Latitude and longitude of a vehicle now; None: not known, or older than `orders.POSITION_FRESH_S`."""
-        found, at = actor.vehicle.telemetry("position"), actor.vehicle.telemetry_at("position")
-        if found is None or at is None or found["lat_deg"] is None:
-            return None
-        return (found["lat_deg"], found["lon_deg"]) if self._loop.time() - at <= orders.POSITION_FRESH_S else None
 
     async def _with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
         """These runs with the heights of their returns, which are read; without an answer any height is possible."""

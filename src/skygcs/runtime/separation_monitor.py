@@ -36,7 +36,7 @@ from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, current_item
-from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
+from skygcs.core.vehicle.orders import FORCE_HINT, fresh_position
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
@@ -351,12 +351,9 @@ class SeparationMonitor:
         actor = self._actors.get(vehicle.key)
         if self.mode == "off" or actor is None or vehicle.duplicate_beside:
             return None
-        position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
-        if position is None or at is None or position["lat_deg"] is None or abs(position["lat_deg"]) > 90.0:
+        here = fresh_position(vehicle, self._loop.time())
+        if here is None or abs(here[0]) > 90.0:
             return None
-        if self._loop.time() - at > POSITION_FRESH_S:
-            return None
-        here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
         return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(self._loop.time()))
 
     def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:

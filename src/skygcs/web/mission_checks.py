@@ -24,7 +24,14 @@ from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAI
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.separation import Footprint
-from skygcs.core.vehicle.formation import SPACING_M, Arrangement, for_several
+from skygcs.core.vehicle.formation import (
+    MAX_SPACING_M,
+    MAX_STEP_M,
+    SPACING_M,
+    Arrangement,
+    ArrangementKind,
+    for_several,
+)
 from skygcs.errors import PlanFileError, RefusedError
 from skygcs.web.dropped import DroppedFile, Height, Metres, OriginKeys, Place, Point, Request, WorldMap, parsed
 
@@ -67,9 +74,9 @@ class DrawnFence(Request):
 class SeveralVehicles(Request):
     """The arrangement of missions.upload, and the vehicles in the order in which it takes them: by system id."""
 
-    kind: Literal["heights", "present", "line", "column"]
-    step_m: Annotated[float, Field(gt=0, le=100)] | None = None
-    spacing_m: Annotated[float, Field(gt=0, le=1000)] = SPACING_M
+    kind: ArrangementKind
+    step_m: Annotated[float, Field(gt=0, le=MAX_STEP_M)] | None = None
+    spacing_m: Annotated[float, Field(gt=0, le=MAX_SPACING_M)] = SPACING_M
     heading_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
     places_xy_m: Annotated[list[Point | None], Field(min_length=1, max_length=300)]
     """Where each is now."""

@@ -74,6 +74,7 @@ SLACK_M = 0.05
 ground is 1 mm higher at its end, 100 m away, than where it is level."""
 
 SPACING_M = 5.0
+MAX_STEP_M, MAX_SPACING_M = 100.0, 1000.0
 
 ITEMS_A_TURN = 32
 """Items that are moved at a stretch: half a millisecond."""

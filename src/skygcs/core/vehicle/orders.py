@@ -92,7 +92,7 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) 
         raise RefusedError("it is in the air already; use goto with a height")
     if not vehicle.armed and not arm:
         raise RefusedError("it is not armed, and the takeoff was ordered without arming")
-    position = _fresh_position(vehicle, now)
+    position = fresh_position(vehicle, now)
     return autopilot.takeoff(vehicle, height_m, None if position is None else position[2])
 
 
@@ -209,7 +209,7 @@ def set_home(
         raise RefusedError("a home needs both latitude and longitude")
     # a plausible place, not too far away
     check_coordinate(lat_deg, lon_deg)
-    here = _fresh_position(vehicle, now)
+    here = fresh_position(vehicle, now)
     if here is not None:
         _check_distance(here, (lat_deg, lon_deg), limit_m, ", and it would return there", force=force)
     # its altitude
@@ -362,7 +362,7 @@ def require_going(vehicle: Vehicle, now: float) -> tuple[tuple[float, float, flo
         raise RefusedError("it is disarmed; " + ("take off first" if vehicle.abilities.flies else "arm it first"))
     if vehicle.abilities.flies and _on_ground(vehicle, now):
         raise RefusedError("it is on the ground; take off first")
-    here = _fresh_position(vehicle, now)
+    here = fresh_position(vehicle, now)
     home_amsl_m = vehicle.home_alt_amsl_m()
     if here is None or home_amsl_m is None:
         raise RefusedError("its position is not known (or older than 10 s), so the distance cannot be checked")
@@ -400,7 +400,9 @@ def _on_ground(vehicle: Vehicle, now: float) -> bool:
     return height_m is None or height_m < CLIMBED_M
 
 
-def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
+def fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
+    """Latitude and longitude (degrees) and height above sea level (m) of a vehicle; None: not known, or older than
+    `POSITION_FRESH_S`."""
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None or now - at > POSITION_FRESH_S:
         return None

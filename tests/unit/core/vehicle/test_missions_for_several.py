@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Literal
+from typing import Literal, get_args
 
 import pytest
 from hypothesis import given
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 from pymavlink.mavextra import distance_lat_lon
 
+from skygcs.cli import mission_arrangement
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mission.check import FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.fence_items import FenceCircle, FencePlan
@@ -25,6 +26,7 @@ from skygcs.core.vehicle.formation import (
     LEAST_STEP_M,
     SPACING_M,
     Arrangement,
+    ArrangementKind,
     arranging,
     course_deg,
     for_several,
@@ -251,3 +253,7 @@ def test_many_long_missions_are_moved_in_small_pieces() -> None:
             break
     assert pieces >= count * 500 / ITEMS_A_TURN
     assert plans == for_several(plan, Arrangement("line"), [None] * count, [Footprint()] * count)
+
+
+def test_the_shell_offers_each_kind() -> None:
+    assert [kind.value for kind in mission_arrangement.ArrangementKind] == list(get_args(ArrangementKind))
