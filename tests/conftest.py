@@ -9,9 +9,10 @@ import os
 import signal
 import sys
 import tempfile
+import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,10 @@ if not is_deep():
     providers._get_local_constants = lambda: providers._local_constants
 """In `make test` Hypothesis does not read all of `src` for constants that it mixes into its examples: another constant
 in any file would change the examples of every test, and each worker spends time on it. The deep run takes them."""
+
+COLLECTION_SHIFT_S = 7.0
+"""Between the clocks by which two workers collect: above the second in which a gzip header is stamped, too little for a
+certificate or a lease that a module makes for its tests."""
 
 NOOP_CYCLES = 0
 """Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.
@@ -157,6 +162,18 @@ def pytest_sessionstart() -> None:
     """No implicit event loop: looptime's plugin asks for the current loop before every test, which on Python 3.11
     makes one that nobody closes, and its warning then fails whatever test happens to run next."""
     asyncio.set_event_loop(None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Each worker collects by a wall clock of its own, some seconds from the others': a case whose name holds the time
+    (a gzip header does) ends every run, not only the one whose workers reach it in different seconds."""
+    true_time, shift_s = time.time, COLLECTION_SHIFT_S * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    time.time = lambda: true_time() + shift_s
+    try:
+        return (yield)
+    finally:
+        time.time, shift_s = true_time, 0.0  # and no shift for a module that keeps the function
 
 
 def pytest_collection_finish() -> None:
