@@ -38,6 +38,7 @@ async def serve_until_signal(
     ``load`` reads the fleet file anew on SIGHUP; without it SIGHUP has its usual effect.
     """
     structlog = import_structlog()
+    # signals
     log = structlog.get_logger("skygcs")
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -64,6 +65,7 @@ async def serve_until_signal(
         if on_ready is not None:
             on_ready()
 
+    # tasks beside the daemon, which end with it
     tasks = [
         asyncio.create_task(announce(), name="announce"),
         asyncio.create_task(_feed_watchdog(), name="watchdog"),

@@ -28,6 +28,7 @@ def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int
     def rates(named: Mapping[str, float]) -> dict[int, float]:
         return {msgid(n): hz for n, hz in named.items() if n != "*"}
 
+    # defaults that follow from what the link is: a radio or serial line is scarce, a station comes last
     unknown = config.forward_unknown
     scarce = config.role == "radio" or config.type in ("serial", "xbee")
     cost = STATION_COST if config.role == "gcs" else SCARCE_COST if scarce else DEFAULT_COST

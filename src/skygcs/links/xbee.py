@@ -214,10 +214,12 @@ class XBeeLink(Link):
         modem = self.modem
         now = self.loop.time()
         gave = False
+        # the rest of a broadcast, if a gate has closed meanwhile
         last = self._last_to_all
         if self._to_all and last is not None and any(channel.is_kept_back(last) for channel in self._nodes.values()):
             self._to_all = b""
         while modem.has_room() and len(self._unwritten) < MAX_UNWRITTEN_BYTES:
+            # the node whose frame is most urgent, in turn among equals
             channel = min(
                 ((urgency, c.turn, c) for c in self._nodes.values() if (urgency := c.urgency) is not None),
                 key=lambda entry: entry[:2],

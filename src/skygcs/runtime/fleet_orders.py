@@ -194,6 +194,7 @@ class FleetOrders:
     ) -> dict[str, Outcome]:
         reports.begun([actor.name for actor in actors])
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
+        # what each vehicle is to do: places of its own, or why it stays
         climbing = await self._takeoffs_ended(vehicles, arguments) if order is VehicleActor.goto else {}
         own_arguments, staying, places = (
             self._going([actor for actor in vehicles if actor not in climbing], arguments)
@@ -202,6 +203,7 @@ class FleetOrders:
         )
         if order is VehicleActor.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
+        # why an order is not sent: authority, the order of returns, other missions
         refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
         for actor in actors if order is not VehicleActor.stop else ():
             if (why := self._links.authority_refusal(actor.sysid)) is not None:
@@ -214,6 +216,7 @@ class FleetOrders:
         }
         for name, outcome in refused.items():
             reports.ended(name, outcome)
+        # one frame to all where the order may be broadcast, then one task per vehicle for its answer
         broadcast = None if waiting else self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}

@@ -235,6 +235,7 @@ class VehicleLogs:
                 StoredLog(info.id, file.path, info.size_bytes, info.size_bytes),
                 0,
             )
+        # read it from where the file ends, and write beside that
         machine = OnboardLogDownload(info, begin=begin, shared=shared)
         self._chunks.clear()
         writing = self._loop.create_task(self._write(file, machine), name=f"onboard log of {self._vehicle.name}")
@@ -245,6 +246,7 @@ class VehicleLogs:
         finally:
             writing.cancel()
             await asyncio.shield(self._close(file))
+        # what the disk said comes first: the vehicle has sent all the same
         if written is not None:
             outcome = LogOutcome(False, "failed", written)
         if not outcome.ok:

@@ -391,6 +391,7 @@ class OrderRunner:
 
     async def _step(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
         """Send the command of a step, or its message, and wait until the vehicle shows the result."""
+        # why it is not sent
         number, expect = run.number, step.expect
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
@@ -398,6 +399,7 @@ class OrderRunner:
             return Outcome.refused(why)
         if step.message is not None:
             return await self._message_step(step, run)
+        # the command, with what a late step knows only now
         met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
         try:
             spec = step.command if step.late is None else step.late.command(self._vehicle, self._loop.time())

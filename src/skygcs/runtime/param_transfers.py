@@ -462,18 +462,21 @@ class VehicleParams:
         if refusal is not None:
             return Loaded(False, *refusal, "vehicle", "read", (), None, 0, 0.0)
         cancelled = self._cancelled
+        # the list that is known, if a PX4 confirms by its hash that it is still the vehicle's
         px4 = self._vehicle.family == "px4"
         before = await self._ask_hash() if px4 else None
         if not refresh and await self._still_known(before):
             return self._known_list(started)
         if self._cancelled != cancelled:
             return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
+        # by file where the vehicle offers it
         rate, why_not = self._rate_for(bytes_per_s), ""
         if offered(self._vehicle, self._dialect, self._book.capabilities):
             by_file = await self._load_file(burst=burst or rate is None, bytes_per_s=rate)
             if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
                 return by_file
             why_not = f" (not by file: {by_file.message})"
+        # otherwise by messages
         window = WINDOW if rate is not None else WIDE_WINDOW
         protocol = ParamList(burst=burst, window=window, bytes_per_s=rate, stops_burst=px4)
         try:
@@ -487,6 +490,7 @@ class VehicleParams:
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
         why_silent = self._services.links.why_silent(self._vehicle) if outcome.result == "timeout" else ""
+        # what the caller and the log are given
         message = outcome.message + why_not + why_silent
         self._report("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(

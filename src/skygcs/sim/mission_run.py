@@ -190,6 +190,7 @@ class MissionRun(ABC):
         return seq + 1
 
     def _fly(self, v: MissionVehicle, item: MissionItem, now: float) -> None:
+        # where the item lies; what has no height is flown at the present one
         here = v.estimated
         place = item.position
         east, north = (here.east_m, here.north_m) if place is None else v.where.to_local(*place)
@@ -197,6 +198,7 @@ class MissionRun(ABC):
         if up is None or (item.frame == m.MAV_FRAME_MISSION):
             up = here.up_m
         hold_s = max(0.0, item.params[0] or 0.0)
+        # on the ground it rises first, whatever the item is
         rise: list[Leg] = []
         if v.landed and item.command != m.MAV_CMD_NAV_LAND:
             v.taking_off = True

@@ -167,6 +167,7 @@ class Quad(Body):
                 self._spin(h, rates)
             self._move(h, self.thrust * lift, wind)
         self._report_angles()
+        # what an accelerometer averages over the step
         self.accel_enu_mps2 = (
             (self.vel_e_mps - before[0]) / dt_s,
             (self.vel_n_mps - before[1]) / dt_s,

@@ -101,6 +101,7 @@ def digest_of(name: str, body: bytes, at: float) -> Digest:
 
 
 def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
+    # values that may be absent or of another type: a state comes from another process
     sysid, compid = _number(state.get("sysid")), _number(state.get("compid"))
     position, battery, uplink = (_table(state.get(key)) for key in ("position", "battery", "uplink"))
     landed, armed, failsafe = state.get("landed"), state.get("armed"), state.get("failsafe") is True
@@ -110,6 +111,7 @@ def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
     silence_s = _silence_s(state)
     connected = state.get("connected") is True
     groups = state.get("groups")
+    # what a search and a filter compare
     words = (
         name,
         *(str(value) for value in (state.get("sysid"), state.get("mode"), state.get("autopilot")) if value is not None),
@@ -120,6 +122,7 @@ def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
         "failsafe" if failsafe else "",
         *_text(landed).lower().split("_"),
     )
+    # the row, in the order of the page's columns (store.ts)
     place = position.get("enu_m")
     x, y, z = (_rounded(value) for value in (place if isinstance(place, list) and len(place) == 3 else (None,) * 3))
     row: tuple[object, ...] = (

@@ -180,6 +180,7 @@ class WebProcess:
         """Serve until `stop`. Raises SkygcsError before it serves."""
         options = self.options
         await self._open_tiles()
+        # the port and who is signed in, before anything is served
         tls = _tls(options.tls_cert, options.tls_key)
         sock = _bound(options.host, options.port)
         self.port = sock.getsockname()[1]
@@ -203,6 +204,7 @@ class WebProcess:
             _write_cookies(cookies, self.sign_in.saved())
             return count
 
+        # the control socket first: a second process of the same port ends there
         control = ControlSocket(control_path(_local_base(options.socket), self.port), self.link, sign_out)
         feeding = None
         try:
@@ -211,6 +213,7 @@ class WebProcess:
             feeding = asyncio.create_task(self.source.run(self.pages), name="source of states")
             if on_ready is not None:
                 on_ready(self)
+            # until somebody stops it, or the source of states fails
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
             await asyncio.wait({stopping, feeding}, return_when=asyncio.FIRST_COMPLETED)
             stopping.cancel()

@@ -419,18 +419,21 @@ def _without_place(item: MissionItem) -> tuple[MissionItem, bool]:
 
 
 def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
+    # whether it knows the command at all
     command, name = item.command, _name(item.command, names)
     if command in PX4_SINCE_1_17:
         yield True, f"PX4 takes {name} from 1.17 on only; for such a version insist with --force"
     elif command not in PX4_PLACED | PX4_PLACELESS:
         yield True, f"PX4 takes no {name} in a mission"
         return
+    # frames
     if item.frame == TERRAIN_ALT or item.frame not in GLOBAL_FRAMES | {MISSION_FRAME}:
         yield True, f"PX4 takes no item in frame {item.frame}, only in 0 (AMSL), 3 (above home) and 2 (no position)"
     elif item.frame == MISSION_FRAME and command in PX4_PLACED - PX4_PLACELESS:
         yield True, f"PX4 takes {name} with a position only: frame 0 or 3, not 2"
     elif item.frame != MISSION_FRAME and command in PX4_NUMBERS:
         yield True, f"PX4 takes {name} with whole numbers in param5 and param6 only"
+    # parameters
     if command == mav_cmd.DO_SET_HOME and item.params[0] != 1:
         yield True, f"PX4 takes {name} in a mission with param1 = 1 (its position then) only"
     if command in (80, mav_cmd.DO_SET_ROI):
@@ -441,6 +444,7 @@ def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple
             yield False, f"PX4 reads param1 = 0 of {name} as: no region of interest; 3 means the position"
     if command in PX4_NOT_FLOWN:
         yield True, f"PX4 takes {name} and then rejects the mission: {PX4_NOT_FLOWN[command]}"
+    # what is taken and then not flown as written
     if command in PX4_VTOL:
         yield False, f"PX4 rejects a mission with {name} unless the vehicle is a VTOL"
     if command in PX4_FLOWN_PLACE and item.frame in GLOBAL_FRAMES and item.position is None:

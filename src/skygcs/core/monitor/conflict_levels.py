@@ -135,11 +135,12 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
     approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
     if a.has_goal or b.has_goal:
         conflict = _with_goals(a, b, offset, margin, certain_m)
-        if conflict is None and not (a.planned or b.planned):  # who follows a trajectory does not fly straight on
+        if conflict is None and not (a.planned or b.planned):  # what follows a trajectory does not fly straight on
             conflict = _overshoot(a, b, approach, offset, margin)
         return conflict
     if math.isinf(approach.enters_s):
         return None
+    # states of different age: the later entry of now and of the earlier of both
     difference_s = abs(a.at - b.at)
     if SAME_TIME_S < difference_s <= OLD_S and not (a.parked or b.parked):
         at = min(a.at, b.at)
@@ -149,6 +150,7 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
             approach, velocity = then, earlier
     if math.isinf(approach.enters_s):
         return None
+    # how certain and how soon
     certain = closest_approach(offset, velocity, certain_m, HORIZON_S)
     soon = closest_approach(offset, velocity, certain_m, DEEP_S)
     return _conflict(a, b, (approach, certain, soon), separation_m(*offset, 1.0), margin, certain_m)

@@ -138,11 +138,13 @@ class Monitor:
     def _sweep(self, found: dict[PairKey, Conflict], dropped: set[PairKey]) -> Iterator[None]:
         """Find the pairs whose boxes overlap, rank their conflicts by urgency, and work out the most urgent ones.
         ``dropped``: pairs that were among those before, are in conflict still, and are not any more."""
+        # a box around the way of each vehicle until the horizon
         boxes: list[_Box] = []
         ratio = max((track.footprint.downwash_ratio for track in self.tracks.tracks.values()), default=1.0)
         for track in self.tracks.tracks.values():
             boxes.append(_box(track, ratio))
             yield
+        # pairs of boxes that overlap, in order of their low edge: sweep and prune
         boxes.sort(key=lambda box: box.low_x)
         urgent: dict[int, list[_Ranked]] = {box.track.key: [] for box in boxes}
         """Most urgent conflicts of each vehicle, a heap with the least urgent of them first."""
@@ -167,6 +169,7 @@ class Monitor:
                     entry = _Ranked(-urgency[0], -urgency[1], _pair_key(a, b))
                     _keep(urgent[a.key], entry)
                     _keep(urgent[b.key], entry)
+        # the conflicts that are among the most urgent of either vehicle
         wanted = {entry.key for heap in urgent.values() for entry in heap}
         self.counters.pairs_dropped += ranked - len(wanted)
         dropped -= wanted
@@ -184,6 +187,7 @@ class Monitor:
     def _advance(self, found: dict[PairKey, Conflict], dropped: set[PairKey], now: float) -> Iterator[None]:
         """Advance the level of every pair. Yields between pairs, so vehicles may change meanwhile; tracks do not."""
         tracks = self.tracks.tracks
+        # pairs in conflict now
         for n, (key, conflict) in enumerate(found.items()):
             if n % CONFLICTS_A_TURN == 0:
                 yield
@@ -197,6 +201,7 @@ class Monitor:
                 self.pairs[key] = pair = Pair(upper, lower, now)
             pair.a, pair.b = upper, lower
             self._step(key, pair, conflict, now)
+        # pairs that were in conflict before
         for n, (key, pair) in enumerate([(k, p) for k, p in self.pairs.items() if k not in found]):
             if n % CONFLICTS_A_TURN == 0:
                 yield
@@ -208,6 +213,7 @@ class Monitor:
                 self._step(key, pair, None, now)
                 if pair.over:
                     del self.pairs[key]
+        # vehicles that were held for a conflict long ago
         for key, held in list(self._held.items()):
             if now - held.conflict_at > REHOLD_S:
                 del self._held[key]

@@ -96,6 +96,7 @@ def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: floa
     reported = frame.from_ecef(track.ecef_m)
     if track.parked:
         return Course(track.key, track.name, track.footprint, lambda _: reported, 0.0, doing="parked")
+    # what flies or was lost: moved on by the age of its report
     age_s = min(max(0.0, now - track.at), TRACK_SILENT_S)
     ball_m = track.footprint.ball_m(max(0.0, age_s - FRESH_S))
     velocity = world_from_enu(track.reported_mps, frame.origin)
@@ -113,6 +114,7 @@ def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: floa
             return end if flown_mps * after_s >= away_m else _moved(here, along, after_s)
 
         return Course(track.key, track.name, track.footprint, at, flown_mps, ball_m=ball_m, doing="sent there")
+    # no destination: it hovers, or flies straight on
     if speed_mps <= 2 * NOISE_MPS:
         return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m)
     return Course(
@@ -160,6 +162,7 @@ def _nearest(
     a: Course, b: Course, end_s: float, count: Iterator[int]
 ) -> Generator[None, None, tuple[float, float, float] | None]:
     """Returns (distance, when, what they need) where two come nearest, if that is too near; or None."""
+    # what they need, and how fast they can come nearer
     margin = pair_margin(a.footprint, b.footprint)
     need_m, ratio = margin.total_m + a.ball_m + b.ball_m, margin.downwash_ratio
     bow = a.bow_m + b.bow_m
@@ -168,6 +171,7 @@ def _nearest(
     here = _offset(a, b, 0.0, ratio)
     begun_m = separation_m(*here, 1.0)
     least_m, least_s, t = begun_m, 0.0, 0.0
+    # where they are far apart one stride, near each other closed steps of STEP_S
     while t < end_s:
         looks = next(count)
         if looks % LOOKS_A_TURN == 0:

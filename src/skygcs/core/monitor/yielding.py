@@ -75,6 +75,7 @@ def who_holds(
 ) -> tuple[Track, ...]:
     """The vehicles that should hold, of two that are about to meet; ``upper`` has the right of way. Empty: it would not
     help, or none of them may (``may_hold``, in their order)."""
+    # both ways in the metric of the margin: going on, and stopping
     offset = scaled(
         (
             lower.place_m[0] - upper.place_m[0],
@@ -89,6 +90,7 @@ def who_holds(
     def least_m(first: Sequence[Piece], second: Sequence[Piece]) -> float:
         return closest_on_paths(offset, first, second, radius_m, horizon_s).separation_m
 
+    # what each choice leaves between them: the lower vehicle holds, the upper, or both
     choices: list[tuple[tuple[Track, ...], float]] = []
     if may_hold[1]:
         choices.append(((lower,), least_m(goes_on[0], stops[1])))
@@ -99,6 +101,7 @@ def who_holds(
     for tracks, separation_m in choices:
         if separation_m >= radius_m:
             return tracks
+    # none is enough: the best, if it is better than not to hold
     unheld_m = least_m(goes_on[0], goes_on[1])
     best: tuple[tuple[Track, ...], float] = max(choices, key=lambda choice: choice[1], default=((), 0.0))
     return best[0] if best[1] >= unheld_m + HELPS_M else ()

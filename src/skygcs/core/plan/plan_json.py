@@ -149,6 +149,7 @@ def _phased(source: str, content: Mapping[str, Any]) -> PhasedPlan:
 
 def space_of(source: str, given: Any) -> FlightSpace:
     """Where it may be flown, from the content of "space". Raises PlanFileError."""
+    # keys
     space = _table(source, "space", given)
     known = {"fence", "floor_m", "ceiling_m", "boxes", "standing"}
     if unknown := space.keys() - known:  # an obstacle under another name must not be overlooked
@@ -156,6 +157,7 @@ def space_of(source: str, given: Any) -> FlightSpace:
     corners = _list(source, "space, fence", space.get("fence"), MAX_CORNERS)
     if 0 < len(corners) < 3:
         raise PlanFileError(source, "space, fence", "a fence has three corners at least")
+    # boxes
     boxes = []
     for number, box in enumerate(_list(source, "space, boxes", space.get("boxes"), MAX_BOXES), 1):
         where = f"space, box {number}"
@@ -165,6 +167,7 @@ def space_of(source: str, given: Any) -> FlightSpace:
         if any(a > b for a, b in zip(least, greatest, strict=True)):
             raise PlanFileError(source, where, "the least corner is above the greatest")
         boxes.append((least, greatest))
+    # fence, floor and ceiling
     fence = []
     for number, corner in enumerate(corners, 1):
         if not isinstance(corner, list) or len(corner) != 2:

@@ -173,6 +173,7 @@ def _trajectory(source: str, where: str, show: Ask) -> Trajectory:
     if not points or len(points) > MAX_PIECES:
         raise PlanFileError(source, where, f"{len(points)} points; there are 1 to {MAX_PIECES}")
     takeoff_s = number_of(source, where, "takeoffTime", show.get("takeoffTime", 0.0), MAX_DURATION_S)
+    # each point ends a Bézier segment from the point before
     pieces: list[Piece] = []
     before: list[float] = []
     time = 0.0

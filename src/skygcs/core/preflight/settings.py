@@ -164,6 +164,7 @@ def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
     height_m = value / unit
     if height_m == 0 and least == 0:
         return passed("returns at the height it is at")
+    # a fence below it is worse than a height that somebody does not want
     ceiling_m, fence = _ceiling(facts)
     if ceiling_m is not None and height_m >= ceiling_m:
         return failed(

@@ -169,6 +169,7 @@ class ParamList(ProtocolMachine):
         """Any PARAM_VALUE of this vehicle."""
         if self.state not in (ListState.BURST, ListState.FILLING) or not 0 < value.count <= MAX_COUNT:
             return ()
+        # a value out of the list: somebody reads or sets single ones
         param, index = value.param, value.index
         if index is None:
             if param.name in self._params:  # somebody has set it meanwhile
@@ -177,10 +178,12 @@ class ParamList(ProtocolMachine):
         self._heard = now
         if self.count is None:
             self.count = value.count
+        # a value of another list: the vehicle restarted, or has changed its number of parameters
         if value.count != self.count or self._contradicts(index, param.name):
             self._strangers += 1
             late = now - self._matched >= LATE_VALUE_S
             return self._restart(now) if late and self._strangers > 1 else ()
+        # a value of this list
         self._matched = now
         self._strangers = 0
         self._requests.answered(index, now)

@@ -221,6 +221,7 @@ class _Heard:
             if any(frame.payload[:8]):  # tc1: it answers somebody's question, which came over this channel
                 self.health.deaf = False
             return
+        # when it was booted, by this message: the earliest of a window is least delayed
         at = BOOT_MS_AT.get(msgid)
         if at is None:
             return
@@ -230,6 +231,7 @@ class _Heard:
         if now - self._earliest_from >= LAG_WINDOW_S:
             self._earliest_from, self._earliest_before, self._earliest = now, self._earliest, math.inf
         self._earliest = min(self._earliest, self.booted_at)
+        # where it says that it is
         if msgid == GLOBAL_POSITION_INT:
             lat, lon, alt, _, vx, vy, vz = struct.unpack_from("<iiiihhh", payload, 4)
             if (lat or lon) and abs(lat) <= 900_000_000:

@@ -197,6 +197,7 @@ def _validate(number: int, piece: Piece, has_yaw: bool) -> None:
             raise TrajectoryError(
                 f"{len(coefficients)} coefficients; there are 1 to {MAX_DEGREE + 1}", piece=number, axis=axis
             )
+        # no term may become so large that its sums lose the others
         power = 1.0
         for k, c in enumerate(coefficients):
             if not math.isfinite(c):
@@ -208,6 +209,7 @@ def _validate(number: int, piece: Piece, has_yaw: bool) -> None:
                     axis=axis,
                 )
             power *= duration
+        # the ends of the piece
         if axis != "yaw":
             for t_s in (0.0, duration):
                 if not abs(value := _value(coefficients, t_s)) <= MAX_POSITION_M:

@@ -132,6 +132,7 @@ def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, 
         raise RefusedError(
             f"{why}, and its local frame would move under a program that uses it; disarm it, or {orders.FORCE_HINT}"
         )
+    # the message, and what the vehicle shows of it afterwards
     values = {
         "latitude": round(origin.lat_deg * 1e7),
         "longitude": round(origin.lon_deg * 1e7),

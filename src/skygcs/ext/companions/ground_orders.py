@@ -10,13 +10,13 @@ import asyncio
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.trajectory import Trajectory
 from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
@@ -37,8 +37,6 @@ GCS_TYPE = 6
 
 MAX_TRAJECTORIES = 64
 """Kept for a start: a plan has one for each of its steps."""
-
-MAX_PARTS = MAX_PIECES // wire.PIECES_A_PART + 1
 
 LARGEST_SECONDS = 1e12
 """Largest number accepted in a relayed order: seconds of a clock."""
@@ -87,7 +85,7 @@ class GroundOrders:
         self._tasks = TaskSet(loop, on_event)
         self._under_way: dict[int, asyncio.Task[Outcome]] = {}
         """Orders being carried out, by number."""
-        self._parts: OrderedDict[str, dict[int, Sequence[Piece]]] = OrderedDict()
+        self._parts = wire.TrajectoryParts(MAX_PIECES)
         self._loaded: OrderedDict[str, LoadedTrajectory] = OrderedDict()
         self._flight: tuple[int, TrajectoryFlight, ReplicatedClock] | None = None
         """The number of the order that began it, and what it follows."""
@@ -300,23 +298,10 @@ class GroundOrders:
     async def _take_pieces(self, given: Json) -> Outcome:
         """One part of a trajectory; with the last one it is kept."""
         key, part, parts = str(given.get("key"))[:32], given.get("part"), given.get("parts")
-        if not (isinstance(part, int) and isinstance(parts, int) and 0 <= part < parts <= MAX_PARTS):
-            raise RefusedError(f"a trajectory has 1 to {MAX_PARTS} parts")
-        pieces = given.get("pieces")
-        if not isinstance(pieces, list) or len(pieces) > wire.PIECES_A_PART:
-            raise RefusedError(f"a part has up to {wire.PIECES_A_PART} pieces")
-        try:
-            taken = [wire.piece_from(piece) for piece in pieces]
-        except (KeyError, TypeError) as error:
-            raise RefusedError(f"a piece has duration_s, x, y and up: {error}") from None
-        kept = self._parts.setdefault(key, {})
-        kept[part] = taken
-        while len(self._parts) > 4:
-            self._parts.popitem(last=False)
-        if len(kept) < parts:
-            return Outcome(True, "accepted", f"part {part + 1} of {parts}")
-        self._parts.pop(key, None)
-        whole = Trajectory([piece for number in range(parts) for piece in kept[number]])
+        pieces = self._parts.take(key, part, parts, given.get("pieces"))
+        if pieces is None:
+            return Outcome(True, "accepted", "a part; others are still to come")
+        whole = Trajectory(pieces)
         name = str(given.get("name") or "trajectory")[:64]
         if len(whole.pieces) < LARGE_PIECES:
             loaded = LoadedTrajectory(whole, name)

@@ -7,12 +7,15 @@ RefusedError or TrajectoryError.
 
 from __future__ import annotations
 
+import sys
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.errors import RefusedError
@@ -24,6 +27,9 @@ LARGEST_NUMBER = 1e6
 
 PIECES_A_PART = 200
 """Pieces sent in one call: 250 kB for the largest degree, a quarter of the longest line of the socket."""
+
+MAX_INCOMPLETE = 4
+"""Trajectories of which parts are kept: the ground sends them one after another."""
 
 
 def setpoint_json(setpoint: Setpoint | RawSetpoint) -> Json:
@@ -85,11 +91,50 @@ def pieces_json(trajectory: Trajectory) -> list[list[Json]]:
     return [pieces[at : at + PIECES_A_PART] for at in range(0, len(pieces), PIECES_A_PART)]
 
 
-def piece_from(values: Mapping[str, Any]) -> Piece:
-    """A piece of checked parameters; the trajectory it is put into checks the numbers."""
+def piece_from(values: Any) -> Piece:
+    """A piece of finite numbers; the trajectory it is put into checks what they make. Raises RefusedError."""
+    if not isinstance(values, dict):
+        raise RefusedError("a piece has duration_s, x, y and up")
+    duration_s = _number(values, "duration_s")
+    if duration_s is None:
+        raise RefusedError("a piece has a duration_s")
+    east, north, up = (_coefficients(values.get(axis), axis) for axis in ("x", "y", "up"))
     yaw = values.get("yaw")
-    east, north, up = (tuple(values[axis]) for axis in ("x", "y", "up"))
-    return Piece(values["duration_s"], east, north, up, None if yaw is None else tuple(yaw))
+    return Piece(duration_s, east, north, up, None if yaw is None else _coefficients(yaw, "yaw"))
+
+
+def _coefficients(values: Any, name: str) -> tuple[float, ...]:
+    if not isinstance(values, list) or not 1 <= len(values) <= MAX_DEGREE + 1:
+        raise RefusedError(f"{name} of a piece has 1 to {MAX_DEGREE + 1} coefficients")
+    return tuple(_numbers(values, len(values), name, sys.float_info.max))  # large ones are usual in short pieces
+
+
+class TrajectoryParts:
+    """Trajectories of which parts have come, the newest `MAX_INCOMPLETE` of them; ``max_pieces``: of each."""
+
+    def __init__(self, max_pieces: int) -> None:
+        self._max_parts = max_pieces // PIECES_A_PART + 1
+        self._incomplete: OrderedDict[str, list[Sequence[Piece] | None]] = OrderedDict()
+
+    def take(self, key: str, part: Any, parts: Any, pieces: Any) -> list[Piece] | None:
+        """Take ``part`` (from 0) of ``parts``, as `pieces_json` makes them; returns all pieces of ``key`` once the last
+        of its parts has come. A part of another number of parts begins the trajectory anew. Raises RefusedError."""
+        if not (type(part) is int and type(parts) is int and 0 <= part < parts <= self._max_parts):
+            raise RefusedError(f"a trajectory has 1 to {self._max_parts} parts")
+        if not isinstance(pieces, list) or len(pieces) > PIECES_A_PART:
+            raise RefusedError(f"a part has up to {PIECES_A_PART} pieces")
+        taken = [piece_from(piece) for piece in pieces]
+        kept = self._incomplete.setdefault(key, [None] * parts)
+        if len(kept) != parts:
+            self._incomplete[key] = kept = [None] * parts
+        kept[part] = taken
+        while len(self._incomplete) > MAX_INCOMPLETE:
+            self._incomplete.popitem(last=False)
+        come = [one for one in kept if one is not None]
+        if len(come) < parts:
+            return None
+        self._incomplete.pop(key, None)
+        return [piece for one in come for piece in one]
 
 
 def origin_json(origin: Origin | None) -> Json | None:
@@ -137,12 +182,12 @@ def _vector(values: Mapping[str, Any], key: str) -> tuple[float, float, float] |
     return x, y, z
 
 
-def _numbers(given: object, count: int, key: str) -> list[float]:
+def _numbers(given: object, count: int, key: str, largest: float = LARGEST_NUMBER) -> list[float]:
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
         raise RefusedError(f"{key} has {count} numbers")
     found = []
     for value in given:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= largest:
             raise RefusedError(f"{key} has {count} numbers")
         found.append(float(value))
     return found

@@ -100,6 +100,7 @@ class CasterSource:
         self, feeder: Feeder, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, password: str
     ) -> None:
         config = self._config
+        # request
         begun = self._clock()
         gga = self._next_gga() if config.revision == 2 else b""
         writer.write(request(self._mountpoint, password, revision=config.revision, gga=gga))
@@ -107,6 +108,7 @@ class CasterSource:
         due = heard = begun
         streams = False
         while True:
+            # until its answer, the next byte or the next position that is due
             now = self._clock()
             until = heard + config.silent_s if streams else begun + ANSWER_S
             if streams and config.gga_s and now >= due:

@@ -302,6 +302,7 @@ class MocapFeed:
             return None, "two vehicles have its system id"
         if not vehicle.armed and (why := why_no_poses(vehicle)) is not None:
             return None, why  # one that flies already needs its poses
+        # the first channel that nobody else is heard on, and has been open for long enough to know that
         best = self._hub.channels_to(vehicle.sysid, vehicle.compid)
         others = self._hub.channels_to(vehicle.sysid, vehicle.compid, everywhere=True)
         shared_with: set[int] = set()
@@ -317,6 +318,7 @@ class MocapFeed:
                 return channel, ""
             listening |= not beside
             shared_with |= beside
+        # no channel: why
         if listening:
             return None, "its link was opened just now: whether it shares it with other vehicles is not known yet"
         if not shared_with:

@@ -379,6 +379,7 @@ class PlanRunner:
         execution, now = flight.execution, self._loop.time()
         sights = flight.look(now)
         others = {name for name, left in execution.left.items() if left.why in (Why.PILOT, Why.LOST)}
+        # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
         if not flying:
             self._orders.carry_out(flight, execution.landing([]))
@@ -386,6 +387,7 @@ class PlanRunner:
         if self._force_landing:
             self._orders.carry_out(flight, execution.landing([flying]))
             return
+        # where everything is: places of what flies and stands, and the ground below
         actors = [flight.actors[name] for name in flying]
         measured = measure(actors, self._fleet.everybody(), flight.frame, now)
         unplaced = [name for name in flying if name not in measured.places]
@@ -399,6 +401,7 @@ class PlanRunner:
         ground_m = min([*known, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
         space = FlightSpace(standing=measured.others)
         try:
+            # rounds that keep apart, from a process beside the loop
             rounds, certificate = await self.work(way_down, measured.places, ground_m, flight.rule, space)
         except SkygcsError as error:  # no process, or it took too long
             todo = "`plan land --force` lands all at once"

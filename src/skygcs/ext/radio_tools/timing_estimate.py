@@ -112,6 +112,7 @@ class _Grid:
 
 def estimate(frames: tuple[Sequence[Sent], Sequence[Sent]], ends: Ends) -> Timing:
     """The timing that these frames show. Raises RefusedError where they show none, with what to do."""
+    # rounds: one grid per way and size, on which the arrivals lie
     sizes = sorted({sent.size for way in frames for sent in way})
     arrivals = {(way, size): _on_air(frames[way], size, ends.bauds[1 - way]) for way in WAYS for size in sizes}
     coarse = _period(list(arrivals.values()))
@@ -121,11 +122,13 @@ def estimate(frames: tuple[Sequence[Sent], Sequence[Sent]], ends: Ends) -> Timin
             f"too few frames arrived to find the rounds (at least {LEAST_ARRIVALS} of a size and way are needed): "
             "measure longer (--seconds), or with less loss: antennas on, radios some metres apart"
         )
+    # their period, weighted by arrivals, with its error
     total = sum(grid.weight for grid in grids)
     period = sum(grid.period * grid.weight for grid in grids) / total
     jitter = median(grid.residual for grid in grids)
     error = Z95 * sqrt(sum(grid.weight * grid.residual**2 for grid in grids) / total) / sqrt(total)
     remarks: list[str] = []
+    # slots of a round
     slot, nodes = _slot(grids, period, ends)
     known = ends.nodes is not None or ends.places is None
     sync = period - nodes * slot
@@ -134,6 +137,7 @@ def estimate(frames: tuple[Sequence[Sent], Sequence[Sent]], ends: Ends) -> Timin
             f"a round of {period * 1000:.1f} ms is not {nodes} slots of {slot * 1000:.1f} ms and a sync slot: "
             "is the network set up for so many nodes (--nodes)?"
         )
+    # figures of each way and size, and what spoils them
     rows = tuple(_figures(frames[way], way, size, period) for way in WAYS for size in sizes)
     slot_bytes, limited = _slot_bytes(rows, period, ends)
     if limited:

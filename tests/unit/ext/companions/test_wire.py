@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 
@@ -66,6 +67,58 @@ def test_a_trajectory_comes_out_in_its_parts(yaw: tuple[float, ...] | None) -> N
     parts = json.loads(json.dumps(wire.pieces_json(whole)))
     assert [len(part) for part in parts] == [wire.PIECES_A_PART, 3]
     assert Trajectory([wire.piece_from(piece) for part in parts for piece in part]) == whole
+
+
+A_PIECE = {"duration_s": 1.0, "x": [0.0], "y": [0.0], "up": [5.0]}
+
+
+def test_parts_come_in_any_order_and_twice() -> None:
+    parts = wire.TrajectoryParts(2_000)
+    assert parts.take("a", 1, 2, [A_PIECE]) is None
+    assert parts.take("a", 1, 2, [A_PIECE, A_PIECE]) is None
+    assert parts.take("b", 0, 2, [A_PIECE]) is None
+    assert len(parts.take("a", 0, 2, [A_PIECE]) or []) == 3
+    assert parts.take("a", 0, 2, [A_PIECE]) is None  # what was complete is forgotten
+
+
+def test_another_number_of_parts_begins_the_trajectory_anew() -> None:
+    parts = wire.TrajectoryParts(2_000)
+    assert parts.take("a", 5, 6, [A_PIECE]) is None
+    assert parts.take("a", 0, 2, [A_PIECE]) is None
+    assert len(parts.take("a", 1, 2, [A_PIECE]) or []) == 2
+
+
+def test_incomplete_trajectories_are_bounded() -> None:
+    parts = wire.TrajectoryParts(2_000)
+    for number in range(wire.MAX_INCOMPLETE + 1):
+        assert parts.take(str(number), 0, 2, [A_PIECE]) is None
+    assert parts.take("0", 1, 2, [A_PIECE]) is None  # the oldest went
+    assert parts.take(str(wire.MAX_INCOMPLETE), 1, 2, [A_PIECE]) is not None
+
+
+@given(ANYTHING, ANYTHING, ANYTHING)
+def test_whatever_comes_as_a_part_is_refused_or_incomplete(part: object, count: object, pieces: object) -> None:
+    parts = wire.TrajectoryParts(2_000)
+    for given_part, given_count in ((part, count), (0, 2)):
+        with contextlib.suppress(RefusedError):
+            parts.take("a", given_part, given_count, pieces)
+
+
+@each(
+    "piece",
+    [
+        {**A_PIECE, "duration_s": "1"},
+        {**A_PIECE, "x": [10**400]},
+        {**A_PIECE, "up": [True]},
+        {**A_PIECE, "y": []},
+        {**A_PIECE, "yaw": [math.nan]},
+        {key: value for key, value in A_PIECE.items() if key != "up"},
+        [1.0],
+    ],
+)
+def test_a_piece_that_is_none_is_refused(piece: object) -> None:
+    with pytest.raises(RefusedError):
+        wire.TrajectoryParts(2_000).take("a", 0, 1, [piece])
 
 
 def test_an_origin_comes_out_as_it_went_in() -> None:

@@ -128,6 +128,7 @@ async def _connect(companion: Companion, host_keys: HostKeys, identity: Path | N
 
     address = ""
 
+    # the key that the companion presents is kept for the refusal: nobody is asked to accept it
     class Client(asyncssh.SSHClient):
         presented: SSHKey | None = None
 
@@ -143,6 +144,7 @@ async def _connect(companion: Companion, host_keys: HostKeys, identity: Path | N
         known = host_keys.known(host, addr, companion.port)
         return known.keys, known.authorities, known.revoked
 
+    # one attempt, with a deadline; each failure by what a person can do about it
     options: dict[str, Any] = {"username": companion.user} if companion.user else {}
     if identity is not None:
         options["client_keys"] = [str(identity)]

@@ -64,6 +64,7 @@ def _certify_timed(
     limits: MotionLimits | Mapping[str, MotionLimits] | None,
     progress: Progress | None,
 ) -> Certificate:
+    # each trajectory by itself: continuous, and within the limits of its vehicle
     too_fast = []
     for name, trajectory in plan.trajectories.items():
         try:
@@ -76,11 +77,13 @@ def _certify_timed(
                 require_within(trajectory, own)
         except TrajectoryError as error:
             too_fast.append(f"{name}: {error}")
+    # the fleet: what flies, and what stands where it is for as long
     motions = dict(zip(plan.trajectories, motions_of(list(plan.trajectories.values())), strict=True))
     duration_s = max(t.duration_s for t in plan.trajectories.values())
     fleet = {**plan.trajectories, **{name: hover(place, duration_s) for name, place in space.standing.items()}}
     names = list(fleet)
     motions |= {name: STILL for name in space.standing}
+    # the least distance of all pairs against the margins of both
     half = [rule.half_m(name, motions[name]) for name in names]
     found = least_clearance(
         list(fleet.values()), half, rule.downwash_ratio, standing=len(space.standing), progress=progress
@@ -98,6 +101,7 @@ def _certify_timed(
             t_s=found.t_s,
             sources={name: rule.sources(name) for name in (one, other)},
         )
+    # walls, floor and ceiling
     moving = len(plan.trajectories)
     walls = breaches(list(plan.trajectories.values()), half[:moving], space)
     problems = tuple(_problem(names, half, breach) for breach in walls[:MAX_NAMED])
@@ -163,6 +167,7 @@ Legs = Mapping[str, tuple[Vector, Vector]]
 def _certify_phased(
     plan: PhasedPlan, rule: MarginRule, space: FlightSpace, progress: Progress | None, *, barriers: bool
 ) -> Certificate:
+    # legs of each phase; what stands has a leg from its place to its place
     names = [*plan.starts, *space.standing]
     half = [rule.half_m(name) for name in names]
     standing = {name: (place, place) for name, place in space.standing.items()}
@@ -184,6 +189,7 @@ def _certify_phased(
                     worst = approach
                 if approach.clearance_m < SLACK_M and len(too_close) < MAX_NAMED:
                     too_close.append(approach)
+        # walls, phase by phase
         if space.has_walls and len(problems) < MAX_NAMED:
             curves = [_line(*legs[name]) for name in plan.starts]
             problems += [

@@ -64,6 +64,7 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
     """The way for a plan. ``own_companion``: by vehicle, whether its companion makes its setpoints; ``not_streamed``:
     the vehicles whose links do not carry setpoints, and why. Raises RefusedError, with the command that helps, where
     the asked way cannot be flown at all."""
+    # the way that somebody asked for
     without = [name for name, has in own_companion.items() if not has]
     if by == Guidance.ONBOARD and len(without) < len(own_companion):
         if without:
@@ -86,6 +87,7 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
         return Choice(Guidance.MISSION, "as asked for; the autopilots have the whole way as their mission")
     if by == Guidance.SETPOINTS:
         return Choice(Guidance.SETPOINTS, "as asked for")
+    # none was asked for: companions, else setpoints where every link carries them, else goto
     if own_companion and not without:
         return Choice(Guidance.ONBOARD, "every vehicle has a companion that flies it")
     if not not_streamed:

@@ -94,6 +94,7 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
     flights: dict[str, TrajectoryFlight] = {}
     now, frame = 0.0, EnuFrame(stage.origin)
     while not execution.over and now < LONGEST_S:
+        # what the execution orders succeeds at once
         clock, trajectory_s = ClockState.FINISHED, 0.0
         for order in orders:
             for name in order.vehicles if order.kind is OrderKind.ENGAGE else ():
@@ -103,6 +104,7 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
                 if passing is not None:
                     return passing
                 flights = _begun(loaded[execution.index], stage, frame, now)
+        # where the vehicles would be now
         if flights:
             time = next(iter(flights.values())).clock.at(now)
             clock, trajectory_s = time.state, time.trajectory_s
@@ -110,6 +112,7 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
             if isinstance(ahead, Stopped):
                 return ahead
             places = ahead
+        # what they see there, and the next orders
         sights = {name: Sight(places[name], reported_m=places[name]) for name in names}
         orders = execution.tick(now, clock if flights else None, trajectory_s, sights)
         if execution.state is PlanState.STOPPED:

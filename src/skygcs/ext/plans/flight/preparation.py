@@ -63,6 +63,7 @@ class _Problems:
 def prepare(situation: Situation) -> Prepared:
     """The flight from where the vehicles stand to the end of the plan; with `problems` it must not be flown."""
     problems = _Problems()
+    # the plan from where the vehicles are, and whether its heights are above the ground
     plan = _from_the_air(situation)
     if situation.by.own_way and isinstance(plan, PhasedPlan):
         plan = level_or_vertical(plan)
@@ -82,6 +83,7 @@ def prepare(situation: Situation) -> Prepared:
         return Prepared((), None, None, None, (str(error),), (None,))
     if not certificate.certified:
         problems.of("the plan", certificate)
+    # what forbids it, and the steps of what is left
     if way.plan is None:
         for line in way.reasons:
             problems.add(f"the way to the starts: {line}")
