@@ -43,6 +43,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TARGET_ERROR,
 )
+from skygcs.rpc.json_lines import error_reply, id_of, is_id, reply_of
 from skygcs.rpc.models import MethodParams
 from skygcs.spelling import near_names
 
@@ -242,7 +243,7 @@ class Dispatcher(Generic[C]):
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
         request_id = request.get("id")
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        if not is_id(request_id):
             return error_reply(None, INVALID_REQUEST, "id must be a string or a number")
         name = request.get("method")
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
@@ -355,10 +356,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
 
     ``now``: the daemon's clock, which daemon.info shows.
     """
-    deadline_s = request["deadline_s"]
-    request_id = request.get("id")
-    if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
-        request_id = None
+    deadline_s, request_id = request["deadline_s"], id_of(request)
     if not is_number(deadline_s):
         return error_reply(request_id, INVALID_REQUEST, "deadline_s must be a number: seconds of daemon.info's now_s")
     if now <= deadline_s:
@@ -373,16 +371,7 @@ def result_reply(request_id: object, name: str, result: object) -> bytes:
         body = result.body if isinstance(result, Encoded) else to_json(result, inf_nan_mode="null")
     except PydanticSerializationError as error:
         return failure_reply(request_id, name, error)
-    return b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode_id(request_id), body)
-
-
-def error_reply(request_id: object, code: int, message: str, data: object = None) -> bytes:
-    error: dict[str, object] = {"code": code, "message": message}
-    if data is not None:
-        error["data"] = data
-    # json escapes what is no valid Unicode (file names in error texts), where to_json gives up
-    body = json.dumps(error, default=str, separators=(",", ":")).encode()
-    return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode_id(request_id), body)
+    return reply_of(request_id, body)
 
 
 def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
@@ -468,10 +457,6 @@ def _problems(error: ValidationError) -> list[tuple[str, str]]:
             text += f" (got {_clip(json.dumps(item['input'], default=str))})"
         found.append((".".join(str(part) for part in item["loc"]), text))
     return found
-
-
-def _encode_id(request_id: object) -> bytes:
-    return b"null" if request_id is None else json.dumps(request_id).encode()
 
 
 def _clip(text: str) -> str:

@@ -141,7 +141,7 @@ METHODS: MethodTable[Context] = MethodTable(
     ),
     (Method("clock.read", NoParams, clock_read, ClockReading, while_stopping=True),),
     Later("skygcs.rpc.alarms", "METHODS", ("alarms.list", "alarms.acknowledge"), while_stopping=("alarms.list",)),
-    Later("skygcs.rpc.monitor", "METHODS", ("monitor.status",), while_stopping=("monitor.status",)),
+    Later("skygcs.rpc.alarms", "MONITOR", ("monitor.status",), while_stopping=("monitor.status",)),
     Later(
         "skygcs.rpc.missions",
         "METHODS",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 
-from skygcs.core.vehicle.flight_record import FlightRecord
+from skygcs.core.vehicle.flight_note import FlightRecord
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 CHARGE_S = 5.0

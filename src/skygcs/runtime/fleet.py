@@ -22,8 +22,7 @@ from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
-from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, lost_place
-from skygcs.core.vehicle.flight_record import FlightRecord
+from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, FlightRecord, lost_place
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle

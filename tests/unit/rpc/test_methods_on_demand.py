@@ -11,7 +11,8 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply, error_reply
+from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.json_lines import error_reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 
