@@ -25,7 +25,7 @@ from skygcs.events import Event
 from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, parse
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, error_reply, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
@@ -179,6 +179,9 @@ class Session(ClientPeer):
             have = ", ".join(map(str, self._subscriptions)) or "none"
             raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
         self._hub.feeds.remove(subscription)
+
+    async def every_method(self) -> tuple[Method[Context], ...]:
+        return await self._hub.dispatcher.every_method()
 
     def relay_operator(self) -> None:
         """Its requests come from a program on behalf of a person who may have left: they do not count as input."""
