@@ -27,7 +27,6 @@ What a running daemon calls, and when:
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import math
 import re
@@ -35,7 +34,7 @@ from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
-from skygcs.config.extension_tables import find_on_demand, on_demand
+from skygcs.config.extension_tables import find_on_demand
 from skygcs.config.tables import Model, Problem
 from skygcs.core.routing.send_gates import SendGate, SendGates
 from skygcs.errors import ConfigError, RefusedError
@@ -281,13 +280,6 @@ class Extensions:
         if self._core is not None:
             self._failed[word] = (self._core.now() + MADE_AGAIN_S, refusal)
         return refusal
-
-    def every_method(self, accept: Accept = lambda methods: None) -> tuple[Method[Context], ...]:
-        """All their methods: extensions without a table are made for it; one that cannot be is left out."""
-        for word in () if self._core is None else on_demand():
-            with contextlib.suppress(RefusedError):  # which was reported
-                self.demand(word, accept)
-        return self.methods
 
     def __iter__(self) -> Iterator[Extension[Any]]:
         return iter(self._parts.values())

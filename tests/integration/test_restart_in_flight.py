@@ -67,7 +67,7 @@ async def test_one_that_is_lost_in_the_air_is_still_shown_and_in_the_way(tmp_pat
         place = gcs.place("v2")
         gcs.muted.add(2)
         await asyncio.sleep(12)
-        record = gcs.daemon.fleet.charges.record(gcs.actor("v1"))
+        record = gcs.daemon.fleet.notes.charges.record(gcs.actor("v1"))
         record._flown_s, record._dropped_percent = 246.0, 100.0
         await asyncio.sleep(3)
         told = await restarted(gcs)
@@ -77,7 +77,7 @@ async def test_one_that_is_lost_in_the_air_is_still_shown_and_in_the_way(tmp_pat
         v2 = gcs.daemon.fleet.find("v2")
         state = v2.state(gcs.now)
         assert not state["connected"] and state["armed"] and state["position"]["lat_deg"] is not None
-        assert gcs.daemon.fleet.charges.record(gcs.daemon.fleet.find("v1")).flight_time_s == pytest.approx(
+        assert gcs.daemon.fleet.notes.charges.record(gcs.daemon.fleet.find("v1")).flight_time_s == pytest.approx(
             246.0, abs=15.0
         )
         # another is not sent there

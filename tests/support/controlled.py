@@ -80,6 +80,8 @@ class ControlledVehicle(FakeVehicle):
             "hover_thrust": 0.45,
             "limits": {"thrust_min": 0.1, "thrust_max": 0.9},
         }
+        self.offboard.gains = lambda: self.gains_told
+        self.offboard.record = self._record
         self.setpoints: list[dict[str, Any]] = []
         self.on_setpoint: Callable[[], None] | None = None
         self.aloud = False
@@ -121,13 +123,10 @@ class ControlledVehicle(FakeVehicle):
                 self.gains_told = {**self.gains_told, key: new}
         return outcome
 
-    def gains(self) -> dict[str, Any]:
-        return self.gains_told
-
     def control_state(self, now: float) -> dict[str, Any]:
         return self.control_told
 
-    async def record_control(self, on: bool) -> str | None:
+    async def _record(self, on: bool) -> str | None:
         return f"/logs/{self.name}.csv" if on else None
 
     def take(self, setpoint: dict[str, Any]) -> FakeOutcome:

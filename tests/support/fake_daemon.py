@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -77,6 +77,7 @@ class FakeMissions:
             "counts": dict(nothing),
             "opaque_ids": dict(nothing),
         }
+        self.fetch: Callable[[Collection[MissionType]], Awaitable[tuple[FakeOutcome, MissionPlan]]] | None = None
 
     def status(self) -> dict[str, Any]:
         return dict(self.told)
@@ -90,6 +91,8 @@ class FakeVehicle:
         self.params: Any = None
         self.metadata: Any = None
         self.missions = FakeMissions()
+        self.missions.fetch = self._fetched
+        self.runner = SimpleNamespace(finish=lambda order, outcome: outcome)
         self.stored_plan = MissionPlan()
         self.fence: dict[str, Any] = {
             "enabled": True,
@@ -211,7 +214,10 @@ class FakeVehicle:
     async def set_mission_item(self, **arguments: Any) -> FakeOutcome:
         return await self._order("set_mission_item", **arguments)
 
-    async def download_plan(self, kinds: Collection[MissionType]) -> tuple[FakeOutcome, MissionPlan]:
+    def authority_refusal(self) -> str | None:
+        return None
+
+    async def _fetched(self, kinds: Collection[MissionType]) -> tuple[FakeOutcome, MissionPlan]:
         return await self._order("download_plan", kinds=kinds), self.stored_plan
 
     def latest(self, message_name: str) -> dict[str, Any] | None:

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializeAsAny, field_validator, model_validator
 
-from skygcs.config.alarms import AlarmsConfig
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
@@ -29,6 +28,7 @@ Baud = Annotated[int, Field(ge=50, le=20_000_000)]
 SourceId = Annotated[int, Field(ge=0, le=255)]
 BytesPerS = Annotated[float, Field(ge=1, le=1e9)]
 TimeoutS = Annotated[float, Field(ge=0.1, le=86400)]
+Percent = Annotated[float, Field(ge=0, le=100)]
 
 
 def _network(text: str) -> str:
@@ -386,6 +386,24 @@ class VehicleConfig(Model):
     """True if it is in the fleet file."""
     delegated: bool = False
     """True if other ground stations may command it, too."""
+
+
+class AlarmsConfig(Model):
+    """[alarms]: from when on a value is an alarm."""
+
+    battery_low_percent: Percent = 25.0
+    """A battery's charge from which it is a warning, in percent."""
+    battery_critical_percent: Percent = 12.0
+    """A battery's charge from which it is an alarm while the vehicle is armed, in percent."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> AlarmsConfig:
+        if self.battery_critical_percent > self.battery_low_percent:
+            raise ValueError(
+                f"battery_critical_percent {self.battery_critical_percent:g} is above battery_low_percent "
+                f"{self.battery_low_percent:g}"
+            )
+        return self
 
 
 class OriginConfig(Model):

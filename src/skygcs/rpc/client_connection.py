@@ -24,6 +24,7 @@ from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_inbox import Encoded, Inbox
 from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.rpc.json_lines import ANSWER, MAX_LINE_BYTES, MAX_REPLY_BYTES, TELEMETRY_START, LineBuffer, notification
 from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
 
 if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
@@ -41,13 +42,6 @@ CONNECT_AGAIN_S = 0.01
 CLOSE_S = 1.0
 """Seconds for TLS to close the connection."""
 
-MAX_REPLY_BYTES = 32 << 20
-"""Longest line that is taken. The daemon sends 8 MiB at most; a plan of 32 MiB goes to it, not from it."""
-
-MAX_REQUEST_BYTES = 1 << 20
-"""Longest line that the daemon takes (`sessions.MAX_LINE_BYTES`). Its refusal of a longer one names no request, which
-would wait for its answer for ever."""
-
 MAX_NUMBER_CHARS = 20
 """Longest text of a subscription's number."""
 
@@ -56,8 +50,7 @@ PROGRESS = "plan.progress"
 
 _TLS = "tls://"
 _NO_MEMBERS: Mapping[str, Any] = MappingProxyType({})
-_RESULT = re.compile(rb'\{"jsonrpc":"2\.0","id":(\d{1,20}),"result":')
-_TELEMETRY = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":'
+_RESULT = re.compile(re.escape(ANSWER) + rb'(\d{1,20}),"result":')
 
 
 class ClientTls(Protocol):
@@ -132,8 +125,7 @@ class ClientConnection(asyncio.Protocol):
         """By number, those of them that asked for reports."""
         self._encoded: set[int] = set()
         """Requests whose result is not to be read."""
-        self._partial: list[bytes] = []
-        self._partial_bytes = 0
+        self._lines = LineBuffer()
         self._heard = False
         self._closed = asyncio.Event()
         self._lost: DaemonUnreachable | None = None
@@ -194,8 +186,8 @@ class ClientConnection(asyncio.Protocol):
         number = self._last_number = self._last_number + 1
         request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
         line = json.dumps(request, allow_nan=False).encode()
-        if len(line) > MAX_REQUEST_BYTES:
-            text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_REQUEST_BYTES} in one request"
+        if len(line) > MAX_LINE_BYTES:  # its refusal names no request, which would wait for its answer for ever
+            text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_LINE_BYTES} in one request"
             raise RpcError(INVALID_PARAMS, text)
         self._calls[number] = _Call(on_answer, method, params)
         self.transport.write(line + b"\n")
@@ -204,7 +196,7 @@ class ClientConnection(asyncio.Protocol):
     def notify(self, method: str, params: dict[str, Any]) -> None:
         """Send what has no answer; nothing if the connection has ended."""
         if self._lost is None:
-            self.transport.write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+            self.transport.write(notification(method, json.dumps(params).encode()) + b"\n")
 
     async def close(self) -> None:
         """Close; requests and iterations still waiting end with DaemonUnreachable."""
@@ -225,15 +217,10 @@ class ClientConnection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._heard = True
-        if b"\n" not in data:
-            self._partial.append(data)
-            self._partial_bytes += len(data)
-            if self._partial_bytes > MAX_REPLY_BYTES:
-                self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
-            return
-        *lines, rest = b"".join([*self._partial, data]).split(b"\n")
-        self._partial = [rest]
-        self._partial_bytes = len(rest)
+        self._lines.feed(data)
+        lines = self._lines.take_whole().split(b"\n")
+        if len(self._lines) > MAX_REPLY_BYTES:
+            self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
         for line in lines:
             if line and self._lost is None and not self._on_encoded(line) and not self._on_encoded_result(line):
                 try:
@@ -243,20 +230,20 @@ class ClientConnection(asyncio.Protocol):
 
     def _give_up(self, reason: str) -> None:
         """Close the connection because of what came."""
-        self._partial.clear()
+        self._lines.clear()
         self._lose(reason)
         self.transport.abort()
 
     def _on_encoded(self, line: bytes) -> bool:
         """True for a state that goes on as it is. Anything written otherwise than here expected is read as JSON."""
-        if not line.startswith(_TELEMETRY):
+        if not line.startswith(TELEMETRY_START):
             return False
         state, _, tail = line.rpartition(b',"subscription":')
         number, comma, last = tail.removesuffix(b"}}").partition(b",")
         inbox = self.inboxes.get(int(number)) if number.isdigit() and len(number) < MAX_NUMBER_CHARS else None
         if not isinstance(inbox, Encoded) or not state.endswith(b"}") or (comma and last != b'"last":true'):
             return False
-        inbox.put_encoded(state[len(_TELEMETRY) :], bool(comma))
+        inbox.put_encoded(state[len(TELEMETRY_START) :], bool(comma))
         return True
 
     def _on_encoded_result(self, line: bytes) -> bool:

@@ -201,7 +201,7 @@ async def control_gains(context: Context, params: ControlGainsParams) -> JsonObj
         answer = await command(context, params.targets, VehicleActor.change_gains, changes=changes, force=params.force)
         outcomes = answer["outcomes"]
     vehicles = context.services.fleet.resolve(params.targets)
-    return {"outcomes": outcomes, "gains": {vehicle.name: vehicle.gains() for vehicle in vehicles}}
+    return {"outcomes": outcomes, "gains": {vehicle.name: vehicle.offboard.gains() for vehicle in vehicles}}
 
 
 def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
@@ -217,7 +217,7 @@ def control_status(context: Context, params: ListParams) -> list[JsonObject]:
 
 async def control_record(context: Context, params: ControlRecordParams) -> JsonObject:
     """Trace control at its full rate to a CSV file per vehicle (docs/reference/control-trace.md)."""
-    files = {v.name: await v.record_control(params.on) for v in context.services.fleet.resolve(params.targets)}
+    files = {v.name: await v.offboard.record(params.on) for v in context.services.fleet.resolve(params.targets)}
     return {"files": files}
 
 

@@ -11,10 +11,10 @@ import importlib
 import inspect
 import json
 import re
-import sys
 from collections import Counter
-from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import structlog
@@ -43,6 +43,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TARGET_ERROR,
 )
+from skygcs.rpc.json_lines import error_reply, id_of, is_id, reply_of
 from skygcs.rpc.models import MethodParams
 from skygcs.spelling import near_names
 
@@ -91,67 +92,41 @@ class Method(Generic[C]):
 
 
 class Later(NamedTuple):
-    """Methods of a module that is imported when one of them is first called: ``part`` of it, a tuple of methods.
+    """Methods that are imported when one of them is first called: ``part`` of a module, a tuple of all methods with
+    this first ``word``.
 
-    The call that has it imported does not outlive its client. Which methods are `Method.always` or
-    `Method.while_stopping` is said here, too: whether a client is let in must not wait for an import.
+    The call that has it imported does not outlive its client, and a client that came when all places were taken is
+    refused it, as is one that calls while the daemon shuts down.
     """
 
+    word: str
     module: str
-    part: str
-    names: tuple[str, ...]
-    always: tuple[str, ...] = ()
-    while_stopping: tuple[str, ...] = ()
+    part: str = "METHODS"
+
+    def load(self) -> tuple[Method[Any], ...]:
+        """Its methods; its module is imported if it was not."""
+        found: tuple[Method[Any], ...] = getattr(importlib.import_module(self.module), self.part)
+        return found
 
 
-class MethodTable(Mapping[str, Method[C]]):
-    """Methods by name, in the order in which they are documented. To read one of a `Later` part imports its module."""
+class DeclaredMethods(Mapping[str, Method[C]]):
+    """The methods of the core by name, in the order in which they are documented. To read them imports all."""
 
     def __init__(self, *parts: Iterable[Method[C]] | Later) -> None:
         self._parts = parts
-        self.later = tuple(part for part in parts if isinstance(part, Later))
-        self._methods: dict[str, Method[C] | Later] = {}
-        self.always: set[str] = set()
-        self.while_stopping: set[str] = set()
-        """With those that are always answered."""
-        self.coroutines: set[str] = set()
-        """Names of the imported methods whose handlers are coroutines."""
-        for part in parts:
-            if isinstance(part, Later):
-                self._methods |= dict.fromkeys(part.names, part)
-                self.always.update(part.always)
-                self.while_stopping.update(part.always, part.while_stopping)
-            else:
-                self._take(part)
 
-    def extended(self, methods: Collection[Method[C]]) -> MethodTable[C]:
-        """A new table of these and further methods. Raises ValueError if one of them has the name of another."""
-        table: MethodTable[C] = MethodTable(*self._parts)
-        table.add(methods)
-        return table
+    def table(self) -> MethodTable[C]:
+        """A table for one server; nothing is imported for it."""
+        later = {part.word: part for part in self._parts if isinstance(part, Later)}
+        return MethodTable((m for part in self._parts if not isinstance(part, Later) for m in part), later)
 
-    def add(self, methods: Collection[Method[C]]) -> None:
-        """Take further methods. Raises ValueError if one of them has the name of another."""
-        self.require_free(methods)
-        self._take(methods)
-
-    def require_free(self, methods: Collection[Method[C]]) -> None:
-        """Raises ValueError if one of these has the name of another."""
-        twice = sorted(method.name for method in methods if method.name in self._methods)
-        if twice:
-            raise ValueError(f"two methods are called {', '.join(twice)}")
+    @functools.cached_property
+    def _methods(self) -> dict[str, Method[C]]:
+        parts = (part.load() if isinstance(part, Later) else part for part in self._parts)
+        return {method.name: method for part in parts for method in part}
 
     def __getitem__(self, name: str) -> Method[C]:
-        found = self._methods[name]
-        if isinstance(found, Later):
-            self.load(found)
-            found = self._methods[name]
-            assert isinstance(found, Method), f"{name} is no method of its module"
-        return found
-
-    def __contains__(self, name: object) -> bool:
-        """True if it has this method; nothing is imported for it."""
-        return name in self._methods
+        return self._methods[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._methods)
@@ -159,29 +134,49 @@ class MethodTable(Mapping[str, Method[C]]):
     def __len__(self) -> int:
         return len(self._methods)
 
-    def missing(self, name: str) -> Later | None:
-        """Return what has to be imported before this method can be called."""
-        found = self._methods.get(name)
-        if not isinstance(found, Later):
-            return None
-        if hasattr(sys.modules.get(found.module), found.part):  # somebody else has imported it, to its end
-            self.load(found)
-            return None
-        return found
 
-    def load(self, part: Later) -> None:
-        """Take the methods of a part; its module is imported if it was not."""
-        self._take(getattr(importlib.import_module(part.module), part.part))
+class MethodTable(dict[str, Method[C]]):
+    """The methods that can be called, by name, and those that may come ``later``, by their first word."""
+
+    def __init__(self, methods: Iterable[Method[C]], later: Mapping[str, Later] = MappingProxyType({})) -> None:
+        self.later = dict(later)
+        self.always: set[str] = set()
+        self.while_stopping: set[str] = set()
+        """With those that are always answered."""
+        self.coroutines: set[str] = set()
+        """Names of the methods whose handlers are coroutines."""
+        self._take(methods)
+
+    def add(self, methods: Collection[Method[C]]) -> None:
+        """Take further methods. Raises ValueError if one of them has the name of another."""
+        self.require_free(methods)
+        self._take(methods)
+
+    def add_later(self, word: str) -> None:
+        """Take those with this first word; their module is imported if it was not."""
+        self._take(self.later[word].load())
+        del self.later[word]
+
+    def require_free(self, methods: Collection[Method[C]]) -> None:
+        """Raises ValueError if one of these has the name of another, or the first word of some that may come later."""
+        twice = sorted(m.name for m in methods if m.name in self or first_word(m.name) in self.later)
+        if twice:
+            raise ValueError(f"two methods are called {', '.join(twice)}")
 
     def _take(self, methods: Iterable[Method[C]]) -> None:
         for method in methods:
-            self._methods[method.name] = method
+            self[method.name] = method
             if method.always:
                 self.always.add(method.name)
             if method.always or method.while_stopping:
                 self.while_stopping.add(method.name)
             if inspect.iscoroutinefunction(method.handler):
                 self.coroutines.add(method.name)
+
+
+def first_word(name: str) -> str:
+    """The word of a method's name that all methods of one part begin with."""
+    return name.partition(".")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +193,12 @@ class OnDemand(Protocol):
         """True if a method that is not in the table may come into it."""
         ...
 
-    async def add(self, name: str) -> None:
+    def add(self, name: str) -> Coroutine[Any, Any, None]:
         """Add it, if it exists. Raises what adding it raises."""
+        ...
+
+    async def add_all(self) -> None:
+        """Add all that can be added."""
         ...
 
 
@@ -213,16 +212,9 @@ Reply = bytes | Coroutine[Any, Any, bytes] | None
 class Dispatcher(Generic[C]):
     """Finds the method, checks its parameters, runs it, encodes the reply. Never raises for what a client sent."""
 
-    def __init__(
-        self,
-        methods: Mapping[str, Method[C]],
-        import_beside: Callable[[str], Awaitable[None]] | None = None,
-        on_demand: OnDemand | None = None,
-    ) -> None:
-        """``import_beside`` imports a module while the loop goes on; None: `MethodTable.load` does it at once.
-        ``on_demand`` adds to ``methods``."""
+    def __init__(self, methods: Mapping[str, Method[C]], on_demand: OnDemand | None = None) -> None:
+        """``on_demand`` adds to ``methods``, a `MethodTable`."""
         self._methods = methods if isinstance(methods, MethodTable) else MethodTable(methods.values())
-        self._import_beside = import_beside
         self._on_demand = on_demand
         self.always = self._methods.always
         self.while_stopping = self._methods.while_stopping
@@ -242,7 +234,7 @@ class Dispatcher(Generic[C]):
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
         request_id = request.get("id")
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        if not is_id(request_id):
             return error_reply(None, INVALID_REQUEST, "id must be a string or a number")
         name = request.get("method")
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
@@ -250,8 +242,8 @@ class Dispatcher(Generic[C]):
         notification = "id" not in request
         if (refusal := admit(request)) is not None:
             return None if notification else refusal
-        if (prepare := self._preparation(name)) is not None:
-            return self._start_later(prepare, context, request, key_twice, admit)
+        if self._on_demand is not None and self._on_demand.may_have(name):
+            return self._start_later(self._on_demand.add(name), context, request, key_twice, admit)
         try:
             method = self._methods.get(name)
             if method is None:
@@ -270,24 +262,18 @@ class Dispatcher(Generic[C]):
         """True if a request that `start` answered with a coroutine is to be finished without its client, too."""
         if not isinstance(request, dict):
             return False
-        name = request["method"]
-        return name in self._methods and self._methods.missing(name) is None and self._methods[name].outlives_client
+        method = self._methods.get(request["method"])
+        return method is not None and method.outlives_client
 
-    def _preparation(self, name: str) -> Callable[[], Awaitable[None]] | None:
-        """Return what has to be awaited before this method can be called; None: nothing."""
-        if self._import_beside is not None and (part := self._methods.missing(name)) is not None:
-            return functools.partial(self._import, self._import_beside, part)
-        if self._on_demand is not None and self._on_demand.may_have(name):
-            return functools.partial(self._on_demand.add, name)
-        return None
-
-    async def _import(self, import_beside: Callable[[str], Awaitable[None]], part: Later) -> None:
-        await import_beside(part.module)
-        self._methods.load(part)
+    async def every_method(self) -> tuple[Method[C], ...]:
+        """All methods: those that would come with their first call are imported for it, beside the loop."""
+        if self._on_demand is not None:
+            await self._on_demand.add_all()
+        return tuple(self._methods.values())
 
     async def _start_later(
         self,
-        prepare: Callable[[], Awaitable[None]],
+        prepare: Coroutine[Any, Any, None],
         context: C,
         request: dict[str, Any],
         key_twice: Callable[[], str | None],
@@ -295,7 +281,7 @@ class Dispatcher(Generic[C]):
     ) -> bytes:
         """The first calls of methods that are imported for them, beside the loop, in their order."""
         try:
-            await prepare()
+            await prepare
         except Exception as error:
             return failure_reply(request["id"], request["method"], error) if "id" in request else b""
         reply = self.start(context, request, key_twice, admit)
@@ -355,10 +341,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
 
     ``now``: the daemon's clock, which daemon.info shows.
     """
-    deadline_s = request["deadline_s"]
-    request_id = request.get("id")
-    if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
-        request_id = None
+    deadline_s, request_id = request["deadline_s"], id_of(request)
     if not is_number(deadline_s):
         return error_reply(request_id, INVALID_REQUEST, "deadline_s must be a number: seconds of daemon.info's now_s")
     if now <= deadline_s:
@@ -373,16 +356,7 @@ def result_reply(request_id: object, name: str, result: object) -> bytes:
         body = result.body if isinstance(result, Encoded) else to_json(result, inf_nan_mode="null")
     except PydanticSerializationError as error:
         return failure_reply(request_id, name, error)
-    return b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode_id(request_id), body)
-
-
-def error_reply(request_id: object, code: int, message: str, data: object = None) -> bytes:
-    error: dict[str, object] = {"code": code, "message": message}
-    if data is not None:
-        error["data"] = data
-    # json escapes what is no valid Unicode (file names in error texts), where to_json gives up
-    body = json.dumps(error, default=str, separators=(",", ":")).encode()
-    return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode_id(request_id), body)
+    return reply_of(request_id, body)
 
 
 def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
@@ -468,10 +442,6 @@ def _problems(error: ValidationError) -> list[tuple[str, str]]:
             text += f" (got {_clip(json.dumps(item['input'], default=str))})"
         found.append((".".join(str(part) for part in item["loc"]), text))
     return found
-
-
-def _encode_id(request_id: object) -> bytes:
-    return b"null" if request_id is None else json.dumps(request_id).encode()
 
 
 def _clip(text: str) -> str:

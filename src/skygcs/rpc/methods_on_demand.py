@@ -1,19 +1,25 @@
-"""Methods of extensions without a table: looked for when a method is called that the table does not have.
+"""Methods that come into the table of a server when one of them is first called, all with its first word together.
 
-The packages' metadata is read once, and an extension is imported, both beside the loop; what is no first word of an
-installed extension's methods is refused at once from then on.
+    the word is one of                      they come from
+    the table's ``later``                   a module of the core
+    installed extensions without a table    the extension, which is made for it (`skygcs.extension.Extensions.demand`)
+    neither                                 the method is refused, at once from the second time on
+
+Modules are imported beside the loop, and so is the packages' metadata read, once.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Collection, Coroutine
 from typing import Any, Protocol
 
 import structlog
 
 from skygcs.config.extension_tables import entry_point_problems, find_on_demand, on_demand
-from skygcs.rpc.dispatch import Method, MethodTable
+from skygcs.errors import RefusedError
+from skygcs.rpc.dispatch import Method, MethodTable, first_word
 
 _log = structlog.get_logger(__name__)
 
@@ -40,21 +46,34 @@ class MethodsOnDemand:
         self._beside = beside
         self._loop = loop
         self._words: Collection[str] | None = None
-        """First words of methods that are not in the table yet; None: not known."""
+        """First words of extensions' methods that are not in the table yet; None: not known."""
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
     def may_have(self, name: str) -> bool:
-        """True if an extension that was not imported may have this method."""
-        return name not in self._table and (self._words is None or _first_word(name) in self._words)
+        """True if a part that was not imported may have this method."""
+        return name not in self._table and (
+            self._words is None or (word := first_word(name)) in self._words or word in self._table.later
+        )
 
     async def add(self, name: str) -> None:
-        """Add the methods with the first word of ``name``, if an extension has them. Raises RefusedError if it
+        """Add the methods with the first word of ``name``, if there are any. Raises RefusedError if their extension
         cannot be made."""
+        word = first_word(name)
+        if word in self._table.later:
+            await self._once(word, lambda: self._import_part(word))
+        elif word in await self._words_of_extensions():
+            await self._once(word, lambda: self._import_extension(word))
+
+    async def add_all(self) -> None:
+        """Add all. An extension that cannot be made is left out; that was reported."""
+        for word in (*self._table.later, *sorted(await self._words_of_extensions())):
+            with contextlib.suppress(RefusedError):
+                await self.add(word)
+
+    async def _words_of_extensions(self) -> Collection[str]:
         if self._words is None:
             await self._once("", self._look)
-        word = _first_word(name)
-        if self._words is not None and word in self._words:
-            await self._once(word, lambda: self._import(word))
+        return self._words or ()
 
     async def _once(self, word: str, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
         task = self._tasks.get(word)
@@ -74,7 +93,11 @@ class MethodsOnDemand:
             _log.error("the installed extensions cannot be found", exc_info=error)
             self._words = frozenset()
 
-    async def _import(self, word: str) -> None:
+    async def _import_part(self, word: str) -> None:
+        await self._beside(self._table.later[word].load)
+        self._table.add_later(word)
+
+    async def _import_extension(self, word: str) -> None:
         self._extensions.require_well(word)
         try:
             await self._beside(lambda: find_on_demand(word))
@@ -83,7 +106,3 @@ class MethodsOnDemand:
         self._table.add(self._extensions.demand(word, self._table.require_free))
         assert self._words is not None
         self._words = set(self._words) - {word}
-
-
-def _first_word(name: str) -> str:
-    return name.partition(".")[0]

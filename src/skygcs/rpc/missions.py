@@ -30,6 +30,7 @@ from skygcs.rpc.models import (
     TargetParams,
     TargetsParams,
 )
+from skygcs.runtime import onboard_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -160,12 +161,14 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     if arrangement is not None and MissionType.MISSION not in kinds:
         raise InvalidParams(("arrangement", "it is of missions, and none is uploaded"))
     given = {"plan": plan, "kinds": kinds, "arrangement": arrangement, "force": params.force}
-    return await command(context, params.targets, VehicleActor.upload_plan, **given)
+    return await command(context, params.targets, onboard_orders.upload_plan, **given)
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
     """Read a vehicle's mission, fence and rally points."""
-    outcome, plan = await one_vehicle(context.services, params.target).download_plan(_kinds(params.lists))
+    outcome, plan = await onboard_orders.download_plan(
+        one_vehicle(context.services, params.target), _kinds(params.lists)
+    )
     answer = outcome.as_dict()
     return {
         "outcome": answer,
@@ -177,7 +180,7 @@ async def missions_download(context: Context, params: PlanDownloadParams) -> Jso
 async def missions_clear(context: Context, params: PlanClearParams) -> JsonObject:
     """Empty lists of vehicles."""
     return await command(
-        context, params.targets, VehicleActor.clear_plan, kinds=_kinds(params.lists), force=params.force
+        context, params.targets, onboard_orders.clear_plan, kinds=_kinds(params.lists), force=params.force
     )
 
 
@@ -193,11 +196,11 @@ async def missions_start(context: Context, params: MissionStartParams) -> JsonOb
         fleet = context.services.fleet
 
         async def start(actor: VehicleActor) -> Outcome:
-            outcomes = await fleet.orders.command_all([actor.name], VehicleActor.start_mission, **arguments)
+            outcomes = await fleet.orders.command_all([actor.name], onboard_orders.start_mission, **arguments)
             return outcomes[actor.name]
 
         return as_json(await fleet.turns.begin(fleet.resolve(params.targets), start))
-    return await command(context, params.targets, VehicleActor.start_mission, **arguments)
+    return await command(context, params.targets, onboard_orders.start_mission, **arguments)
 
 
 def missions_end_turns(context: Context, params: NoParams) -> JsonObject:
@@ -212,12 +215,12 @@ async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
 
 async def missions_resume(context: Context, params: MissionResumeParams) -> JsonObject:
     """Go on with the current item."""
-    return await command(context, params.targets, VehicleActor.resume_mission, force=params.force)
+    return await command(context, params.targets, onboard_orders.resume_mission, force=params.force)
 
 
 async def missions_set_current(context: Context, params: MissionItemParams) -> JsonObject:
     """Make an item the current one: a vehicle that flies its mission goes there."""
-    return await command(context, params.targets, VehicleActor.set_mission_item, item=params.item, force=params.force)
+    return await command(context, params.targets, onboard_orders.set_mission_item, item=params.item, force=params.force)
 
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
@@ -284,12 +287,12 @@ async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
     """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
     if params.radius_m is None and params.height_m is None and params.action is None:
         raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await command_with(context, VehicleActor.set_fence, params)
+    return await command_with(context, onboard_orders.set_fence, params)
 
 
 async def fence_status(context: Context, params: ListParams) -> JsonObject:
     """The fence of each vehicle, read now, and what it reports of breaches."""
-    return await command(context, params.targets, VehicleActor.read_fence)
+    return await command(context, params.targets, onboard_orders.read_fence)
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
@@ -298,7 +301,7 @@ async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
 
     Progress comes as events of kind fence. ok: it reported the breach and, if it was armed, took its action.
     """
-    return await command_with(context, VehicleActor.test_fence, params)
+    return await command_with(context, onboard_orders.test_fence, params)
 
 
 _TARGET = (error_codes.TARGET_ERROR,)

@@ -10,8 +10,10 @@ from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, order_method
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Result, TargetsParams
-from skygcs.runtime import onboard_logs  # noqa: F401 - a vehicle uses it, and must not wait for its import
-from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime import (
+    onboard_logs,  # noqa: F401 - a vehicle uses it, and must not wait for its import
+    onboard_orders,
+)
 
 LogId = Annotated[int, Field(ge=0, le=65535)]
 
@@ -34,7 +36,7 @@ METHODS: tuple[Method[Context], ...] = (
     order_method(
         "logs.list",
         TargetsParams,
-        VehicleActor.list_logs,
+        onboard_orders.list_logs,
         "The logs that vehicles have on board. Refused while armed.",
         result=LogsOutcomes,
         errors=(error_codes.TARGET_ERROR,),
@@ -42,7 +44,7 @@ METHODS: tuple[Method[Context], ...] = (
     order_method(
         "logs.get",
         LogsGetParams,
-        VehicleActor.get_logs,
+        onboard_orders.get_logs,
         """Write onboard logs of vehicles to files of the daemon, in onboard/ of its log_dir.
 
         Several vehicles at the same time. A log that came in part is resumed; one that is there is not read again.

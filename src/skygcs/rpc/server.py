@@ -98,10 +98,9 @@ class RpcServer:
             from skygcs.rpc.sessions import Session, Sessions
 
             extensions = self._services.extensions
-            methods = METHODS.extended(extensions.methods)
-            dispatcher = Dispatcher(
-                methods, imports.beside, MethodsOnDemand(methods, extensions, imports.call_beside, loop)
-            )
+            methods = METHODS.table()
+            methods.add(extensions.methods)
+            dispatcher = Dispatcher(methods, MethodsOnDemand(methods, extensions, imports.call_beside, loop))
             self._hub = hub = Sessions(self._services, dispatcher, loop)
             listener = self._unix.bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)

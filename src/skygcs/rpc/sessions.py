@@ -11,30 +11,27 @@ TCP, before authentication            takes no place; the oldest is closed when 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import hmac
-import json
-import os
 import socket
-import struct
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, cast
+from typing import Any
 
 import structlog
 
 from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
-from skygcs.rpc import dispatch, error_codes
+from skygcs.rpc import client_peer, dispatch, error_codes
+from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, parse
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, error_reply, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
-from skygcs.rpc.unix_socket import still_reads
 
 MAX_SESSIONS = 64
 """A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
@@ -83,10 +80,6 @@ MAX_WITHOUT_CLIENT = 256
 orders and leaves in a loop must not grow the daemon's memory."""
 
 
-MAX_LINE_BYTES = 1 << 20
-"""A request is a few hundred bytes, a full batch of the largest messages some 100 kB."""
-
-
 MAX_LINE_BEFORE_AUTH_BYTES = 4096
 
 
@@ -104,24 +97,17 @@ MAX_IN_FLIGHT = 64
 MAX_SUBSCRIPTIONS = 32
 
 
-HIGH_WATER_BYTES = 256 * 1024
-"""Beyond this much unread output a client gets no telemetry, and no further request of its own is read."""
-
-
-MAX_OUTPUT_BYTES = 8 << 20
-"""Beyond this much unread output it is closed. Replies of 1 MB (250 states) still fit several times."""
-
-
 _log = structlog.get_logger(__name__)
 
 
-class Session(asyncio.Protocol):
+class Session(ClientPeer):
     """A connection. ``token`` is None where the socket's mode is the protection, or TLS; there ``admits`` has the last
     word on a new connection's transport."""
 
     def __init__(
         self, hub: Sessions, token: str | None, admits: Callable[[asyncio.Transport], bool] | None = None
     ) -> None:
+        super().__init__(hub.counters)
         self.services = hub.services
         self.slices = hub.slices
         self.reports: OrderReports | None = None
@@ -132,14 +118,9 @@ class Session(asyncio.Protocol):
         """True if it came when all places were taken: one request, of those that are `always` answered."""
         self.used_at = hub.loop.time()
         """When its last whole line came."""
-        self.writable = True
         self._hub = hub
         self._token = token
         self._admits = admits
-        self._transport: asyncio.Transport | None = None
-        self._buffer = bytearray()
-        self._scanned = 0
-        self._skipping = False
         self._answered = False
         self._unread_since = 0.0
         self._in_flight = 0
@@ -148,42 +129,28 @@ class Session(asyncio.Protocol):
         self._next_subscription = 1
         self._at_end: dict[object, Callable[[], None]] = {}
         self._deadline: asyncio.TimerHandle | None = None
-        self._eof = False
 
-    # -- asyncio.Protocol
+    # -- asyncio.Protocol and ClientPeer
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
         hub = self._hub
-        if self._admits is not None and not self._admits(transport):
-            transport.abort()
+        super().connection_made(transport)
+        assert self._transport is not None
+        if self._admits is not None and not self._admits(self._transport):
+            self._transport.abort()
+            self._transport = None
             return
-        self._transport = transport
-        transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
         hub.counters["connections"] += 1
         hub.admit(self)
         if not self.authenticated:
             self.close_after(AUTH_TIMEOUT_S)
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._end()
-
-    def data_received(self, data: bytes) -> None:
-        if self._transport is None:
-            return
-        self._buffer += data
+    def received(self) -> None:
         self._hub.turns.add(self)
 
-    def eof_received(self) -> bool:
-        """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
-        what one that is gone waits for is cancelled, unless it outlives it."""
-        if self._transport is None or not still_reads(self._transport):
-            return False
-        self._eof = True
-        if self._buffer and not self._buffer.endswith(b"\n"):
-            self._buffer += b"\n"
-        self._hub.turns.add(self)
-        return True
+    def too_long(self) -> None:
+        if not self.authenticated:
+            self._hang_up()
 
     def pause_writing(self) -> None:
         self.writable = False
@@ -197,17 +164,6 @@ class Session(asyncio.Protocol):
         self._hub.turns.add(self)
 
     # -- the session as methods see it (Context) and as subscriptions see it (Sink)
-
-    def write(self, data: bytes) -> None:
-        transport = self._transport
-        if transport is None:
-            return
-        transport.write(data)
-        if transport.get_write_buffer_size() > MAX_OUTPUT_BYTES:
-            self._hub.counters["closed_unread"] += 1
-            _log.warning("rpc client closed: it does not read its replies", unread_bytes=MAX_OUTPUT_BYTES)
-            transport.abort()
-            self._end()
 
     def subscribe(self, params: SubscribeParams) -> int:
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
@@ -223,6 +179,9 @@ class Session(asyncio.Protocol):
             have = ", ".join(map(str, self._subscriptions)) or "none"
             raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
         self._hub.feeds.remove(subscription)
+
+    async def every_method(self) -> tuple[Method[Context], ...]:
+        return await self._hub.dispatcher.every_method()
 
     def relay_operator(self) -> None:
         """Its requests come from a program on behalf of a person who may have left: they do not count as input."""
@@ -240,12 +199,6 @@ class Session(asyncio.Protocol):
 
         return take_back
 
-    def notify(self, method: str, params: JsonObject) -> None:
-        """Send a notification that may be lost: nothing to a client that does not read."""
-        if self.writable:
-            line = {"jsonrpc": "2.0", "method": method, "params": params}
-            self.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
-
     def close(self) -> None:
         """Close; what was written still goes out, unless the client does not read."""
         if self._transport is not None:
@@ -253,7 +206,7 @@ class Session(asyncio.Protocol):
                 self._hub.close_in_time(self._transport)
             else:
                 self._transport.abort()
-        self._end()
+        self.end()
 
     # -- its place (Sessions)
 
@@ -284,33 +237,18 @@ class Session(asyncio.Protocol):
     def dismiss(self, reason: str) -> None:
         """Close it with an error that gives the reason."""
         if self.writable:
-            self._reply(error_reply(None, error_codes.LIMIT_EXCEEDED, reason))
+            self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, reason))
         self.close()
 
     @property
     def is_local(self) -> bool:
         """True if it came by the Unix socket."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        return sock is not None and sock.family == socket.AF_UNIX
+        return self.socket is not None and self.socket.family == socket.AF_UNIX
 
     @property
     def is_of_the_last(self) -> bool:
         """True if it has one of the last descriptors."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        return sock is not None and is_of_the_last(sock.fileno())
-
-    def peer_pid(self) -> int | None:
-        """The process at the other end of a Unix socket."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        if sock is None or sock.family != socket.AF_UNIX:
-            return None
-        with (
-            contextlib.suppress(OSError),
-            socket.socket(fileno=os.dup(sock.fileno())) as peer,
-        ):  # uvloop's has no options
-            credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-            return int(struct.unpack("3i", credentials)[0])
-        return None
+        return self.socket is not None and is_of_the_last(self.socket.fileno())
 
     def _on_deadline(self) -> None:
         if not self.tasks:
@@ -320,8 +258,9 @@ class Session(asyncio.Protocol):
 
     def work(self) -> bool:
         """Process one complete line; True if there may be another one."""
-        if not self.writable or self._answered or (line := self._next_line()) is None:
-            self._pace_reading(more=False)
+        limit_bytes = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
+        if not self.writable or self._answered or (line := self.next_line(limit_bytes)) is None:
+            self.pace_reading(wait=self._answered)
             self._close_if_idle()
             return False
         self.used_at = self._hub.loop.time()
@@ -330,44 +269,7 @@ class Session(asyncio.Protocol):
 
     def hold_back(self) -> None:
         """Stop reading until the received lines are processed."""
-        self._pace_reading(more=True)
-
-    def _pace_reading(self, *, more: bool) -> None:
-        transport = self._transport
-        if transport is None or transport.is_closing() or self._eof:
-            return
-        if more or not self.writable or self._answered:
-            transport.pause_reading()
-        elif not transport.is_reading():
-            transport.resume_reading()
-
-    def _next_line(self) -> bytes | None:
-        """The next line within the length limit; longer ones are answered with an error and skipped."""
-        limit = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
-        buffer = self._buffer
-        while self._transport is not None:
-            end = buffer.find(b"\n", self._scanned)
-            length = end if end >= 0 else len(buffer)
-            if length > limit and not self._skipping:
-                self._skipping = True
-                self._hub.counters["lines_too_long"] += 1
-                self._reply(error_reply(None, error_codes.INVALID_REQUEST, f"a line has at most {limit} bytes"))
-                if not self.authenticated:
-                    self._hang_up()
-                    return None
-            if end < 0:
-                if self._skipping:
-                    buffer.clear()
-                self._scanned = len(buffer)
-                return None
-            line = bytes(buffer[:end])
-            del buffer[: end + 1]
-            self._scanned = 0
-            if self._skipping:
-                self._skipping = False
-            elif line.strip():
-                return line
-        return None
+        self.pace_reading(wait=True)
 
     def _on_line(self, line: bytes) -> None:
         self._hub.counters["lines"] += 1
@@ -375,7 +277,7 @@ class Session(asyncio.Protocol):
             request = parse(line)
         except ValueError as error:
             self._hub.counters["parse_errors"] += 1
-            self._reply(error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
+            self.reply(error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
             if not self.authenticated:
                 self._hang_up()
             return
@@ -389,7 +291,7 @@ class Session(asyncio.Protocol):
         else:
             reply = self._start(request, key_twice)
             if isinstance(reply, bytes):
-                self._reply(reply)
+                self.reply(reply)
             elif reply is not None:
                 self._run([reply], batch=False)
 
@@ -402,20 +304,16 @@ class Session(asyncio.Protocol):
         if isinstance(method, str) and method in self._hub.dispatcher.always:
             return False
         self._hub.counters["requests_refused"] += 1
-        request_id = request.get("id") if isinstance(request, dict) else None
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
-            request_id = None
         answered = ", ".join(sorted(self._hub.dispatcher.always))
         text = f"too many clients: {self._hub.why_restricted()}; one request for {answered}"
-        self._reply(error_reply(request_id, error_codes.LIMIT_EXCEEDED, f"{text} is answered all the same"))
+        self.reply(error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, f"{text} is answered all the same"))
         return True
 
     def _start(self, request: object, key_twice: Callable[[], str | None]) -> dispatch.Reply:
         """Begin one request, unless the client already waits for too many."""
         if self._in_flight >= MAX_IN_FLIGHT:
-            request_id = request.get("id") if isinstance(request, dict) else None
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
-            return error_reply(request_id, error_codes.LIMIT_EXCEEDED, text)
+            return error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
         if not self._relays_operator and not _is_relay(request):
             self._hub.services.operator_watchdog.on_client()
         context: Context = self
@@ -443,25 +341,24 @@ class Session(asyncio.Protocol):
 
     def _on_batch(self, requests: list[Any], key_twice: Callable[[], str | None]) -> None:
         if not requests:
-            return self._reply(error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty"))
+            return self.reply(error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty"))
         if len(requests) > MAX_BATCH:
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
-            return self._reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
+            return self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
         replies: list[dispatch.Reply] = []
         size = 0
         for request in requests:
             reply = self._start(request, key_twice)
             if isinstance(reply, bytes):
                 size += len(reply)
-                if size > MAX_OUTPUT_BYTES // 2:
-                    request_id = request.get("id") if isinstance(request, dict) else None
-                    text = f"the replies of this batch exceed {MAX_OUTPUT_BYTES // 2} bytes"
-                    reply = error_reply(request_id, error_codes.LIMIT_EXCEEDED, text)
+                if size > client_peer.MAX_OUTPUT_BYTES // 2:
+                    text = f"the replies of this batch exceed {client_peer.MAX_OUTPUT_BYTES // 2} bytes"
+                    reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
             replies.append(reply)
         if any(isinstance(reply, Coroutine) for reply in replies):
             self._run(replies, batch=True)
         else:
-            self._reply(_joined([r for r in replies if isinstance(r, bytes)]))
+            self.reply(_joined([r for r in replies if isinstance(r, bytes)]))
 
     def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
         """Finish what takes time in a task of its own, which ends with the client at the latest.
@@ -472,10 +369,10 @@ class Session(asyncio.Protocol):
 
         async def finish() -> None:
             if not batch:
-                self._reply(await coroutines[0])
+                self.reply(await coroutines[0])
                 return
             late = iter(await asyncio.gather(*coroutines))
-            self._reply(_joined([next(late) if isinstance(r, Coroutine) else r or b"" for r in replies]))
+            self.reply(_joined([next(late) if isinstance(r, Coroutine) else r or b"" for r in replies]))
 
         def on_done(task: asyncio.Task[None]) -> None:
             self.tasks.discard(task)
@@ -490,10 +387,6 @@ class Session(asyncio.Protocol):
         self.tasks.add(task)
         task.add_done_callback(on_done)
 
-    def _reply(self, reply: bytes) -> None:
-        if reply:
-            self.write(reply + b"\n")
-
     # -- TCP
 
     def _authenticate(self, request: object) -> None:
@@ -507,19 +400,19 @@ class Session(asyncio.Protocol):
         if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
             self._hub.counters["auth_failures"] += 1
             text = "the token is wrong" if given else 'a token is required; the first request is: auth {"token": "…"}'
-            self._reply(error_reply(None, error_codes.NOT_AUTHENTICATED, text))
+            self.reply(error_reply(None, error_codes.NOT_AUTHENTICATED, text))
             self._hang_up()
             return
         self.authenticated = True
         self.keep()
-        self._reply(dispatch.result_reply(request_id, "auth", {"ok": True}))
+        self.reply(dispatch.result_reply(request_id, "auth", {"ok": True}))
         self._hub.admit(self)
 
     def _hang_up(self) -> None:
         """Close after what was written has gone out."""
         if self._transport is not None:
             self._hub.close_in_time(self._transport)
-        self._end()
+        self.end()
 
     # -- the end
 
@@ -527,10 +420,10 @@ class Session(asyncio.Protocol):
         """After the client's end of file, or its one request: close once nothing is left to send."""
         if self._transport is None or self.tasks:
             return
-        if self._answered or (self._eof and not (self._subscriptions or self._buffer)):
+        if self._answered or (self._eof and not (self._subscriptions or self._lines)):
             self._hang_up()
 
-    def _end(self) -> None:
+    def end(self) -> None:
         """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
         self._transport = None
         self.writable = False
@@ -547,8 +440,7 @@ class Session(asyncio.Protocol):
                 _log.error("an action at a client's end failed", exc_info=error)
         for task in self.tasks:
             task.cancel()
-        self._buffer.clear()
-        self._scanned = 0
+        self._lines.clear()
 
 
 def _is_relay(request: object) -> bool:
@@ -733,7 +625,7 @@ class Sessions:
 
     def _holders(self) -> str:
         """The processes that hold most places."""
-        pids = Counter(pid for session in self._placed if (pid := session.peer_pid()) is not None)
+        pids = Counter(found.pid for session in self._placed if (found := session.credentials) is not None)
         held = ", ".join(f"{number} by process {pid}" for pid, number in pids.most_common(3))
         return held or "by TCP clients"
 

@@ -20,6 +20,7 @@ from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
 from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
+from skygcs.rpc.json_lines import EVENT_START, MESSAGE_START, PLAN_START, TELEMETRY_START
 from skygcs.rpc.messages import find_message
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.slices import Slices
@@ -218,7 +219,7 @@ class TelemetryFeed:
         if body is None:
             try:
                 state = state_of(self._services, vehicle, names | ALWAYS if names else None)
-                body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + to_json(state, inf_nan_mode="null")
+                body = TELEMETRY_START + to_json(state, inf_nan_mode="null")
                 self._failed.discard(key)
             except Exception as error:  # one vehicle's fault is not the others'
                 body = b""
@@ -332,7 +333,7 @@ class EventFeed:
                 continue
             if not body:
                 encoded = to_json(dict(event), inf_nan_mode="null", serialize_unknown=True)
-                body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + encoded
+                body = EVENT_START + encoded
             subscription.offer(body, self._loop.time())
 
 
@@ -410,7 +411,7 @@ class MessageFeed:
             "fields": frame.fields(),
         }
         encoded = to_json(message, inf_nan_mode="null")
-        body = b'{"jsonrpc":"2.0","method":"message","params":{"message":' + encoded[:-1]
+        body = MESSAGE_START + encoded[:-1]
         self._last = (frame, body)
         return body
 
@@ -454,7 +455,7 @@ class PlanSubscription:
         if self._timer is not None:
             self._timer.cancel()
         body = to_json(self._plans.status(), inf_nan_mode="null")
-        self._sink.write(b'{"jsonrpc":"2.0","method":"plan","params":{"plan":' + body + self._tail)
+        self._sink.write(PLAN_START + body + self._tail)
         self._timer = self._loop.call_later(self._period_s, self._tick)
 
     def _tick(self) -> None:

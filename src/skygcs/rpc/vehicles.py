@@ -15,6 +15,7 @@ from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, Targets, TargetsParams
+from skygcs.runtime.home_orders import set_home
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")
@@ -237,7 +238,7 @@ METHODS: tuple[Method[Context], ...] = (
     order_method(
         "vehicles.set_home",
         SetHomeParams,
-        VehicleActor.set_home,
+        set_home,
         "Set the autopilot's home: a place, or (without one) where it stands.",
     ),
 )

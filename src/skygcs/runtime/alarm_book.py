@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.alarms import AlarmsConfig
 from skygcs.config.files import make_log_folder, open_regular, write_whole
+from skygcs.config.models import AlarmsConfig
 from skygcs.core.alarms.alarms import Alarm, Alarms
 from skygcs.core.alarms.kinds import RULES, Signal, VehicleFacts, battery, signals
 from skygcs.core.vehicle.vehicle import Vehicle

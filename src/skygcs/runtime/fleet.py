@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -15,15 +15,11 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
-from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, lost_place
-from skygcs.core.vehicle.flight_record import FlightRecord
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -31,12 +27,12 @@ from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError
 from skygcs.events import Event
 from skygcs.links.base import Channel, StateUpdate
-from skygcs.runtime.charge_records import ChargeRecords
 from skygcs.runtime.command_client import SendFn
 from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
+from skygcs.runtime.flight_notes import FlightNotes
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
@@ -132,15 +128,13 @@ class Fleet:
         """By key, who flew a vehicle that was dropped in the air, for when it is heard again."""
         self._unknown_until = -math.inf
         """Until when a vehicle that is heard first may have been flown by the daemon before."""
-        self._recalled: dict[int, float] = {}
-        """By key, until when a vehicle of the journal may be heard before it is reported as lost."""
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
         self.plans = PlanPlace(loop.time, self._report_fault, self.trajectories.pause_plans)
-        self.charges = ChargeRecords(self.everybody)
+        self.notes = FlightNotes(self.vehicles, self._add, self.flights, own.vehicle_timeout_s, dialect, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -203,11 +197,8 @@ class Fleet:
                 fault = fault or error
         self.components.tick(now)
         self.trajectories.tick(now)
-        self.charges.tick(now)
         self.plans.tick()
-        if self._recalled:
-            self._report_recalled(now)
-        self._note_flights(now)
+        self.notes.tick(now)
         if fault is not None:
             raise fault
 
@@ -248,7 +239,7 @@ class Fleet:
         for actor in self.vehicles.values():
             actor.close()
         if self.config.daemon.keep_vehicles:
-            self._note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
+            self.notes.note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
         self.components.close()
         self.monitor.close()
         self.turns.close()
@@ -558,56 +549,10 @@ class Fleet:
         return actor
 
     def recall(self) -> None:
-        """Take what flew from the journal of the daemon before: one that was in the air counts as lost there until it
-        is heard, and one that our setpoints flew is held then."""
-        self._recall(self.flights.recall())
+        """Take what flew from the journal of the daemon before (`FlightNotes.recall`)."""
+        self.notes.recall(self.flights.recall())
         if self.flights.unreadable:
             self._unknown_until = self._loop.time() + UNKNOWN_S
-
-    def _recall(self, notes: Iterable[FlightNote]) -> None:
-        now, unix_now = self._loop.time(), time.time()
-        for note in notes:
-            self.charges.recalled[note.key] = FlightRecord(note.flown_s, note.dropped_percent)
-            parser = FrameParser(self._dialect)
-            frames = [(f, at) for at, raw in note.frames for f in parser.feed_datagram(raw) if f.info is not None]
-            heard_at = max((at for frame, at in frames if frame.msgid == HEARTBEAT), default=-math.inf)
-            # a clock that was set back meanwhile, as on a computer without a battery for it, makes no note too old
-            if not note.in_air or note.key in self.vehicles or not unix_now - heard_at < MAYBE_FLYING_S:
-                continue
-            actor = self._add(note.sysid, note.compid, "", note.flown_by and f"{note.flown_by} before a restart")
-            actor.vehicle.recall((frame, now - max(0.0, unix_now - at)) for frame, at in frames)
-            self._recalled[note.key] = now + self.config.daemon.vehicle_timeout_s
-
-    def _report_recalled(self, now: float) -> None:
-        """Report vehicles of the journal that were not heard meanwhile."""
-        for key, due in list(self._recalled.items()):
-            actor = self.vehicles.get(key)
-            if actor is None or actor.vehicle.connected or now >= due:
-                del self._recalled[key]
-                if actor is not None and not actor.vehicle.connected:
-                    text = f"{lost_place(actor.vehicle, now)}; it was flying before skygcs was restarted"
-                    self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"in_air": True}))
-
-    def _note_flights(self, now: float) -> None:
-        """Note in the journal what flies."""
-        actors = [a for a in self.vehicles.values() if not a.vehicle.replayed]
-        states = tuple((a.vehicle.key, is_flying(a.vehicle, now), a.unattended.watch.owed_to) for a in actors)
-        if not self.flights.due(states, now, flying=any(flying for _, flying, _ in states)):
-            return
-        self.flights.note(self._notes(now, time.time() - now), states, now)
-
-    def _notes(self, now: float, to_unix_s: float) -> list[FlightNote]:
-        """Return what flies, or has flown. ``to_unix_s``: from the loop's clock to Unix time."""
-        notes = []
-        for actor in (a for a in self.vehicles.values() if not a.vehicle.replayed):
-            flying, flown_by = is_flying(actor.vehicle, now), actor.unattended.watch.owed_to
-            vehicle, (flown_s, dropped) = actor.vehicle, self.charges.record(actor).consumption
-            frames = tuple((at + to_unix_s, f.raw) for f, at in vehicle.last_frames(KEPT_MESSAGES))
-            if flying or flown_s > 0.0:
-                notes.append(
-                    FlightNote(vehicle.sysid, vehicle.compid, vehicle.name, flying, flown_by, frames, flown_s, dropped)
-                )
-        return notes
 
     def _woke(self, slept_s: float) -> None:
         """The computer slept, and the loop's clock with it: what was known of vehicles is forgotten, as by a restart.
@@ -618,12 +563,12 @@ class Fleet:
             "a ground station must not sleep (systemd-inhibit, or the settings of its power)"
         )
         self._on_event(Event("warning", None, None, text, {"slept_s": round(slept_s, 1)}))
-        notes = self._notes(now, time.time() - now - slept_s)
+        notes = self.notes.of_flights(now, time.time() - now - slept_s)
         for key in list(self.vehicles):
             self._drop(key)
         for component in list(self.components.all()):
             self.components.forget(component.sysid << 8 | component.compid)
-        self._recall(notes)
+        self.notes.recall(notes)
         for listener in self.on_woke:
             listener(slept_s)
 

@@ -21,6 +21,7 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
+from skygcs.runtime import home_orders, onboard_orders
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
@@ -32,8 +33,9 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
-"""An order is the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome; orders of the
-fence return a FenceOutcome, those of the onboard logs a LogsOutcome."""
+"""An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
+`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
+those of the onboard logs a LogsOutcome."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.command: ComponentActor.command,
@@ -164,10 +166,10 @@ class FleetOrders:
         force: bool = False,
         reports: Reports | None = None,
     ) -> dict[str, Outcome]:
-        """Send the origin to each vehicle; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
+        """Send the origin to each vehicle; see `home_orders.push_origin`. Raises RefusedError, TargetError."""
         if self._targets.origin is None:
             raise RefusedError("there is no origin to send; set one first")
-        order = VehicleActor.push_origin
+        order = home_orders.push_origin
         return await self.command_all(expression, order, self._targets.origin, reports=reports, home=home, force=force)
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
@@ -201,7 +203,7 @@ class FleetOrders:
             if order is VehicleActor.goto
             else ({}, {}, {})
         )
-        if order is VehicleActor.upload_plan:
+        if order is onboard_orders.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
         # why an order is not sent: authority, the order of returns, other missions
         refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
@@ -463,9 +465,9 @@ async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Ou
 
 def _shaped(order: Order, outcome: Outcome) -> Any:
     """An outcome that the order itself did not make, with the keys of those that it makes."""
-    if order in (VehicleActor.set_fence, VehicleActor.read_fence, VehicleActor.test_fence):
+    if order in (onboard_orders.set_fence, onboard_orders.read_fence, onboard_orders.test_fence):
         return FenceOutcome(outcome)
-    if order in (VehicleActor.list_logs, VehicleActor.get_logs):
+    if order in (onboard_orders.list_logs, onboard_orders.get_logs):
         from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.onboard_logs has imported it
 
         return LogsOutcome.without_logs(outcome)

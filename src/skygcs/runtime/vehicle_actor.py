@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
@@ -23,19 +23,12 @@ from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENTRY, TIMESYNC
-from skygcs.core.mission.item import MissionType
-from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.flight_lock import (
-    EstimatorOrigin,
-    FenceListWrite,
-    HomeMove,
-    RallyWrite,
     RateChange,
     SensorCalibration,
 )
@@ -48,7 +41,7 @@ from skygcs.core.vehicle.raw_setpoint import raw_from_world
 from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
 from skygcs.core.vehicle.stick_modes import needs_sticks
 from skygcs.core.vehicle.stop import Action
-from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
+from skygcs.core.vehicle.uplink_watch import UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import RefusedError
@@ -57,37 +50,34 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
-from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
+from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
-from skygcs.runtime.order_runner import OrderRunner, duplicate_refusal
-from skygcs.runtime.origin_push import both, home_at, push_origin
+from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.unattended_holds import UnattendedHolds
+from skygcs.runtime.uplink_probes import UplinkProbes
 from skygcs.runtime.vehicle_services import SetpointProgram, VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.runtime.onboard_logs import LogsOutcome, VehicleLogs
+    from skygcs.runtime.onboard_logs import VehicleLogs
 
 SHUTDOWN = "skygcs is shutting down"
 
-PROBE = "uplink probe"
-"""Key of a vehicle's probe in the queue of a slow link."""
-
 
 class VehicleActor:
-    """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
+    """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders; further
+    ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
-    Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``metadata`` (of
-    parameters), ``missions``,
-    ``logs`` (those it has on board), ``fence``, ``preflight``, ``streams`` (the rates of its messages),
-    ``calibration``.
+    Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
+    ``params``, ``metadata`` (of parameters), ``missions``, ``logs`` (those it has on board), ``fence``, ``preflight``,
+    ``streams`` (the rates of its messages), ``calibration``, ``uplink``.
     """
 
     def __init__(
@@ -108,7 +98,7 @@ class VehicleActor:
         self._closed = False
         self.program: SetpointProgram | None = None
         """Whose setpoint it followed last; None: a client's, or it was ordered somewhere since."""
-        self._services = services
+        self.services = services
         self._loop = services.loop
         self._dialect = services.dialect
         # orders: the commands on the wire, what runs them, flight by setpoints
@@ -127,16 +117,16 @@ class VehicleActor:
         self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
         """Why nothing may be sent to it now, as another site may command it; None: it may."""
         refusal = self._order_refusal
-        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, refusal)
+        self.runner = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, refusal)
         self.offboard = self._new_offboard(services)
         self.unattended = self._new_unattended(flown_before)
         after_takeoff = config.control.engage_after_takeoff or "off"
-        self.takeoffs = Takeoffs(vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event)
+        self.takeoffs = Takeoffs(vehicle, after_takeoff, self.runner, self._engage, services.loop, services.on_event)
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
         self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self._request)
         self.missions = Missions(
-            vehicle, self.commands, services.dialect, services.loop, self._orders.report_progress, services.on_event
+            vehicle, self.commands, services.dialect, services.loop, self.runner.report_progress, services.on_event
         )
         self._logs: VehicleLogs | None = None
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
@@ -145,17 +135,17 @@ class VehicleActor:
         )
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
-        self._probes = services.probes and "TIMESYNC" in services.dialect.by_name
+        self._probes = UplinkProbes(self.uplink, vehicle, self.commands, services)
         self._read = self._readers()
         """Messages of which every frame is read, with their readers."""
 
     def _new_unattended(self, flown_before: str | None) -> UnattendedHolds:
         """The watch over who flies it."""
-        services, offboard = self._services, self.offboard
+        services, offboard = self.services, self.offboard
         holds = UnattendedHolds(
             self.vehicle,
             offboard,
-            self._orders,
+            self.runner,
             self._plan_hold,
             services.loop,
             services.on_event,
@@ -180,10 +170,10 @@ class VehicleActor:
         always is."""
         if plan.order == "stop":
             return None
-        return self.authority_refusal() or self._services.order_refusal(self.vehicle, plan, self._loop.time())
+        return self.authority_refusal() or self.services.order_refusal(self.vehicle, plan, self._loop.time())
 
     def _state_evidence(self) -> StateEvidence:
-        vehicle, links = self.vehicle, self._services.links
+        vehicle, links = self.vehicle, self.services.links
         return StateEvidence(
             why_silent=lambda: links.why_silent(vehicle),
             heard_at=lambda: -math.inf if (slot := vehicle.slots.get(HEARTBEAT)) is None else slot.at,
@@ -210,7 +200,7 @@ class VehicleActor:
     @property
     def order_number(self) -> int:
         """Counts the orders that moved it."""
-        return self._orders.number
+        return self.runner.number
 
     @property
     def logs(self) -> VehicleLogs:
@@ -218,7 +208,7 @@ class VehicleActor:
         if self._logs is None:
             from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.onboard_logs has imported it
 
-            self._logs = VehicleLogs(self.vehicle, self._services)
+            self._logs = VehicleLogs(self.vehicle, self.services)
         return self._logs
 
     def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | FlightElsewhere:
@@ -226,9 +216,9 @@ class VehicleActor:
         at = self.config.control.at or GROUND
         if at != GROUND and not self.vehicle.replayed:
             flight = services.flights_elsewhere[at](self.vehicle, self.config, services)
-            self._orders.flown_by = flight
+            self.runner.flown_by = flight
             return flight
-        return OffboardEngagement(self.vehicle, self.config, self.commands, self._orders, self.streams, services)
+        return OffboardEngagement(self.vehicle, self.config, self.commands, self.runner, self.streams, services)
 
     # -- state
 
@@ -243,14 +233,8 @@ class VehicleActor:
             state["calibration"] = self.calibration.status()
         if "messages" in state:
             self.streams.add_to(state)
-        if "uplink" in state and self._probes and self.uplink.answered_at is not None:
-            trip_s = self.uplink.trip_s
-            state["uplink"] = {
-                "heard": not self.uplink.lost,
-                "unanswered": self.uplink.unanswered,
-                "rtt_s": None if trip_s is None else round(trip_s, 3),
-                "age_s": round(now - self.uplink.answered_at, 2),
-            }
+        if "uplink" in state and (uplink := self._probes.state(now)) is not None:
+            state["uplink"] = uplink
         return state
 
     def control_state(self, now: float) -> dict[str, Any]:
@@ -328,8 +312,7 @@ class VehicleActor:
             return
         self.unattended.tick(now, self.authority_refusal())
         self.fence.tick(now)
-        if self._probes and self.vehicle.connected:
-            self._probe(now)
+        self._probes.tick(now)
 
     def set_duplicate(self, where: str | None) -> None:
         """Note where another vehicle sends with its ids; None: it has stopped. State and control, which use one
@@ -372,9 +355,9 @@ class VehicleActor:
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
         self._stop_logs("cancelled", SHUTDOWN)
-        self._orders.wind_down()
+        self.runner.wind_down()
         await asyncio.gather(
-            self.fence.wind_down(), self.calibration.wind_down(), self._orders.settled(), self.offboard.settled()
+            self.fence.wind_down(), self.calibration.wind_down(), self.runner.settled(), self.offboard.settled()
         )
 
     def close(self) -> None:
@@ -400,23 +383,23 @@ class VehicleActor:
         """
 
         def planner(now: float) -> Plan:
-            self._require_preflight(force=force)
+            self.require_preflight(force=force)
             return orders.arm(self.vehicle, now, force=force, estimate_msgid=estimate)
 
         info = self._dialect.by_name.get("EKF_STATUS_REPORT") if wait_s > 0 else None
         estimate = None if info is None else info.msgid
-        return await self._orders.retry("arm", planner, wait_s)
+        return await self.runner.retry("arm", planner, wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:
         """Disarm. ``force`` stops the motors also in the air, and also of a lost vehicle, with emergency priority."""
-        return await self._orders.run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
+        return await self.runner.run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
 
     async def set_mode(self, name: str, *, force: bool = False) -> Outcome:
         """``force``: also into a mode flown by sticks, in the air and without any, where that can be sane."""
         model = model_of(self.vehicle, self._loop.time())
         if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
             await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
-        return await self._orders.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
+        return await self.runner.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
 
     async def takeoff(
         self,
@@ -436,130 +419,85 @@ class VehicleActor:
         height = self.config.takeoff_height_m if height_m is None else height_m
 
         def planner(now: float) -> Plan:
-            self._require_preflight(force=force)
+            self.require_preflight(force=force)
             plan = orders.takeoff(self.vehicle, now, height, arm=arm)
-            if not force and (why := self._services.order_checks.takeoff_refusal(self.vehicle, height)) is not None:
+            if not force and (why := self.services.order_checks.takeoff_refusal(self.vehicle, height)) is not None:
                 raise RefusedError(why)
             return plan
 
         self.takeoffs.cancel()
-        outcome = await self._orders.retry("takeoff", planner, wait_s)
+        outcome = await self.runner.retry("takeoff", planner, wait_s)
         self.takeoffs.begin(outcome, self.vehicle.takeoff.alt_amsl_m, height, engage=engage)
         return outcome
 
     async def land(self) -> Outcome:
-        return await self._orders.run("land", lambda now: orders.land(self.vehicle, now))
+        return await self.runner.run("land", lambda now: orders.land(self.vehicle, now))
 
     async def rtl(self) -> Outcome:
-        return await self._orders.run("rtl", lambda now: orders.rtl(self.vehicle, now))
+        return await self.runner.run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
     async def hold(self) -> Outcome:
-        return await self._orders.run("hold", self._plan_hold)
+        return await self.runner.run("hold", self._plan_hold)
 
     async def stop(self, action: Action) -> Outcome:
         """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
         (`FleetOrders.command_all`)."""
-        return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
+        return await self.runner.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
         """Fly to a position; see `orders.destination`. Under control by setpoints the reference moves there."""
         limit_m = self.config.goto_limit_m
         if not self.offboard.flying:
-            return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
+            return await self.runner.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
         try:
             to = orders.destination(self.vehicle, self._loop.time(), limit_m=limit_m, **where)
         except RefusedError as error:
-            return self._orders.finish("goto", Outcome.refused(str(error)))
+            return self.runner.finish("goto", Outcome.refused(str(error)))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         self.program = None
-        return self._orders.finish(
+        return self.runner.finish(
             "goto", await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         )
 
     async def calibrate(self, sensor: str) -> Outcome:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
-        if (why := self._services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
+        if (why := self.services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
             return self.refuse("calibrate", why)
-        return await self._orders.track("calibrate", self.calibration.run(Sensor(sensor)))
+        return await self.runner.track("calibrate", self.calibration.run(Sensor(sensor)))
 
     async def confirm_pose(self) -> Outcome:
         """It lies as its calibration asked for."""
-        return await self._orders.track("calibrate confirm", self.calibration.confirm())
+        return await self.runner.track("calibrate confirm", self.calibration.confirm())
 
     async def cancel_calibration(self) -> Outcome:
-        return await self._orders.track("calibrate cancel", self.calibration.cancel())
+        return await self.runner.track("calibrate cancel", self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
-        return await self._orders.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
-
-    async def set_home(
-        self,
-        *,
-        lat_deg: float | None = None,
-        lon_deg: float | None = None,
-        alt_amsl_m: float | None = None,
-        force: bool = False,
-    ) -> Outcome:
-        """Set its home; without arguments at its position. In the air, or farther than goto_limit_m, only with
-        ``force``; never to another place while a flight counts from it."""
-
-        def planner(now: float) -> Plan:
-            altitude_m = self.vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
-            place = None
-            if lat_deg is not None and lon_deg is not None and altitude_m is not None:
-                place = (lat_deg, lon_deg, altitude_m)
-            self._services.locks.require(HomeMove(self.vehicle.key, place))
-            return orders.set_home(
-                self.vehicle,
-                now,
-                lat_deg=lat_deg,
-                lon_deg=lon_deg,
-                alt_amsl_m=alt_amsl_m,
-                limit_m=self.config.goto_limit_m,
-                force=force,
-            )
-
-        return await self._orders.run("home", planner)
-
-    async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
-        """Send the fleet's origin to the vehicle; with ``home`` also make it the home. When armed only with
-        ``force``."""
-        return await self._orders.track("origin", self._push_origin(origin, home, force))
-
-    async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
-        if (why := self._services.locks.refusal(EstimatorOrigin(self.vehicle.key))) is not None:
-            return Outcome.refused(why)
-        sent = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
-        if not home or sent.result == "refused":
-            return sent
-        limit_m, place = self.config.goto_limit_m, (origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
-        if (why := self._services.locks.refusal(HomeMove(self.vehicle.key, place))) is not None:
-            return both(sent, Outcome.refused(why))
-        return both(sent, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
+        return await self.runner.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """Set a message rate; 0 turns it off, None restores the vehicle's own rate. skygcs then requests no other
         rate."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
-            if (why := self._services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
+            if (why := self.services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
                 return self.refuse("interval", why)
             self.streams.leave(name)
-        return await self._orders.run(
+        return await self.runner.run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
 
     async def request_message(self, message: str | int) -> Outcome:
         """Request one message; the outcome is ok once it has come (read it with `latest`)."""
-        return await self._orders.run(
+        return await self.runner.run(
             "request", lambda now: orders.request_message(self.vehicle, now, self._dialect, message)
         )
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
         """REQUEST_DATA_STREAM, the older message, which has no acknowledgement."""
-        if (why := self._services.locks.refusal(RateChange(self.vehicle.key, None))) is not None:
+        if (why := self.services.locks.refusal(RateChange(self.vehicle.key, None))) is not None:
             return self.refuse("stream", why)
-        return await self._orders.run(
+        return await self.runner.run(
             "stream", lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz)
         )
 
@@ -581,103 +519,7 @@ class VehicleActor:
             plan = orders.command_plan(self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z)
             return replace(plan, force=force)
 
-        return await self._orders.run("command", planner)
-
-    async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
-        """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present
-        ones."""
-        if (why := self._list_refusal(kinds)) is not None:
-            return self.refuse("plan upload", why)
-        work = self.missions.bring(plan, kinds, limit_m=self.config.goto_limit_m, force=force)
-        return await self._orders.track("plan upload", work)
-
-    async def clear_plan(self, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
-        """See `Missions.drop`; as `upload_plan`."""
-        if (why := self._list_refusal(kinds)) is not None:
-            return self.refuse("plan clear", why)
-        return await self._orders.track("plan clear", self.missions.drop(kinds, force=force))
-
-    def _list_refusal(self, kinds: Collection[MissionType]) -> str | None:
-        """Why these lists must not be changed now; None if they may. A mission is nothing that a flight stands on."""
-        refusal, key = self._services.locks.refusal, self.vehicle.key
-        fence = refusal(FenceListWrite(key)) if MissionType.FENCE in kinds else None
-        rally = refusal(RallyWrite(key)) if MissionType.RALLY in kinds else None
-        return fence or rally
-
-    async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
-        """See `Missions.fetch`."""
-        if (why := self.authority_refusal()) is not None:
-            return self.refuse("plan download", why), MissionPlan()
-        outcome, plan = await self.missions.fetch(kinds)
-        return self._orders.finish("plan download", outcome), plan
-
-    async def list_logs(self) -> LogsOutcome:
-        """See `VehicleLogs.list`."""
-        return await self.logs.list()
-
-    async def get_logs(self, *, logs: Sequence[int] | str, force: bool = False) -> LogsOutcome:
-        """See `VehicleLogs.get`."""
-        return await self.logs.get(logs, force=force)
-
-    async def set_fence(
-        self,
-        *,
-        radius_m: float | None = None,
-        height_m: float | None = None,
-        action: str | None = None,
-        force: bool = False,
-    ) -> FenceOutcome:
-        """See `VehicleFence.set`."""
-        return await self._report_fence(
-            "fence", lambda: self.fence.set(radius_m=radius_m, height_m=height_m, action=action, force=force)
-        )
-
-    async def read_fence(self) -> FenceOutcome:
-        """See `VehicleFence.status`."""
-        return await self.fence.status()
-
-    async def test_fence(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
-        """See `VehicleFence.test`."""
-        return await self._report_fence(
-            "fence test", lambda: self.fence.test(radius_m=radius_m, action=action, timeout_s=timeout_s)
-        )
-
-    async def _report_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
-        """Report its outcome like that of any order; a cancelled test reports itself."""
-        if self.vehicle.duplicate:
-            return FenceOutcome(self._orders.finish(order, duplicate_refusal(self.vehicle)))
-        outcome = await work()
-        self._orders.finish(order, outcome.outcome)
-        return outcome
-
-    async def start_mission(self, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
-        """See `mission_orders.start`; ``force`` as for `takeoff`."""
-
-        def planner(now: float) -> Plan:
-            self._require_preflight(force=force)
-            return mission_orders.start(self.vehicle, now, first=first, arm=arm)
-
-        return await self._orders.run("mission", self._new_run(planner, first))
-
-    async def resume_mission(self, *, force: bool = False) -> Outcome:
-        """Go on with the current item; `hold` pauses a mission. ``force``: whoever is in the way, which the fleet
-        knows."""
-        return await self._orders.run("mission", self._new_run(lambda now: mission_orders.resume(self.vehicle, now)))
-
-    async def set_mission_item(self, *, item: int, force: bool = False) -> Outcome:
-        """Make it the current item, from 1. ``force``: as for `resume_mission`."""
-        planner = self._new_run(lambda now: mission_orders.set_current(self.vehicle, now, item), item)
-        return await self._orders.run("mission item", planner)
-
-    def _new_run(self, planner: Callable[[float], Plan], first: int | None = None) -> Callable[[float], Plan]:
-        """The planner of an order with which another run of its mission begins, unless it refuses."""
-
-        def begins(now: float) -> Plan:
-            plan = planner(now)
-            self.missions.run_begins(first)
-            return plan
-
-        return begins
+        return await self.runner.run("command", planner)
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Control it by setpoints: "position", "velocity", "attitude" or "raw"; "off": end control and hold."""
@@ -686,17 +528,17 @@ class VehicleActor:
             return await self._engage(mode, force=force)
         if not self.offboard.controller.active:
             self.offboard.release("switched off")
-            return self._orders.finish("control", Outcome(True, "accepted", "control is off"))
-        return await self._orders.track("control", self._switched_off())
+            return self.runner.finish("control", Outcome(True, "accepted", "control is off"))
+        return await self.runner.track("control", self._switched_off())
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
         if self._closed:
-            return self._orders.finish("control", Outcome.refused("it was forgotten: nothing flies it any more"))
-        return await self._orders.track("control", self.offboard.engage(ControlMode(mode), force=force))
+            return self.runner.finish("control", Outcome.refused("it was forgotten: nothing flies it any more"))
+        return await self.runner.track("control", self.offboard.engage(ControlMode(mode), force=force))
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
-        return await self._orders.track("gains", self.offboard.change_gains(changes, force=force))
+        return await self.runner.track("gains", self.offboard.change_gains(changes, force=force))
 
     def setpoint(
         self,
@@ -728,7 +570,7 @@ class VehicleActor:
             return Outcome.refused(str(error))
         # the order checks may refuse it
         together = frozenset[int]() if program is None else program.keys
-        checks = self._services.order_checks
+        checks = self.services.order_checks
         if not force and (why := checks.setpoint_refusal(self.vehicle, wanted, together)) is not None:
             return Outcome.refused(why)
         # follow it
@@ -736,14 +578,6 @@ class VehicleActor:
         if outcome.ok:
             self.program = program
         return outcome
-
-    async def record_control(self, on: bool) -> str | None:
-        """See `OffboardEngagement.record`."""
-        return await self.offboard.record(on)
-
-    def gains(self) -> dict[str, Any]:
-        """See `OffboardEngagement.gains`."""
-        return self.offboard.gains()
 
     def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
         """The plan of `orders.land` or `orders.rtl` now; None if it is refused."""
@@ -756,9 +590,9 @@ class VehicleActor:
 
     def refuse(self, order: str, reason: str) -> Outcome:
         """Report an order that the fleet refuses."""
-        return self._orders.finish(order, Outcome.refused(reason))
+        return self.runner.finish(order, Outcome.refused(reason))
 
-    def _require_preflight(self, *, force: bool) -> None:
+    def require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""
         reason = self.preflight.refusal(force=force)
         if reason is not None:
@@ -772,7 +606,7 @@ class VehicleActor:
         return orders.hold(self.vehicle, now)
 
     async def _switched_off(self) -> Outcome:
-        outcome = await self._orders.attempt(self._plan_hold, reason="switched off")
+        outcome = await self.runner.attempt(self._plan_hold, reason="switched off")
         if outcome.result == "refused":
             self.offboard.release("switched off")  # nothing was sent, and nothing would end it later
         ended = "control goes on" if self.offboard.flying else "control is off"
@@ -788,11 +622,11 @@ class VehicleActor:
 
     async def _read_params(self, plan: Plan) -> None:
         if plan.steps and self.vehicle.connected and not self.vehicle.replayed:
-            await self._orders.attempt_in_control(lambda now: plan)
+            await self.runner.attempt_in_control(lambda now: plan)
 
     async def _request(self, message: str) -> Outcome:
         """Request one message, without a report."""
-        return await self._orders.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
+        return await self.runner.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
     def _stop_logs(self, result: str, text: str) -> None:
         if self._logs is not None:
@@ -806,54 +640,15 @@ class VehicleActor:
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
-            if self.vehicle.last_ack.is_for(*self.commands.own) and self.uplink.answered_at is not None:
-                self._on_uplink(self.uplink.heard(now))
+            if self.vehicle.last_ack.is_for(*self.commands.own):
+                self._probes.on_ack(now)
             self.commands.on_ack(self.vehicle.last_ack, now)
             self.streams.on_ack(self.vehicle.last_ack, now)
 
-    def _probe(self, now: float) -> None:
-        """Send an uplink probe (TIMESYNC) if one is due, and report the result of earlier ones."""
-        uplink = self.uplink
-        if uplink.unanswered >= FEWEST:
-            last_frame_at = max((slot.at for slot in self.vehicle.slots.values()), default=-math.inf)
-            if uplink.verdict(now, last_frame_at) is not None:
-                self._on_uplink("lost")
-        armed = self.vehicle.armed
-        if not uplink.due(now, armed=armed):  # so most ticks do not ask what the links carry
-            return
-        links, key = self._services.links, (PROBE, self.vehicle.key)
-        share = links.setpoint_bytes_per_s(self.vehicle, self._services.flown)
-        if not uplink.due(now, armed=armed, share_bytes_per_s=share):
-            return
-        if math.isfinite(share) and links.holds(self.vehicle, Priority.COMMAND, key):
-            return  # the last one has not left yet: another one behind it measures nothing
-        token = uplink.token()
-        if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}, key=key):
-            uplink.sent(token, now)
-
     def _on_timesync(self, frame: Frame, now: float) -> None:
         """An answer to a probe or a ping of ours; others are ignored."""
-        fields = frame.fields()
-        if fields["tc1"] != 0:
-            ours, change = self.uplink.answered(int(fields["ts1"]), now)
-            self._on_uplink(change)
-            if ours:
-                return
-        self.offboard.on_timesync(frame, now)
-
-    def _on_uplink(self, change: Change | None) -> None:
-        """Report that the uplink died or recovered."""
-        if change is None:
-            return
-        if change == "lost":
-            self._services.links.uplink_lost(self.vehicle.key)
-            text = (
-                f"it does not hear us: no answer to {self.uplink.unanswered} probes, while its telemetry comes; "
-                "orders do not reach it, and its failsafe for a lost ground station will act"
-            )
-        else:
-            text = "it hears us again"
-        self._services.on_event(Event(f"uplink_{change}", self.name, self.sysid, text, {}))
+        if not self._probes.is_answer(frame, now):
+            self.offboard.on_timesync(frame, now)
 
     def _publish(self, events: tuple[Event, ...], now: float) -> None:
         """React to events of the vehicle, then publish them."""
@@ -880,7 +675,7 @@ class VehicleActor:
                 self.preflight.forget()
                 self.metadata.forget()
                 self.streams.restart(now)
-            self._services.on_event(event)
+            self.services.on_event(event)
 
     def _stop_protocols(self, text: str) -> None:
         """End everything that waits for an answer that will not come."""

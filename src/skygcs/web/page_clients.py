@@ -30,6 +30,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TOO_LATE,
 )
+from skygcs.rpc.json_lines import EVENT_START, error_reply, notification, reply_of
 from skygcs.rpc.order_reports import REPORT
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
@@ -146,7 +147,7 @@ class PageClients:
             self._arm_round()
 
     def on_event(self, event: dict[str, Any]) -> None:
-        body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + _encode(event)
+        body = EVENT_START + _encode(event)
         for client in tuple(self.clients):
             client.offer_event(body)
 
@@ -159,7 +160,7 @@ class PageClients:
 
     def notify(self, method: str, params: Any, *, keep: bool = False) -> None:
         """Send something to all pages; of one method only the newest waits. ``keep``: also to pages that come later."""
-        body = b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), _encode(params))
+        body = notification(method, _encode(params))
         if keep:
             self._kept[method] = body
         for client in tuple(self.clients):
@@ -428,7 +429,7 @@ class PageClient:
             self.close()
             return
         if len(self._replies) < EVENTS_WAITING:  # further refusals are not worth the memory
-            self._reply(_error(request_id, code, text), None)
+            self._reply(error_reply(request_id, code, text), None)
 
     def _start(self, answer: Coroutine[Any, Any, None], *, order: bool) -> None:
         group = self.pages.orders if order else self._reads
@@ -448,16 +449,16 @@ class PageClient:
                 asked = order and request.get(REPORT) is True
                 on_report = functools.partial(self._report, request_id) if asked else None
                 result = await self.pages.source.call(method, params, deadline_s, on_report)
-            reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), result)
+            reply = reply_of(request_id, result)
         except DaemonUnreachable as error:
-            reply = _error(request_id, AWAY, str(error))
+            reply = error_reply(request_id, AWAY, str(error))
         except RpcError as error:
-            reply = _error(request_id, error.code, error.message, error.data)
+            reply = error_reply(request_id, error.code, error.message, error.data)
         except SkygcsError as error:
-            reply = _error(request_id, INVALID_PARAMS, str(error))
+            reply = error_reply(request_id, INVALID_PARAMS, str(error))
         except Exception as error:
             _log.error("page request failed", method=method, exc_info=error)
-            reply = _error(
+            reply = error_reply(
                 request_id, INTERNAL_ERROR, f"{method[:MAX_ECHO_CHARS]} failed inside skygcs web; see its log"
             )
         self._reply(reply, ends_flight)
@@ -466,8 +467,7 @@ class PageClient:
         """Pass on what has come of an order of this page, with the page's own id of it. One that reads too slowly gets
         it with the reply."""
         if len(self._replies) < REPORTS_WAITING:
-            body = _encode({**params, "request": request_id})
-            self._reply(b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), body), None)
+            self._reply(notification(method, _encode({**params, "request": request_id})), None)
 
     def _reply(self, reply: bytes, ends_flight: bool | None) -> None:
         if not self._closed:
@@ -505,13 +505,6 @@ def _is_id(value: object) -> bool:
             return -MAX_ID < value < MAX_ID
         case _:
             return isinstance(value, float)
-
-
-def _error(request_id: object, code: int, text: str, data: object = None) -> bytes:
-    error: dict[str, object] = {"code": code, "message": text}
-    if data is not None:
-        error["data"] = data
-    return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode(request_id), _encode(error))
 
 
 def _encode(value: object) -> bytes:

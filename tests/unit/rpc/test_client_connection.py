@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc import client_connection, sessions
-from skygcs.rpc.client_connection import MAX_REQUEST_BYTES, ClientConnection, _Call, open_connection
+from skygcs.rpc import client_connection
+from skygcs.rpc.client_connection import ClientConnection, _Call, open_connection
 from skygcs.rpc.client_inbox import Encoded
+from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 from support.table import each
@@ -24,15 +25,14 @@ from support.table import each
 
 async def test_a_request_that_the_daemon_would_not_read_is_refused_here_and_waits_for_nothing(tmp_path: Path) -> None:
     """The daemon skips a line that is too long, and its refusal names no request."""
-    assert MAX_REQUEST_BYTES == sessions.MAX_LINE_BYTES
     server = RpcServer(FakeDaemon(), tmp_path / "s.sock")
     await server.start()
     connection = await open_connection(str(server.socket_path))
     empty = len(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "vehicles.get", "params": {"target": ""}}))
-    with pytest.raises(RpcError, match=f"{MAX_REQUEST_BYTES + 1} bytes; the daemon takes"):
-        await connection.request("vehicles.get", {"target": "x" * (MAX_REQUEST_BYTES + 1 - empty)})
+    with pytest.raises(RpcError, match=f"{MAX_LINE_BYTES + 1} bytes; the daemon takes"):
+        await connection.request("vehicles.get", {"target": "x" * (MAX_LINE_BYTES + 1 - empty)})
     with pytest.raises(RpcError, match="no vehicle"):  # one byte less is read
-        await connection.request("vehicles.get", {"target": "x" * (MAX_REQUEST_BYTES - empty)}, encoded=True)
+        await connection.request("vehicles.get", {"target": "x" * (MAX_LINE_BYTES - empty)}, encoded=True)
     assert not connection._calls
     assert not connection._encoded
     await connection.close()

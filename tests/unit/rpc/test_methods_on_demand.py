@@ -11,7 +11,8 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply, error_reply
+from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.json_lines import error_reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 
@@ -41,7 +42,7 @@ class Installed:
         monkeypatch.setattr(methods_on_demand, "find_on_demand", self._find)
         self.table: MethodTable[list[str]] = MethodTable((HERE,))
         loop = asyncio.get_running_loop()
-        self.dispatcher = Dispatcher(self.table, None, MethodsOnDemand(self.table, self, self._call, loop))
+        self.dispatcher = Dispatcher(self.table, MethodsOnDemand(self.table, self, self._call, loop))
 
     def _look(self) -> dict[str, str]:
         self.looked += 1
@@ -160,9 +161,25 @@ async def test_a_broken_extension_is_an_error_of_the_call_alone(monkeypatch: pyt
     assert (await answered(found.start([], "kite.add")))["result"] == 1
 
 
+async def test_every_method_is_made_beside_the_loop_and_one_that_cannot_be_is_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = Installed(monkeypatch)
+    found.broken = True
+    assert [method.name for method in await found.dispatcher.every_method()] == ["daemon.here"]
+    found.broken = False
+    found.beside.clear()
+    asked = asyncio.ensure_future(found.dispatcher.every_method())
+    await asyncio.sleep(0)
+    assert not asked.done() and found.done == ["import kite"]  # the loop goes on; this is of the first attempt
+    found.beside.set()
+    assert [method.name for method in await asked] == ["daemon.here", "kite.add", "kite.land"]
+    assert found.done == ["import kite", "import kite", "make kite"]
+
+
 async def test_a_table_of_one_server_leaves_the_common_one_as_it_is() -> None:
-    common: MethodTable[list[str]] = MethodTable((HERE,))
-    own = common.extended(())
+    common = DeclaredMethods((HERE,))
+    own = common.table()
     own.add(ADDED)
     assert (list(common), list(own)) == (["daemon.here"], ["daemon.here", "kite.add", "kite.land"])
     with pytest.raises(ValueError, match="two methods are called kite"):

@@ -166,5 +166,5 @@ async def test_the_shape_is_that_of_a_real_vehicle_and_the_fakes_have_it() -> No
         ControlState.model_validate(state)
         assert set(state) == set(ControlState.model_fields) == {"vehicle", *OFF} == {"vehicle", *FLYING}
         assert {**OFF, "vehicle": actor.name} == state
-        GainsAnswer.model_validate({"outcomes": {}, "gains": {"x": actor.gains()}})
+        GainsAnswer.model_validate({"outcomes": {}, "gains": {"x": actor.offboard.gains()}})
         assert actor.state(ground.loop.time())["control"] is None

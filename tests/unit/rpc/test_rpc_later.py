@@ -1,22 +1,23 @@
-"""Methods whose module is imported when one of them is first called."""
+"""Methods of the core whose module is imported when one of them is first called."""
 
 from __future__ import annotations
 
 import asyncio
-import importlib
 import json
 import sys
-from collections.abc import Coroutine, Iterator
+from collections.abc import Callable, Collection, Coroutine, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.rpc.dispatch import Dispatcher, Later, Method, MethodTable, Reply
+from skygcs.rpc import methods_on_demand
+from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Later, Method, Reply, first_word
 from skygcs.rpc.methods import METHODS
+from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 
-PART = Later("later_part", "METHODS", ("part.set", "part.get"), always=("part.get",))
+PART = Later("part", "later_part")
 MODULE = """
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import NoParams
@@ -28,13 +29,14 @@ def set_it(calls, _):
 async def get_it(calls, _):
     return list(calls)
 
-METHODS = (Method("part.set", NoParams, set_it), Method("part.get", NoParams, get_it, always=True))
+METHODS = (Method("part.set", NoParams, set_it), Method("part.get", NoParams, get_it))
 """
+HERE: Method[list[str]] = Method("here", NoParams, lambda calls, _: len(calls))
 
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """What `PART` names, not imported yet."""
+    """The module that `PART` names, not imported yet."""
     monkeypatch.syspath_prepend(str(tmp_path))
     file = tmp_path / "later_part.py"
     file.write_text(MODULE)
@@ -42,13 +44,35 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.pop(PART.module, None)
 
 
-def table() -> MethodTable[list[str]]:
-    here: Method[list[str]] = Method("here", NoParams, lambda calls, _: len(calls))
-    return MethodTable((here,), PART)
+class NoExtensions:
+    """The extensions of a daemon of which none is installed."""
+
+    def require_well(self, word: str) -> None: ...
+
+    def failed(self, word: str, error: Exception) -> Exception:
+        return error
+
+    def demand(self, word: str, accept: Callable[[Collection[Method[Any]]], None]) -> Collection[Method[Any]]:
+        return ()
 
 
-def request(method: str, number: int = 1) -> dict[str, Any]:
-    return {"jsonrpc": "2.0", "id": number, "method": method}
+class Server:
+    """A dispatcher with `HERE` and `PART`; imports wait for ``go_on``."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(methods_on_demand, "on_demand", dict)
+        self.go_on = asyncio.Event()
+        self.go_on.set()
+        self.table = DeclaredMethods((HERE,), PART).table()
+        loop = asyncio.get_running_loop()
+        self.dispatcher = Dispatcher(self.table, MethodsOnDemand(self.table, NoExtensions(), self._beside, loop))
+
+    async def _beside(self, function: Callable[[], object]) -> None:
+        await self.go_on.wait()
+        function()
+
+    def start(self, calls: list[str], method: str, number: int = 1) -> Reply:
+        return self.dispatcher.start(calls, {"jsonrpc": "2.0", "id": number, "method": method})
 
 
 async def answered(reply: Reply) -> Any:
@@ -57,53 +81,72 @@ async def answered(reply: Reply) -> Any:
     return json.loads(raw)
 
 
-def test_the_table_has_names_and_flags_before_anything_is_imported(module: Path) -> None:
-    methods_of = table()
-    assert (list(methods_of), methods_of.always) == (["here", "part.set", "part.get"], {"part.get"})
-    assert "part.set" in methods_of and "part.none" not in methods_of
-    assert not Dispatcher(methods_of).outlives_client(request("part.set"))
+def test_a_table_is_made_without_an_import_and_reading_the_declaration_imports_all(module: Path) -> None:
+    declared = DeclaredMethods((HERE,), PART)
+    table = declared.table()
+    assert (list(table), list(table.later)) == (["here"], ["part"])
     assert PART.module not in sys.modules
-    assert methods_of["part.set"].name == "part.set"  # to read one imports it
-    assert PART.module in sys.modules
+    assert list(declared) == ["here", "part.set", "part.get"] and len(declared) == 3
+    assert declared["part.set"].name == "part.set" and PART.module in sys.modules
+    assert list(declared.table()) == ["here"]  # each server has its own
 
 
-async def test_calls_before_the_import_are_carried_out_in_their_order(module: Path) -> None:
-    imported = asyncio.Event()
-
-    async def import_beside(name: str) -> None:
-        await imported.wait()
-        importlib.import_module(name)
-
-    calls: list[str] = []
-    dispatcher = Dispatcher(table(), import_beside)
-    orders = [asyncio.ensure_future(answered(dispatcher.start(calls, request("part.set", n)))) for n in (1, 2, 3)]
-    shown = asyncio.ensure_future(answered(dispatcher.start(calls, request("part.get", 4))))
+async def test_calls_before_the_import_are_carried_out_in_their_order(
+    module: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, calls = Server(monkeypatch), list[str]()
+    server.go_on.clear()
+    orders = [asyncio.ensure_future(answered(server.start(calls, "part.set", n))) for n in (1, 2, 3)]
+    shown = asyncio.ensure_future(answered(server.start(calls, "part.get", 4)))
     await asyncio.sleep(0)
-    assert calls == [] and not dispatcher.outlives_client(request("part.set"))
-    imported.set()
+    assert calls == [] and not server.dispatcher.outlives_client({"method": "part.set"})
+    server.go_on.set()
     assert [(await order)["result"] for order in orders] == [1, 2, 3]
     assert (await shown)["result"] == ["set", "set", "set"]
-    assert isinstance(dispatcher.start(calls, request("part.set")), bytes)  # at once from now on
+    assert isinstance(server.start(calls, "part.set"), bytes)  # at once from now on
+    unknown = await answered(server.start(calls, "part.none"))
+    assert unknown["error"]["code"] == -32601
+    assert isinstance(server.start(calls, "part.none"), bytes)
 
 
-async def test_a_module_that_is_broken_is_an_error_of_the_call_alone(module: Path) -> None:
+async def test_a_module_that_is_broken_is_an_error_of_the_call_alone(
+    module: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     await asyncio.to_thread(module.write_text, "raise ImportError('half installed')")
-
-    async def import_beside(name: str) -> None:
-        importlib.import_module(name)
-
-    dispatcher = Dispatcher(table(), import_beside)
-    answer = await answered(dispatcher.start([], request("part.set")))
+    server = Server(monkeypatch)
+    answer = await answered(server.start([], "part.set"))
     assert answer["id"] == 1 and answer["error"]["code"] == -32603
-    assert (await answered(dispatcher.start([], request("here"))))["result"] == 0
+    assert (await answered(server.start([], "here")))["result"] == 0
+    await asyncio.to_thread(module.write_text, MODULE)  # it was repaired
+    assert (await answered(server.start([], "part.set")))["result"] == 1
 
 
-def test_every_part_of_the_daemon_is_as_its_table_says() -> None:
-    """Names in their order, flags, and no method that must outlive the client that has it imported."""
-    assert len(METHODS.later) > 5
-    for part in METHODS.later:
-        found = getattr(importlib.import_module(part.module), part.part)
-        assert tuple(method.name for method in found) == part.names
-        assert {method.name for method in found if method.always} == set(part.always)
-        assert {method.name for method in found if method.while_stopping} == set(part.while_stopping)
-        assert not any(method.outlives_client for method in found)
+async def test_every_method_is_imported_beside_the_loop(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = Server(monkeypatch)
+    server.go_on.clear()
+    asked = asyncio.ensure_future(server.dispatcher.every_method())
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert not asked.done() and PART.module not in sys.modules
+    server.go_on.set()
+    assert [method.name for method in await asked] == ["here", "part.set", "part.get"]
+
+
+async def test_no_other_may_take_a_name_that_comes_later(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = Server(monkeypatch).table
+    with pytest.raises(ValueError, match=r"two methods are called part\.mine"):
+        table.add([Method("part.mine", NoParams, lambda calls, _: None)])
+    assert "part.mine" not in table and PART.module not in sys.modules
+
+
+def test_every_part_of_the_daemon_is_as_it_is_declared() -> None:
+    """All methods with its first word, and none that must be answered before its module is imported."""
+    table = METHODS.table()
+    assert len(table.later) > 5 and not {first_word(name) for name in table} & set(table.later)
+    for word, part in table.later.items():
+        found = part.load()
+        assert {first_word(method.name) for method in found} == {word}
+        assert not any(method.always or method.while_stopping or method.outlives_client for method in found)
+    assert len(METHODS) == len(
+        {name for part in table.later.values() for name in [m.name for m in part.load()]} | set(table)
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skygcs.rpc import openrpc, sessions
+from skygcs.rpc import client_peer, openrpc, sessions
 from support.extension_parts import ALL_METHODS
 from support.rpc_reference import reference
 
@@ -25,7 +25,7 @@ def test_the_limits_are_those_of_the_server() -> None:
         f"| TCP clients before authentication | {sessions.MAX_UNAUTHENTICATED} |",
         f"| pending requests of one client | {sessions.MAX_IN_FLIGHT} |",
         f"| subscriptions of one client | {sessions.MAX_SUBSCRIPTIONS} |",
-        f"| unread output of one client | {sessions.MAX_OUTPUT_BYTES >> 20} MiB |",
+        f"| unread output of one client | {client_peer.MAX_OUTPUT_BYTES >> 20} MiB |",
     ):
         assert row in text
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skygcs.errors import LinkError
-from skygcs.rpc import sessions
+from skygcs.rpc import client_peer, sessions
 from skygcs.rpc.server import RpcServer
 from support.examples import examples
 from support.fake_daemon import FakeDaemon, FakeOutcome
@@ -348,8 +348,8 @@ async def test_a_client_that_never_reads_is_stopped_without_growing_the_daemon(b
     assert not flooding.done()  # it waits: the daemon reads no more of its requests
     clients = bench.server._hub.sessions  # type: ignore[union-attr]
     unread = max(s._transport.get_write_buffer_size() for s in clients)  # type: ignore[union-attr]
-    assert 0 < unread < sessions.MAX_OUTPUT_BYTES
-    assert max(len(s._buffer) for s in clients) < sessions.MAX_LINE_BYTES
+    assert 0 < unread < client_peer.MAX_OUTPUT_BYTES
+    assert max(len(s._lines) for s in clients) < sessions.MAX_LINE_BYTES
     flooding.cancel()
     lazy.writer.transport.abort()
 
@@ -357,7 +357,7 @@ async def test_a_client_that_never_reads_is_stopped_without_growing_the_daemon(b
 async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sessions, "MAX_OUTPUT_BYTES", 300_000)
+    monkeypatch.setattr(client_peer, "MAX_OUTPUT_BYTES", 300_000)
     lazy = await bench.connect()
     lazy.reader._transport.pause_reading()  # type: ignore[union-attr]
     bench.daemon.vehicle("alpha").delay_s = 0.05
@@ -367,7 +367,7 @@ async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
 
 
 async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sessions, "MAX_OUTPUT_BYTES", 1_000_000)
+    monkeypatch.setattr(client_peer, "MAX_OUTPUT_BYTES", 1_000_000)
     peer = await bench.connect()
     peer.send([{"jsonrpc": "2.0", "id": i, "method": "messages.list"} for i in range(20)])
     answers = await peer.answer()

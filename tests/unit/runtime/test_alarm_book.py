@@ -8,7 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from skygcs.config.alarms import AlarmsConfig
+from skygcs.config.models import AlarmsConfig
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime.alarm_book import FILE, AlarmBook

@@ -17,6 +17,7 @@ from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.core.mission.px4_events import event_id
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.runtime import onboard_orders
 from skygcs.runtime.mission_transfers import MAX_WAITING
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.mission_vehicle import ArduPilotMission, MissionVehicle, Px4Mission, Reply
@@ -130,10 +131,10 @@ def all_set(item: MissionItem) -> MissionItem:
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
 async def test_a_plan_goes_up_and_comes_down_unchanged(autopilot: int) -> None:
     async with Site(autopilot) as (ground, storing, actor):
-        outcome = await actor.upload_plan(plan=PLAN, kinds=ALL)
+        outcome = await onboard_orders.upload_plan(actor, plan=PLAN, kinds=ALL)
         assert outcome.ok
         assert outcome.message == "4 fence items taken; 1 rally item taken; 4 mission items taken"
-        told, down = await actor.download_plan(ALL)
+        told, down = await onboard_orders.download_plan(actor, ALL)
         assert told.ok, told.message
         assert (down.fence, down.rally) == (PLAN.fence, PLAN.rally)
         if autopilot == PX4:
@@ -148,24 +149,24 @@ async def test_a_plan_goes_up_and_comes_down_unchanged(autopilot: int) -> None:
 
 async def test_an_ardupilots_home_is_item_0_and_jumps_keep_their_numbers() -> None:
     async with Site(ARDUPILOT) as (_, storing, actor):
-        await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         home, *items = storing.lists[0].items
         assert home == PLAN.home.item() if PLAN.home else False
         assert items[3].params[0] == 2.0
     async with Site(PX4) as (_, storing, actor):
-        await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         assert storing.lists[0].items[3].params[0] == 1.0
 
 
 async def test_a_plan_with_errors_is_refused_with_the_item_and_nothing_is_sent() -> None:
     async with Site() as (ground, storing, actor):
         bad = MissionPlan(mission=(near(command=22), near(5000), near(0, float("nan"))))
-        outcome = await actor.upload_plan(plan=bad, kinds=(MISSION,))
+        outcome = await onboard_orders.upload_plan(actor, plan=bad, kinds=(MISSION,))
         assert outcome.result == "refused"
         assert "mission item 2: is 5,0" in outcome.message and "from the vehicle" in outcome.message
         assert "mission item 3: the altitude is not set (NaN)" in outcome.message
         assert not [s for s in ground.sent if s.name.startswith("MISSION_")]
-        assert (await actor.upload_plan(plan=bad, kinds=(MISSION,), force=True)).ok
+        assert (await onboard_orders.upload_plan(actor, plan=bad, kinds=(MISSION,), force=True)).ok
         assert len(storing.lists[0].items) == 3
 
 
@@ -175,18 +176,18 @@ async def test_an_upload_says_what_it_changed_and_the_check_says_it_before() -> 
     plan = MissionPlan(mission=(near(command=22), camera, near(30), back))
     names = load_dialect("ardupilotmega").enums["MAV_CMD"]
     async with Site(PX4) as (_, storing, actor):
-        outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
+        outcome = await onboard_orders.upload_plan(actor, plan=plan, kinds=(MISSION,))
         (line,) = grouped(for_firmware(plan.mission, "px4", names).changes)
         assert outcome.ok and outcome.message == f"4 mission items taken; mission {line}"
         assert line.startswith("item 4: the position of NAV_RETURN_TO_LAUNCH")
         assert (storing.lists[0].items[3].frame, storing.lists[0].items[3].x) == (2, 0)
     async with Site(ARDUPILOT) as (_, storing, actor):
-        outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
+        outcome = await onboard_orders.upload_plan(actor, plan=plan, kinds=(MISSION,))
         (line,) = grouped(for_firmware(plan.mission, "ardupilot", names).changes)
         assert outcome.ok and outcome.message == f"3 mission items taken; mission {line}"
         assert [item.command for item in storing.lists[0].items[1:]] == [22, 16, 20]
         fence = MissionPlan(mission=(camera,), fence=PLAN.fence)
-        assert "SET_CAMERA_MODE" not in (await actor.upload_plan(plan=fence, kinds=(FENCE,))).message
+        assert "SET_CAMERA_MODE" not in (await onboard_orders.upload_plan(actor, plan=fence, kinds=(FENCE,))).message
 
 
 @pytest.mark.parametrize("by", ["event", "text"])
@@ -201,10 +202,10 @@ async def test_a_mission_that_a_px4_takes_and_will_not_fly_is_no_success(by: str
             reason = "Mission rejected: takeoff is not first"
             raw = storing.vehicle.say(mav.MAVLink_statustext_message(2, reason.encode()))
         asyncio.get_running_loop().call_later(0.9, storing.vehicle.tell, raw)
-        outcome = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        outcome = await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         assert (outcome.ok, outcome.result) == (False, "denied")
         assert outcome.message == f"4 mission items taken, and it will not fly them: {reason}"
-        again = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        again = await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         assert again.ok, "that was of the last upload"
 
 
@@ -212,16 +213,19 @@ async def test_a_mission_that_flies_is_not_replaced_or_cleared_unless_insisted_o
     async with Site() as (_, storing, actor):
         storing.vehicle.armed, storing.vehicle.mode, storing.vehicle.flying = True, PX4_MISSION, True
         await asyncio.sleep(2)
-        assert "it is flying its mission (AUTO.MISSION)" in (await actor.upload_plan(plan=PLAN, kinds=ALL)).message
-        assert "it is flying its mission" in (await actor.clear_plan(kinds=(MISSION,))).message
-        assert "without its fence" in (await actor.clear_plan(kinds=(FENCE,))).message
-        assert (await actor.clear_plan(kinds=(FENCE,), force=True)).ok
+        assert (
+            "it is flying its mission (AUTO.MISSION)"
+            in (await onboard_orders.upload_plan(actor, plan=PLAN, kinds=ALL)).message
+        )
+        assert "it is flying its mission" in (await onboard_orders.clear_plan(actor, kinds=(MISSION,))).message
+        assert "without its fence" in (await onboard_orders.clear_plan(actor, kinds=(FENCE,))).message
+        assert (await onboard_orders.clear_plan(actor, kinds=(FENCE,), force=True)).ok
 
 
 async def test_a_list_that_is_not_taken_ends_the_upload_and_says_what_was_not_begun() -> None:
     async with Site() as (_, storing, actor):
         storing.lists[2].capacity = 0
-        outcome = await actor.upload_plan(plan=PLAN, kinds=ALL)
+        outcome = await onboard_orders.upload_plan(actor, plan=PLAN, kinds=ALL)
         assert (outcome.ok, outcome.result) == (False, "denied")
         assert outcome.message.startswith("4 fence items taken; ")
         assert "no space" in outcome.message and outcome.message.endswith("mission not begun")
@@ -230,14 +234,14 @@ async def test_a_list_that_is_not_taken_ends_the_upload_and_says_what_was_not_be
 async def test_progress_is_told_in_steps_and_not_per_item() -> None:
     async with Site() as (ground, _, actor):
         long = MissionPlan(mission=(near(command=22), *(near(n) for n in range(1, 100))))
-        await actor.upload_plan(plan=long, kinds=(MISSION,))
+        await onboard_orders.upload_plan(actor, plan=long, kinds=(MISSION,))
         told = [e.data["percent"] for e in ground.events if e.data.get("order") == "mission upload"]
         assert told == [10, 20, 30, 40, 50, 60, 70, 80, 90]
 
 
 async def test_cancelling_an_upload_tells_the_vehicle_and_says_what_it_holds() -> None:
     async with Site(ARDUPILOT) as (ground, storing, actor):
-        task = asyncio.create_task(actor.upload_plan(plan=PLAN, kinds=(MISSION,)))
+        task = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,)))
         await asyncio.sleep(0.25)
         assert actor.missions.status()["transfer"]["what"] == "mission upload"
         task.cancel()
@@ -248,13 +252,13 @@ async def test_cancelling_an_upload_tells_the_vehicle_and_says_what_it_holds() -
         await asyncio.sleep(1)
         assert storing.lists[0].cancelled
         assert actor.missions.status()["transfer"] is None
-        assert (await actor.upload_plan(plan=PLAN, kinds=(MISSION,))).ok
+        assert (await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))).ok
 
 
 async def test_a_lost_vehicle_ends_its_transfer_at_once() -> None:
     async with Site() as (_, storing, actor):
         storing.mute.add("MISSION_COUNT")
-        task = asyncio.create_task(actor.download_plan((MISSION,)))
+        task = asyncio.create_task(onboard_orders.download_plan(actor, (MISSION,)))
         await asyncio.sleep(1)
         storing.vehicle.silent = True
         outcome, _ = await task
@@ -287,7 +291,7 @@ async def test_answers_for_other_stations_and_other_lists_are_not_ours() -> None
 
 async def test_starting_a_px4_sets_the_item_and_the_mode_and_arms_last() -> None:
     async with Site() as (_, storing, actor):
-        outcome = await actor.start_mission(first=2)
+        outcome = await onboard_orders.start_mission(actor, first=2)
         assert outcome.ok and outcome.message == "flying its mission from item 2"
         commands = [c for c, _ in storing.vehicle.commands()]
         assert commands == [SET_CURRENT, MODE, ARM]
@@ -306,14 +310,14 @@ async def test_a_px4_that_does_not_arm_is_taken_out_of_the_mission_mode_again() 
                 script(vehicle, sent)
 
         storing.vehicle.script = refuse_arming
-        outcome = await actor.start_mission()
+        outcome = await onboard_orders.start_mission(actor)
         assert not outcome.ok and "put it in AUTO.LOITER" in outcome.message
         assert storing.vehicle.mode == PX4_LOITER
 
 
 async def test_starting_a_copter_arms_in_guided_and_then_starts() -> None:
     async with Site(ARDUPILOT) as (_, storing, actor):
-        outcome = await actor.start_mission()
+        outcome = await onboard_orders.start_mission(actor)
         assert outcome.ok, outcome.message
         assert [c for c, _ in storing.vehicle.commands()] == [SET_CURRENT, MODE, ARM, START]
         assert storing.vehicle.commands()[0][1][0] == 1.0
@@ -321,10 +325,10 @@ async def test_starting_a_copter_arms_in_guided_and_then_starts() -> None:
 
 async def test_resuming_sets_the_mission_mode_and_asks_for_an_armed_vehicle() -> None:
     async with Site() as (_, storing, actor):
-        assert "it is not armed; start the mission" in (await actor.resume_mission()).message
+        assert "it is not armed; start the mission" in (await onboard_orders.resume_mission(actor)).message
         storing.vehicle.armed = storing.vehicle.flying = True
         await asyncio.sleep(1.5)
-        assert (await actor.resume_mission()).ok
+        assert (await onboard_orders.resume_mission(actor)).ok
         assert storing.vehicle.mode == PX4_MISSION
 
 
@@ -341,14 +345,14 @@ async def test_setting_the_current_item_falls_back_to_the_message() -> None:
                 script(vehicle, sent)
 
         storing.vehicle.script = old
-        outcome = await actor.set_mission_item(item=2)
+        outcome = await onboard_orders.set_mission_item(actor, item=2)
         assert outcome.ok and outcome.message == "the current item is 2"
-        assert "no item 0" in (await actor.set_mission_item(item=0)).message
+        assert "no item 0" in (await onboard_orders.set_mission_item(actor, item=0)).message
 
 
 async def test_the_mission_that_flies_is_told_item_by_item() -> None:
     async with Site() as (ground, storing, actor):
-        await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         for seq in (0, 0, 1):
             storing.current(seq)
             await asyncio.sleep(0.2)
@@ -374,21 +378,24 @@ async def test_the_mission_that_flies_is_told_item_by_item() -> None:
 async def test_a_fence_whose_items_make_none_is_no_plan() -> None:
     async with Site() as (_, storing, actor):
         storing.lists[1].items = [MissionItem(5001, 3, (5.0, 0.0, 0.0, 0.0), 470000000, 80000000)]
-        outcome, plan = await actor.download_plan((FENCE,))
+        outcome, plan = await onboard_orders.download_plan(actor, (FENCE,))
         assert not outcome.ok and "the fence is not closed" in outcome.message
         assert plan.fence == FencePlan()
 
 
 async def test_an_empty_plan_is_nothing_to_upload() -> None:
     async with Site() as (_, _, actor):
-        assert "clear the vehicle's lists" in (await actor.upload_plan(plan=MissionPlan(), kinds=())).message
+        assert (
+            "clear the vehicle's lists"
+            in (await onboard_orders.upload_plan(actor, plan=MissionPlan(), kinds=())).message
+        )
 
 
 @pytest.mark.parametrize("order", ["start", "resume", "item"])
 async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str) -> None:
     """A PX4 goes on repeating the last item that it has reached."""
     async with Site() as (_, storing, actor):
-        await actor.upload_plan(plan=MissionPlan(PLAN.mission[:3]), kinds=(MISSION,))
+        await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:3]), kinds=(MISSION,))
         for seq in (0, 1, 2):
             storing.current(seq)
             storing.reached(seq)
@@ -397,9 +404,9 @@ async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str
         storing.vehicle.mode, storing.vehicle.armed = PX4_LOITER, True
         await asyncio.sleep(2.0)
         orders = {
-            "start": lambda: actor.start_mission(first=1, force=True),
-            "resume": actor.resume_mission,
-            "item": lambda: actor.set_mission_item(item=1),
+            "start": lambda: onboard_orders.start_mission(actor, first=1, force=True),
+            "resume": lambda: onboard_orders.resume_mission(actor),
+            "item": lambda: onboard_orders.set_mission_item(actor, item=1),
         }
         task = asyncio.create_task(orders[order]())
         await asyncio.sleep(0.2)

@@ -58,7 +58,7 @@ async def test_the_fleet_does_all_of_its_tick_though_the_keeper_fails(monkeypatc
     events: list[Event] = []
     fleet = Fleet(FleetConfig(), flight_dialect(), lambda *_, **__: True, asyncio.get_running_loop(), events.append)
     noted: list[float] = []
-    monkeypatch.setattr(fleet, "_note_flights", noted.append)
+    monkeypatch.setattr(fleet.notes, "note_flights", noted.append)
     fleet.plans.keeper = Broken()
     for now in (1.0, 1.1):
         fleet.tick(now)

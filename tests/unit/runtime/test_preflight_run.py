@@ -9,6 +9,8 @@ import pytest
 
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.protocols.command import Outcome
+from skygcs.runtime import onboard_orders
+from skygcs.runtime.vehicle_actor import VehicleActor
 from support.preflight_field import PreflightField
 
 pytestmark = pytest.mark.looptime
@@ -126,8 +128,8 @@ async def test_nothing_is_set_on_a_vehicle_that_is_armed() -> None:
 async def test_without_a_pass_nothing_arms() -> None:
     async with PreflightField(**GATE) as field:
         actor = field.actor("papa")
-        for order in (actor.arm, actor.takeoff, actor.start_mission):
-            outcome = await order()
+        for order in (VehicleActor.arm, VehicleActor.takeoff, onboard_orders.start_mission):
+            outcome = await order(actor)
             assert outcome.result == "refused" and outcome.attempts == 0
             assert "has not passed preflight since it started; run skygcs-cli preflight papa" in outcome.message
         assert await field.complaints("papa") == {}

@@ -8,6 +8,7 @@ import pytest
 
 from skygcs.core.protocols.command import RETRY_TIMERS_S
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.runtime import home_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.vehicles import (
     ARDUPILOT,
@@ -807,20 +808,20 @@ async def test_a_reboot_whose_ack_was_lost_is_known_by_the_reboot_itself() -> No
         outcome = await actor.reboot()
         assert outcome.ok, outcome.message
         await asyncio.sleep(10)
-        outcome = await actor.set_home()
+        outcome = await home_orders.set_home(actor)
         assert (outcome.result, outcome.message) == ("lost", "the vehicle rebooted")
 
 
 async def test_home_is_set_here_or_at_a_place() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground)
-        assert (await actor.set_home()).ok
+        assert (await home_orders.set_home(actor)).ok
         assert (vehicle.got[0].name, vehicle.got[0].command, vehicle.got[0].param1) == ("COMMAND_LONG", 179, 1.0)
-        assert (await actor.set_home(lat_deg=HOME[0], lon_deg=HOME[1])).ok
+        assert (await home_orders.set_home(actor, lat_deg=HOME[0], lon_deg=HOME[1])).ok
         assert (vehicle.got[1].name, vehicle.got[1].x, vehicle.got[1].frame) == ("COMMAND_INT", 473977420, 0)
         assert vehicle.got[1].z == pytest.approx(HOME[2])
-        assert (await actor.set_home(lat_deg=HOME[0])).result == "refused"
-        assert (await actor.set_home(lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0)).result == "refused"
+        assert (await home_orders.set_home(actor, lat_deg=HOME[0])).result == "refused"
+        assert (await home_orders.set_home(actor, lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0)).result == "refused"
 
 
 async def test_a_home_farther_than_the_limit_is_refused_unless_insisted_on() -> None:
@@ -828,22 +829,22 @@ async def test_a_home_farther_than_the_limit_is_refused_unless_insisted_on() -> 
     async with Ground() as ground:
         vehicle, actor = await one(ground)
         far = {"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1]}
-        outcome = await actor.set_home(**far)
+        outcome = await home_orders.set_home(actor, **far)
         assert outcome.result == "refused"
         assert "it would return there" in outcome.message and "--force" in outcome.message
         assert vehicle.got == []
-        assert (await actor.set_home(**far, force=True)).ok
+        assert (await home_orders.set_home(actor, **far, force=True)).ok
 
 
 async def test_home_is_not_moved_in_the_air_unless_insisted_on() -> None:
     async with Ground() as ground:
         vehicle, actor = await flying(ground)
         for place in ({}, {"lat_deg": HOME[0], "lon_deg": HOME[1]}):
-            outcome = await actor.set_home(**place)
+            outcome = await home_orders.set_home(actor, **place)
             assert outcome.result == "refused"
             assert "in the air" in outcome.message and "--force" in outcome.message
         assert vehicle.got == []
-        assert (await actor.set_home(force=True)).ok
+        assert (await home_orders.set_home(actor, force=True)).ok
 
 
 async def test_a_refusal_without_a_reason_says_what_was_refused() -> None:
@@ -853,7 +854,7 @@ async def test_a_refusal_without_a_reason_says_what_was_refused() -> None:
         messages = [
             (await actor.set_message_interval("EKF_STATUS_REPORT", 1)).message,
             (await actor.request_message("EKF_STATUS_REPORT")).message,
-            (await actor.set_home()).message,
+            (await home_orders.set_home(actor)).message,
             (await actor.takeoff(5)).message,
         ]
         assert messages == [

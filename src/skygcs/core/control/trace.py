@@ -20,15 +20,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
-from skygcs.core.control.cascade import Memory, Vector, step, velocity_step
+from skygcs.core.control.cascade import LARGEST_INPUT, Estimate, Memory, Vector, step, velocity_step
 from skygcs.core.control.gains import AxisGains, ControlConfig
-from skygcs.core.control.prediction_step import (
-    PredictionStep,
-    decode_loop,
-    decode_memory,
-    encode_loop,
-    encode_memory,
-)
+from skygcs.core.control.record import record
 from skygcs.core.control.trace_row import (
     ATTITUDE,
     COLUMNS,
@@ -43,7 +37,13 @@ from skygcs.core.control.trace_row import (
     decode_row,
     encode,
 )
-from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, VelocityLoop, predicted_setpoint
+from skygcs.core.control.velocity_predictor import (
+    PredictorMemory,
+    SentVelocity,
+    Timing,
+    VelocityLoop,
+    predicted_setpoint,
+)
 from skygcs.errors import ConfigError, TraceError
 
 __all__ = [
@@ -73,6 +73,19 @@ FORMATS = ("skygcs control trace 1", FORMAT)
 LARGEST_LINE = 16384
 """Characters. A row has at most 49 cells of 24 and the names of all limits (some 1200), a config remark some 400, and
 what a predictor remembers 64 setpoints of 7 numbers (some 10,000)."""
+
+
+LARGEST_TIME_S = 1e12
+"""Largest time of a loop's clock, which counts from any beginning: 30,000 years."""
+
+
+@record
+class PredictionStep:
+    """One step: the model, and the memory before and after it."""
+
+    loop: VelocityLoop
+    before: PredictorMemory
+    after: PredictorMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +160,10 @@ class TraceWriter:
         self._memory = after
         if prediction is not None:
             if prediction.loop != self._loop:
-                text += _remark("velocity_loop", encode_loop(prediction.loop))
+                text += _remark("velocity_loop", _encode_loop(prediction.loop))
                 self._loop = prediction.loop
             if prediction.before is not self._predictor:
-                text += _remark("predictor", encode_memory(prediction.before))
+                text += _remark("predictor", _encode_memory(prediction.before))
             self._predictor = prediction.after
         # the row itself
         return text + encode(row) + "\n"
@@ -194,9 +207,9 @@ class Trace:
                 elif key == "memory":
                     memory = _memory(number, value)
                 elif key == "velocity_loop":
-                    loop = _decoded(number, key, value, decode_loop)
+                    loop = _decoded(number, key, value, _decode_loop)
                 elif key == "predictor":
-                    predictor = _decoded(number, key, value, decode_memory)
+                    predictor = _decoded(number, key, value, _decode_memory)
                 continue
             if config is None:
                 raise TraceError(number, "a row before the remark 'config'")
@@ -337,3 +350,52 @@ def _decoded(number: int, key: str, value: Any, decoder: Callable[[Any], T]) -> 
 def _vector(value: Any) -> Vector:
     x, y, z = value
     return float(x), float(y), float(z)
+
+
+def _encode_loop(loop: VelocityLoop) -> dict[str, float]:
+    """Encode the loop for JSON."""
+    return asdict(loop)
+
+
+def _decode_loop(value: Any) -> VelocityLoop:
+    """The inverse. Raises KeyError, TypeError or ValueError."""
+    loop = VelocityLoop(**{str(key): float(number) for key, number in value.items()})
+    if not (0.0 < loop.lag_xy_s < LARGEST_INPUT and 0.0 < loop.lag_z_s < LARGEST_INPUT):
+        raise ValueError(f"lags of {loop.lag_xy_s:g} and {loop.lag_z_s:g} s")
+    return loop
+
+
+def _encode_memory(memory: PredictorMemory) -> dict[str, Any]:
+    """Encode the memory for JSON: what was sent as [at, velocity, acceleration], one after the other."""
+    estimate = memory.estimate
+    return {
+        "sent": [[sent.at, *sent.vel_enu_mps, *sent.acc_enu_mps2] for sent in memory.sent],
+        "received_at": memory.received_at,
+        "estimate": None if estimate is None else [*estimate.pos_enu_m, *estimate.vel_enu_mps],
+        "disturbance_enu_mps2": list(memory.disturbance_enu_mps2),
+        "round_trip_s": memory.round_trip_s,
+        "ticked_at": memory.ticked_at,
+    }
+
+
+def _decode_memory(value: Any) -> PredictorMemory:
+    """The inverse. Raises KeyError, TypeError or ValueError."""
+    estimate = None
+    if value["estimate"] is not None:
+        x, y, z, vx, vy, vz = (float(number) for number in value["estimate"])
+        estimate = Estimate((x, y, z), (vx, vy, vz))
+    times = [float(sent[0]) for sent in value["sent"]]
+    if times != sorted(times) or not all(-LARGEST_TIME_S <= at <= LARGEST_TIME_S for at in times):
+        raise ValueError("the times of what was sent do not rise")
+    return PredictorMemory(
+        tuple(SentVelocity(float(sent[0]), _vector(sent[1:4]), _vector(sent[4:7])) for sent in value["sent"]),
+        _maybe(value["received_at"]),
+        estimate,
+        _vector(value["disturbance_enu_mps2"]),
+        _maybe(value["round_trip_s"]),
+        _maybe(value["ticked_at"]),
+    )
+
+
+def _maybe(value: Any) -> float | None:
+    return None if value is None else float(value)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE
+from skygcs.runtime.home_orders import push_origin
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
@@ -70,7 +71,7 @@ class OriginPushes:
         try:
             await actor.request_message(ORIGIN_MESSAGE)
             if actor.vehicle.telemetry("ekf_origin") is None and not actor.vehicle.armed:
-                await actor.push_origin(self._origin)
+                await push_origin(actor, self._origin)
         finally:
             pushed.running = False
             pushed.next_at = self._loop.time() + RETRY_S

@@ -53,7 +53,7 @@ from skygcs.ext.plans.plan_checks import (
     state_finding,
 )
 from skygcs.number_text import rounded
-from skygcs.runtime.charge_records import ChargeRecords
+from skygcs.runtime.flight_notes import FlightNotes
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -174,7 +174,7 @@ class Vehicles(Protocol):
     @property
     def links(self) -> VehicleLinks: ...
     @property
-    def charges(self) -> ChargeRecords: ...
+    def notes(self) -> FlightNotes: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
 
 
@@ -186,7 +186,7 @@ class FlightCheck:
         self._work = work
         self._loop = loop
         self._links = fleet.links
-        self._record = fleet.charges.record
+        self._record = fleet.notes.charges.record
 
     def chosen_way(self, actors: Sequence[VehicleActor], control_mode: str, by: str, *, timed: bool) -> ChosenWay:
         """The way in which these vehicles fly a plan, and what was found of their links. Raises RefusedError."""

@@ -13,10 +13,12 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, mission_along
-from skygcs.ext.plans.flight.execution import LEG_S, PlanState
+from skygcs.ext.plans.flight.execution import LEG_S
 from skygcs.ext.plans.flight.goto_legs import AGAIN_S, GotoLegs
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.plan_states import PlanState
 from skygcs.ext.plans.flight.sights import Left, Why
+from skygcs.runtime import onboard_orders
 from skygcs.runtime.order_runner import UNHEARD
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -222,7 +224,9 @@ class MissionGuidance(GotoGuidance):
         mission = mission_along([flight.frame.to_geodetic(*place) for place in places])
 
         async def sent() -> Outcome:
-            return await self._ours(name, actor, actor.upload_plan(plan=mission, kinds=(MissionType.MISSION,)))
+            return await self._ours(
+                name, actor, onboard_orders.upload_plan(actor, plan=mission, kinds=(MissionType.MISSION,))
+            )
 
         return await self._until_heard(flight, sent)
 
@@ -244,8 +248,8 @@ class MissionGuidance(GotoGuidance):
         if name in self._begun:
             if actor.missions.complete or actor.vehicle.mode in MISSION_MODES:
                 return Outcome(True, "accepted", "it flies its mission, or has")
-            return await self._ours(name, actor, actor.resume_mission())
-        order = actor.start_mission(arm=False, force=flight.settings.force)
+            return await self._ours(name, actor, onboard_orders.resume_mission(actor))
+        order = onboard_orders.start_mission(actor, arm=False, force=flight.settings.force)
         outcome = await self._ours(name, actor, order)
         if outcome.ok or actor.vehicle.mode in MISSION_MODES:
             self._begun.add(name)

@@ -18,8 +18,7 @@ from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock
-from skygcs.core.vehicle.flight_note import lost_place
-from skygcs.core.vehicle.flight_record import FlightRecord
+from skygcs.core.vehicle.flight_note import FlightRecord, lost_place
 from skygcs.core.vehicle.mission_orders import mission_settings
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle

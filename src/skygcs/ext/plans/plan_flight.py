@@ -23,9 +23,10 @@ from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import SkygcsError
 from skygcs.events import Event
-from skygcs.ext.plans.flight.execution import Execution, Order, OrderKind, PlanState
+from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.plan_states import Order, OrderKind, PlanState
 from skygcs.ext.plans.flight.sights import Left, Sight, Why
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor

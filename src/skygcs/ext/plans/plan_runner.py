@@ -25,11 +25,12 @@ from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.errors import RefusedError, SkygcsError
 from skygcs.events import Event
-from skygcs.ext.plans.flight.execution import POSITION_SILENT_S, SLOW_MPS, Execution, PlanState
+from skygcs.ext.plans.flight.execution import POSITION_SILENT_S, SLOW_MPS, Execution
 from skygcs.ext.plans.flight.flight_findings import refusals
 from skygcs.ext.plans.flight.flight_situation import Situation
 from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, rest_of
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.plan_states import PlanState
 from skygcs.ext.plans.flight.sights import Sight, Why
 from skygcs.ext.plans.flight_check import (
     Checked,

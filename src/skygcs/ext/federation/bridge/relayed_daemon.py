@@ -17,13 +17,11 @@ from skygcs.errors import RpcError
 from skygcs.rpc import error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.dispatch import parse
+from skygcs.rpc.json_lines import ANSWER, MAX_REPLY_BYTES, LineBuffer, notification_start
 from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
 
 REACH_WITHIN_S = 2.0
 """A daemon that accepts no connection within this time counts as away."""
-
-MAX_LINE_BYTES = 32 << 20
-"""Longest line from the daemon, the same as for its other clients (`rpc.client_connection.MAX_REPLY_BYTES`)."""
 
 HIGH_WATER_BYTES = 256 * 1024
 """While the daemon has more than this to read, the client is not read."""
@@ -31,9 +29,8 @@ HIGH_WATER_BYTES = 256 * 1024
 OnAnswer = Callable[[bytes | RpcError], bytes]
 """Called with the result of a request of the station; its own result is sent to the client in place of the answer."""
 
-_ANSWER = b'{"jsonrpc":"2.0","id":'
-_REPORTS = tuple(b'{"jsonrpc":"2.0","method":"%b","params":{"request":' % name.encode() for name in (BEGUN, OUTCOME))
-"""How the daemon's lines begin that answer a request, or report one."""
+_REPORTS = tuple(notification_start(name, "request") for name in (BEGUN, OUTCOME))
+"""How the daemon's lines begin that report a request."""
 
 
 class RelayedClient(Protocol):
@@ -64,7 +61,7 @@ class RelayedDaemon(asyncio.Protocol):
         self._address = address
         self._token = token
         self._transport: asyncio.Transport | None = None
-        self._partial = bytearray()
+        self._lines = LineBuffer()
         self._prefix = f'"{secrets.token_hex(8)}-'.encode()
         """Beginning of the ids of the station's own requests."""
         self._asked: dict[bytes, OnAnswer] = {}
@@ -114,10 +111,10 @@ class RelayedDaemon(asyncio.Protocol):
     # -- to the daemon
 
     def write(self, line: bytes) -> bool:
-        """Send a line of the client; False without a connection."""
+        """Send a line of the client, without its newline; False without a connection."""
         if self._transport is None:
             return False
-        self._transport.write(line)
+        self._transport.write(line + b"\n")
         return True
 
     def write_eof(self) -> None:
@@ -179,13 +176,10 @@ class RelayedDaemon(asyncio.Protocol):
         self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
 
     def data_received(self, data: bytes) -> None:
-        self._partial += data
-        end = self._partial.rfind(b"\n") + 1
-        if end:
-            lines = bytes(self._partial[:end])
-            del self._partial[:end]
+        self._lines.feed(data)
+        if lines := self._lines.take_whole():
             self._pass_on(lines)
-        if len(self._partial) > MAX_LINE_BYTES:
+        if len(self._lines) > MAX_REPLY_BYTES:
             self._client.end()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -221,13 +215,13 @@ class RelayedDaemon(asyncio.Protocol):
 
     def _without_our_answer(self, line: bytes) -> bytes:
         """The line for the client: an answer to a request of the station is replaced by the result of its callback."""
-        if not line.startswith(_ANSWER + self._prefix):
+        if not line.startswith(ANSWER + self._prefix):
             return line
-        key = line[len(_ANSWER) : line.index(b'"', len(_ANSWER) + 1) + 1]
+        key = line[len(ANSWER) : line.index(b'"', len(ANSWER) + 1) + 1]
         on_answer = self._asked.pop(key, None)
         if on_answer is None:
             return b""
-        head = _ANSWER + key + b',"result":'
+        head = ANSWER + key + b',"result":'
         if line.startswith(head):
             return on_answer(line.rstrip()[len(head) : -1])
         error = parse(line).get("error") or {}

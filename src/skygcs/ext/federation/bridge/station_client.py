@@ -27,14 +27,10 @@ A client that does not read is not read from; it gets fewer states, and is close
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
 import pwd
-import socket
-import struct
 from collections import Counter
 from collections.abc import Awaitable, Coroutine, Mapping, Sequence
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import structlog
 from pydantic import ValidationError
@@ -48,17 +44,14 @@ from skygcs.ext.federation.protocol.order_messages import ENDS_FLIGHT, STOP
 from skygcs.ext.federation.protocol.site_names import SiteTargets, split_by_site
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.address import tcp_address
-from skygcs.rpc.dispatch import Dispatcher, Method, error_reply, failure_reply, parse, result_reply
+from skygcs.rpc.client_peer import ClientPeer
+from skygcs.rpc.dispatch import Dispatcher, Method, failure_reply, parse, result_reply
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, error_reply, id_of
 from skygcs.rpc.openrpc import document
 from skygcs.rpc.order_reports import OrderReports, wants_reports
-from skygcs.rpc.unix_socket import still_reads
 
-MAX_LINE_BYTES = 1 << 20
 MAX_IN_FLIGHT = 64
-HIGH_WATER_BYTES = 256 * 1024
-MAX_OUTPUT_BYTES = 8 << 20
-"""Limits of one client: length of a line, requests in progress, output above which the client is not read, and output
-above which it is closed. They are the daemon's."""
+"""Requests of one client in progress, as at the daemon."""
 
 MAX_HELD_BYTES = 4 * MAX_LINE_BYTES
 """Lines that wait until the daemon is reached; beyond, the client is not read."""
@@ -106,35 +99,31 @@ class Station(Protocol):
         ...
 
 
-class StationClient(asyncio.Protocol):
+class StationClient(ClientPeer):
     """One client of the station, with its connection to the daemon. The context of the station's own methods."""
 
     def __init__(self, station: Station) -> None:
+        super().__init__(station.counters)
         self.station = station
         self.services = station.services
-        self.writable = True
         self.restricted = False
         """True if it connected when all places were taken."""
         self.used_at = asyncio.get_running_loop().time()
         """Time of the last line in either direction."""
-        self._transport: asyncio.Transport | None = None
-        self._buffer = bytearray()
-        self._skipping = False
         self.daemon = RelayedDaemon(self, station.services.daemon_address, station.services.daemon_token)
         self._reached = False
         """True when it is known whether the daemon answers; lines wait until then."""
-        self._eof = self._eof_passed_on = False
+        self._eof_passed_on = False
         self._tasks: set[asyncio.Task[None]] = set()
         self._lasting: set[asyncio.Task[None]] = set()
         """The tasks of `Station.lasting` that belong to this client."""
         self._subscriptions: dict[int, RemoteSubscription] = {}
         self._next_number = OWN_NUMBERS
 
-    # -- asyncio.Protocol
+    # -- asyncio.Protocol and ClientPeer
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+        super().connection_made(transport)
         if not self.station.admit(self):
             self.end()
             return
@@ -142,27 +131,14 @@ class StationClient(asyncio.Protocol):
             asyncio.get_running_loop().call_later(RESERVE_S, self._end_reserve)
         self._run(self._reach_daemon(), "reach daemon")
 
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        if self._reached:
-            self._read_lines()
-        self._pace()
-
-    def eof_received(self) -> bool:
-        """The client sends no more. A client that still reads gets its answers; the requests of one that has gone are
-        cancelled, except those that outlive it."""
-        if self._transport is None or not still_reads(self._transport):
-            return False
-        self._eof = True
-        if self._buffer and not self._buffer.endswith(b"\n"):
-            self._buffer += b"\n"
+    def received(self) -> None:
         if self._reached:
             self._read_lines()
             self._close_if_done()
-        return True
+        self._pace()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._reached or not self._buffer:
+        if self._reached or not self._lines:
             self.end()
         else:  # its lines are still read: an order that outlives its client is carried out, as at the daemon
             self._eof = True
@@ -182,13 +158,7 @@ class StationClient(asyncio.Protocol):
         self._pace()
 
     def _pace(self) -> None:
-        transport = self._transport
-        if transport is None or transport.is_closing() or self._eof:
-            return
-        if not self.writable or self.daemon.full or len(self._buffer) > MAX_HELD_BYTES:
-            transport.pause_reading()
-        elif not transport.is_reading():
-            transport.resume_reading()
+        self.pace_reading(wait=self.daemon.full or len(self._lines) > MAX_HELD_BYTES)
 
     @property
     def busy(self) -> bool:
@@ -204,35 +174,15 @@ class StationClient(asyncio.Protocol):
     @property
     def user(self) -> str:
         """The name of the user that runs the client, "unknown" if the kernel does not report it."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        if sock is None:
+        found = self.credentials
+        try:
+            return "unknown" if found is None else pwd.getpwuid(found.uid).pw_name
+        except KeyError:
             return "unknown"
-        with contextlib.suppress(OSError, KeyError), socket.socket(fileno=os.dup(sock.fileno())) as peer:
-            credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-            return pwd.getpwuid(struct.unpack("3i", credentials)[1]).pw_name
-        return "unknown"
 
     def write(self, data: bytes) -> None:
-        """Send whole lines; a client that has not read MAX_OUTPUT_BYTES is closed."""
-        transport = self._transport
-        if transport is None or transport.is_closing():
-            return
-        transport.write(data)
         self.used_at = asyncio.get_running_loop().time()
-        if transport.get_write_buffer_size() > MAX_OUTPUT_BYTES:
-            self.station.counters["closed_unread"] += 1
-            _log.warning("client of the station closed: it does not read", unread_bytes=MAX_OUTPUT_BYTES)
-            transport.abort()
-            self.end()
-
-    def reply(self, reply: bytes) -> None:
-        if reply:
-            self.write(reply + b"\n")
-
-    def notify(self, method: str, params: dict[str, Any]) -> None:
-        """Send a notification that may be lost: nothing to a client that does not read."""
-        if self.writable:
-            self.write(to_json({"jsonrpc": "2.0", "method": method, "params": params}) + b"\n")
+        super().write(data)
 
     # -- the daemon
 
@@ -266,23 +216,9 @@ class StationClient(asyncio.Protocol):
 
     def _read_lines(self) -> None:
         while self._transport is not None and self.writable and not self.daemon.full:
-            end = self._buffer.find(b"\n")
-            if (end if end >= 0 else len(self._buffer)) > MAX_LINE_BYTES:
-                if not self._skipping:
-                    self.reply(
-                        error_reply(None, error_codes.INVALID_REQUEST, f"a line has at most {MAX_LINE_BYTES} bytes")
-                    )
-                self._skipping = end < 0
-                del self._buffer[: end + 1 if end >= 0 else len(self._buffer)]
-                continue
-            if end < 0:
+            if (line := self.next_line(MAX_LINE_BYTES)) is None:
                 return
-            line = bytes(self._buffer[: end + 1])
-            del self._buffer[: end + 1]
-            if self._skipping:
-                self._skipping = False
-            elif line.strip():
-                self._on_line(line)
+            self._on_line(line)
 
     def _on_line(self, line: bytes) -> None:
         self.station.counters["lines"] += 1
@@ -301,7 +237,7 @@ class StationClient(asyncio.Protocol):
             self._on_request(request, line)
         except (SkygcsError, ValidationError) as error:
             if isinstance(request, dict) and "id" in request:
-                self.reply(failure_reply(_id(request), str(request.get("method")), error))
+                self.reply(failure_reply(id_of(request), str(request.get("method")), error))
 
     def _to_daemon(self, line: bytes, otherwise: bytes) -> None:
         if not self.daemon.write(line):
@@ -321,7 +257,7 @@ class StationClient(asyncio.Protocol):
         if self.restricted and method != LIST and method not in ENDS_FLIGHT:
             answered = ", ".join(sorted({*ENDS_FLIGHT, LIST}))
             text = f"{self.station.full_text}; only {answered} are answered all the same"
-            self.reply(error_reply(_id(request), error_codes.LIMIT_EXCEEDED, text))
+            self.reply(error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text))
         elif not isinstance(method, str):
             self._to_daemon(line, error_reply(None, error_codes.INVALID_REQUEST, "a request is a JSON object"))
         elif method.startswith("federation."):
@@ -384,15 +320,15 @@ class StationClient(asyncio.Protocol):
     def _own(self, request: dict[str, Any], line: bytes | None, method: str) -> None:
         """Pass a request to the daemon, or answer it here while the daemon is away. ``line``: the request as received;
         None: it was changed."""
-        if self.daemon.write(to_json(request) + b"\n" if line is None else line):
+        if self.daemon.write(to_json(request) if line is None else line):
             return
         result = self._result_without_daemon(method, request.get("params"))
         if "id" not in request:
             return
         if result is None:
-            self.reply(error_reply(_id(request), error_codes.NO_DAEMON, self.daemon.absent))
+            self.reply(error_reply(id_of(request), error_codes.NO_DAEMON, self.daemon.absent))
         else:
-            self.reply(result_reply(_id(request), method, result))
+            self.reply(result_reply(id_of(request), method, result))
 
     def _result_without_daemon(self, method: str, params: Any) -> Any:
         """The result of a request that a page or `skygcs-cli status` sends to any daemon; None for other requests."""
@@ -415,7 +351,7 @@ class StationClient(asyncio.Protocol):
     def _answer_here(self, request: dict[str, Any]) -> None:
         """Answer one of the methods federation.*."""
         if len(self._tasks) >= MAX_IN_FLIGHT:
-            self.reply(error_reply(_id(request), error_codes.LIMIT_EXCEEDED, _TOO_MANY))
+            self.reply(error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, _TOO_MANY))
             return
         reply = self.station.dispatcher.start(self, request)
         if isinstance(reply, bytes):
@@ -432,7 +368,7 @@ class StationClient(asyncio.Protocol):
     ) -> None:
         """Reply with the result of ``work``, an `Encoded` or JSON-able, when it ends. ``lasting``: it outlives the
         client."""
-        request_id, method = _id(request), str(request.get("method"))
+        request_id, method = id_of(request), str(request.get("method"))
         if len(self._tasks) + len(self._lasting) >= MAX_IN_FLIGHT:
             work.close()
             self.reply(error_reply(request_id, error_codes.LIMIT_EXCEEDED, _TOO_MANY))
@@ -579,11 +515,11 @@ class StationClient(asyncio.Protocol):
 
         def begin(result: bytes | RpcError) -> bytes:
             if isinstance(result, RpcError):
-                return failure_reply(_id(request), "subscribe", result) + b"\n"
+                return failure_reply(id_of(request), "subscribe", result) + b"\n"
             number = subscription.number = int(parse(result)["subscription"])
             self._subscriptions[number] = subscription
             asyncio.get_running_loop().call_soon(self._begin_feed, subscription)
-            reply = result_reply(_id(request), "subscribe", {"subscription": number})
+            reply = result_reply(id_of(request), "subscribe", {"subscription": number})
             return reply + b"\n" if "id" in request else b""
 
         if targets.own and self.daemon.connected:
@@ -603,13 +539,13 @@ class StationClient(asyncio.Protocol):
         if number < OWN_NUMBERS and self.daemon.write(line):
             return
         if "id" in request:
-            self.reply(result_reply(_id(request), "unsubscribe", {"subscription": number}))
+            self.reply(result_reply(id_of(request), "unsubscribe", {"subscription": number}))
 
     # -- the end
 
     def _close_if_done(self) -> None:
         """After the client's end of file: pass it to the daemon, which closes when it has answered everything."""
-        if not self._eof or self.busy or self._transport is None or self._buffer or not self._reached:
+        if not self._eof or self.busy or self._transport is None or self._lines or not self._reached:
             return
         if self.daemon.connected:
             if not self._eof_passed_on:
@@ -637,14 +573,9 @@ class StationClient(asyncio.Protocol):
         self._subscriptions.clear()
         for task in list(self._tasks):
             task.cancel()
-        self._buffer.clear()
+        self._lines.clear()
         if transport is not None:
             transport.close()
-
-
-def _id(request: object) -> object:
-    request_id = request.get("id") if isinstance(request, dict) else None
-    return None if isinstance(request_id, bool) or not isinstance(request_id, str | int | float) else request_id
 
 
 def _plain(parts: Sequence[str]) -> str | list[str]:

@@ -19,11 +19,13 @@ from typing import Literal
 
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
+from skygcs.core.plan.straight_flight import assigned, straight_trajectories
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.certificates.certify import certify
+from skygcs.ext.plans.certificates.layered_flight import layered
 
 Kind = Literal["auto", "timed", "phased", "direct"]
 """direct: one phase in which all fly straight, each as fast as it likes."""
@@ -82,8 +84,6 @@ def make_plan(
     progress: AttemptProgress | None = None,
 ) -> Found:
     """Search in the order of the table. Raises RefusedError for an invalid task."""
-    from skygcs.core.plan.straight_flight import assigned
-
     names = list(task.starts)
     if not names:
         raise RefusedError("a plan has one vehicle at least")
@@ -135,8 +135,6 @@ def _direct(search: _Search) -> Attempt:
 
 
 def _straight(search: _Search) -> Attempt:
-    from skygcs.core.plan.straight_flight import straight_trajectories
-
     trajectories = straight_trajectories(list(search.starts.values()), list(search.goals.values()), search.limits)
     plan = TimedPlan(dict(zip(search.starts, trajectories, strict=True)))
     report = None if search.progress is None else partial(search.progress, "straight, timed")
@@ -144,8 +142,6 @@ def _straight(search: _Search) -> Attempt:
 
 
 def _layers(search: _Search) -> Attempt:
-    from skygcs.ext.plans.certificates.layered_flight import layered
-
     if search.progress is not None:
         search.progress("layers", 0, len(search.starts))
 

@@ -21,14 +21,17 @@ from skygcs.cli.options import Json, with_groups
 from skygcs.cli.plan_reading import read_files
 from skygcs.cli.render import console, print_json, table
 from skygcs.core.geo import Origin
+from skygcs.core.plan.crazyswarm import write_crazyswarm
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
 from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.plan.plan_json import plan_content, plan_from_json, space_content
-from skygcs.core.trajectory import MotionLimits
+from skygcs.core.plan.skyc import write_skyc
+from skygcs.core.trajectory import MotionLimits, motion_peaks
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.commands import plan_run
 from skygcs.ext.plans.commands.plan_certificates import Answer, asked, computed, print_answer, print_refusal
+from skygcs.ext.plans.commands.plan_drawing import draw_page, draw_svg
 from skygcs.ext.plans.commands.plan_inputs import (
     Files,
     FormationOptions,
@@ -198,14 +201,10 @@ def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits
     plan, _ = plan_from_json("the plan", content)
     trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)
     if suffix == ".skyc":
-        from skygcs.core.plan.skyc import write_skyc
-
         output.write_bytes(write_skyc(trajectories))
     elif suffix:
         raise RefusedError(f"{output}: a plan is written as .json, .skyc, or into a folder as Crazyswarm CSV files")
     else:
-        from skygcs.core.plan.crazyswarm import write_crazyswarm
-
         for name in trajectories:
             if "/" in name or "\\" in name or name.startswith("."):
                 raise RefusedError(f"{name!r} cannot be the name of a file")
@@ -331,9 +330,6 @@ async def _certified_by_daemon(
 
 
 def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_output: bool) -> None:
-    from skygcs.core.trajectory import motion_peaks
-    from skygcs.ext.plans.commands.plan_drawing import draw_page, draw_svg
-
     # the trajectories, timed where the plan is not
     plan = found.plan
     trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)

@@ -13,6 +13,7 @@ import typer
 
 from skygcs.cli.connection import Exit, fail
 from skygcs.cli.render import console, print_json, table
+from skygcs.ext.plans.planning.process import run
 from skygcs.rpc.client import Client
 
 Answer = Mapping[str, Any]
@@ -20,8 +21,6 @@ Answer = Mapping[str, Any]
 
 def computed(request: dict[str, Any], json_output: bool) -> Answer:
     """The answer of a planning process to a request (`planning/request.py`). Raises SkygcsError; Ctrl-C ends it."""
-    from skygcs.ext.plans.planning.process import run
-
     with _bar(json_output) as report:
         return run(request, report)
 

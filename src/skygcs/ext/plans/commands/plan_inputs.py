@@ -17,10 +17,13 @@ from skygcs.core.geo import Origin
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
 from skygcs.core.plan.plan_files import ReadPlan
 from skygcs.core.plan.plan_json import read_plan_json
+from skygcs.core.plan.trajectory_csv import read_formation_csv, read_paths
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import PlanFileError
 from skygcs.ext.plans.commands.plan_options import vector
+from skygcs.ext.plans.commands.table import read_table
 from skygcs.ext.plans.flight.flight_steps import ends_of, starts_of
+from skygcs.ext.plans.position_table import spots
 from skygcs.rpc.client import Client
 
 Files = Annotated[
@@ -122,8 +125,6 @@ class FormationOptions:
         shape: str = self.formation
         points: tuple[Vector, ...] = ()
         if self.of_file:
-            from skygcs.core.plan.trajectory_csv import read_formation_csv
-
             shape, points = POINTS, read_formation_csv(shape, bytes_of(Path(shape)))
         middle = None if self.at is None else vector("--at", self.at)
         return WantedFormation(shape, middle, radians(self.heading), self.scale, self.spacing, points)
@@ -138,14 +139,9 @@ def starts_and_goals(file: Path, *, one_is_enough: bool = False) -> tuple[Places
         plan, _ = read_plan_json(str(file), bytes_of(file))
         return starts_of(plan), ends_of(plan)
     if file.suffix.lower() == ".toml" or any(column in bytes_of(file)[:4096] for column in (b"initial_x", b"final_x")):
-        from skygcs.ext.plans.commands.table import read_table
-        from skygcs.ext.plans.position_table import spots
-
         places = read_table(file)
         starts = {name: spot.position_m for name, spot in spots(places, "initial").items()}
         return starts, {name: spot.position_m for name, spot in spots(places, "final").items()}
-    from skygcs.core.plan.trajectory_csv import read_paths
-
     if file.suffix.lower() != ".csv":
         raise PlanFileError(str(file), "", "starts and goals are in a .csv or .toml")
     paths = read_paths(str(file), bytes_of(file))

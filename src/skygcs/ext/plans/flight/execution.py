@@ -51,14 +51,21 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import NamedTuple
 
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
-from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, distance_to_leg, scaled
+from skygcs.ext.plans.flight.flight_steps import FlightStep, distance_to_leg, scaled
 from skygcs.ext.plans.flight.guidance import Guidance
+from skygcs.ext.plans.flight.plan_states import (
+    OVER,
+    STATE_OF,
+    STEPPING,
+    Change,
+    Order,
+    OrderKind,
+    PlanState,
+)
 from skygcs.ext.plans.flight.sights import ClockProgress, Left, Pair, Sight, Tubes, pairs_near, pairs_text
 
 FAR = 2.0
@@ -92,67 +99,6 @@ SLOW_MPS = 0.6
 
 START_LEAD_S = 1.0
 """From the order to the common start of a step: setpoints of all vehicles are at the start by then."""
-
-
-class PlanState(StrEnum):
-    ARMING = "arming"
-    TAKEOFF = "takeoff"
-    ENGAGING = "engaging"
-    TO_STARTS = "to_starts"
-    RETURNING = "returning"
-    FLYING = "flying"
-    PAUSED = "paused"
-    STOPPED = "stopped"
-    ABORTING = "aborting"
-    LANDING = "landing"
-    FINISHED = "finished"
-    ABORTED = "aborted"
-    LANDED = "landed"
-
-
-OVER = frozenset({PlanState.FINISHED, PlanState.ABORTED, PlanState.LANDED})
-STEPPING = frozenset({PlanState.TO_STARTS, PlanState.RETURNING, PlanState.FLYING})
-BEFORE_FLIGHT = frozenset({PlanState.ARMING, PlanState.TAKEOFF, PlanState.ENGAGING})
-
-STATE_OF = {
-    StepKind.WAY_THERE: PlanState.TO_STARTS,
-    StepKind.WAY_BACK: PlanState.RETURNING,
-    StepKind.PLAN: PlanState.FLYING,
-}
-
-
-class OrderKind(StrEnum):
-    """Orders that the runtime is to carry out; ``vehicles`` of the order say with which."""
-
-    MODE = "mode"
-    """Change to the mode of the take-off."""
-    ARM = "arm"
-    DISARM = "disarm"
-    TAKEOFF = "takeoff"
-    ENGAGE = "engage"
-    FLY = "fly"
-    """Start the step on one clock."""
-    STOP_CLOCK = "stop clock"
-    GO_ON = "go on"
-    END_CLOCK = "end clock"
-    HOLD = "hold"
-    CERTIFY_LANDING = "certify landing"
-    LAND = "land"
-
-
-class Order(NamedTuple):
-    kind: OrderKind
-    vehicles: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A state change, to be reported once."""
-
-    state: PlanState
-    text: str
-    vehicle: str | None = None
-    pairs: tuple[Pair, ...] = ()
 
 
 @dataclass(slots=True)

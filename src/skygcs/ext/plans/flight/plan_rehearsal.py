@@ -27,8 +27,9 @@ from skygcs.core.trajectory import ClockState, MotionLimits, path_within
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
 from skygcs.core.vehicle.way_out import LossReach, fence_ahead
-from skygcs.ext.plans.flight.execution import Execution, OrderKind, PlanState
+from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep
+from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState
 from skygcs.ext.plans.flight.sights import Sight, Tubes
 
 TICK_S = 0.2

@@ -20,6 +20,7 @@ from skygcs.ext.federation.bridge.station_socket import StationSocket
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SiteTargets
 from skygcs.ext.federation.protocol.state_batch import StateBatch, row_from_state
+from skygcs.rpc import client_peer
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.order_reports import OrderReports
 from skygcs.rpc.server import RpcServer
@@ -371,11 +372,11 @@ async def test_when_all_places_are_taken_flights_can_be_ended_and_an_idle_client
 
 
 async def test_what_is_too_long_or_not_read_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station_client, "MAX_OUTPUT_BYTES", 200_000)
+    monkeypatch.setattr(client_peer, "MAX_OUTPUT_BYTES", 200_000)
     async with station(tmp_path, daemon=FakeDaemon(1)) as here, lines(here) as raw, lines(here) as idle:
         assert "bytes" in (await raw.ask(b"x" * (station_client.MAX_LINE_BYTES + 2)))["error"]["message"]
         assert len((await raw.ask(request("vehicles.list")))["result"]) == 1
-        monkeypatch.setattr(station_client, "HIGH_WATER_BYTES", 1000)
+        monkeypatch.setattr(client_peer, "HIGH_WATER_BYTES", 1000)
         here.services.hear(*(f"n{i}" for i in range(250)))
         for _ in range(40):
             idle.writer.write(request("vehicles.list", targets="south/all").encode() + b"\n")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
-from skygcs.core.vehicle.flight_record import FlightRecord
+from skygcs.core.vehicle.flight_note import FlightRecord
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.flight_findings import (
     Finding,

@@ -14,17 +14,9 @@ from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.errors import RefusedError
-from skygcs.ext.plans.flight.execution import (
-    BARRIER_S,
-    LATE_S,
-    POSITION_SILENT_S,
-    SETTLED_S,
-    Execution,
-    Order,
-    OrderKind,
-    PlanState,
-)
+from skygcs.ext.plans.flight.execution import BARRIER_S, LATE_S, POSITION_SILENT_S, SETTLED_S, Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
+from skygcs.ext.plans.flight.plan_states import Order, OrderKind, PlanState
 from skygcs.ext.plans.flight.sights import Left, Pair, Sight, Tubes, Why, pairs_near, pairs_text
 from support.examples import examples
 from support.table import each

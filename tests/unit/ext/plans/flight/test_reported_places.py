@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from skygcs.core.trajectory import ClockState, Piece, Trajectory
-from skygcs.ext.plans.flight.execution import Execution, OrderKind, PlanState
+from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind
+from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState
 from skygcs.ext.plans.flight.sights import Sight, Tubes
 
 TUBES = Tubes({"v1": 1.65}, {"v1": 0.4}, {"v1": 0.4}, 2.0)

@@ -1,0 +1,147 @@
+"""Orders about what a vehicle keeps on board: its mission, fence and rally lists, its fence, and its logs.
+
+Each is a function of the vehicle's actor, to be given with `FleetOrders.command_all` as the methods of `VehicleActor`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Coroutine, Sequence
+from typing import TYPE_CHECKING
+
+from skygcs.core.mission.item import MissionType
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle import mission_orders
+from skygcs.core.vehicle.flight_lock import FenceListWrite, RallyWrite
+from skygcs.core.vehicle.order_plan import Plan
+from skygcs.runtime.fence_orders import FenceOutcome
+from skygcs.runtime.order_runner import duplicate_refusal
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+if TYPE_CHECKING:  # only some vehicles have them
+    from skygcs.runtime.onboard_logs import LogsOutcome
+
+# -- lists
+
+
+async def upload_plan(
+    actor: VehicleActor, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False
+) -> Outcome:
+    """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present ones."""
+    if (why := _list_refusal(actor, kinds)) is not None:
+        return actor.refuse("plan upload", why)
+    work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
+    return await actor.runner.track("plan upload", work)
+
+
+async def clear_plan(actor: VehicleActor, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
+    """See `Missions.drop`; as `upload_plan`."""
+    if (why := _list_refusal(actor, kinds)) is not None:
+        return actor.refuse("plan clear", why)
+    return await actor.runner.track("plan clear", actor.missions.drop(kinds, force=force))
+
+
+async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
+    """See `Missions.fetch`."""
+    if (why := actor.authority_refusal()) is not None:
+        return actor.refuse("plan download", why), MissionPlan()
+    outcome, plan = await actor.missions.fetch(kinds)
+    return actor.runner.finish("plan download", outcome), plan
+
+
+def _list_refusal(actor: VehicleActor, kinds: Collection[MissionType]) -> str | None:
+    """Why these lists must not be changed now; None if they may. A mission is nothing that a flight stands on."""
+    refusal, key = actor.services.locks.refusal, actor.vehicle.key
+    fence = refusal(FenceListWrite(key)) if MissionType.FENCE in kinds else None
+    rally = refusal(RallyWrite(key)) if MissionType.RALLY in kinds else None
+    return fence or rally
+
+
+# -- missions in flight
+
+
+async def start_mission(actor: VehicleActor, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
+    """See `mission_orders.start`; ``force`` as for `VehicleActor.takeoff`."""
+
+    def planner(now: float) -> Plan:
+        actor.require_preflight(force=force)
+        return mission_orders.start(actor.vehicle, now, first=first, arm=arm)
+
+    return await actor.runner.run("mission", _new_run(actor, planner, first))
+
+
+async def resume_mission(actor: VehicleActor, *, force: bool = False) -> Outcome:
+    """Go on with the current item; `VehicleActor.hold` pauses a mission. ``force``: whoever is in the way, which the
+    fleet knows."""
+    planner = _new_run(actor, lambda now: mission_orders.resume(actor.vehicle, now))
+    return await actor.runner.run("mission", planner)
+
+
+async def set_mission_item(actor: VehicleActor, *, item: int, force: bool = False) -> Outcome:
+    """Make it the current item, from 1. ``force``: as for `resume_mission`."""
+    planner = _new_run(actor, lambda now: mission_orders.set_current(actor.vehicle, now, item), item)
+    return await actor.runner.run("mission item", planner)
+
+
+def _new_run(
+    actor: VehicleActor, planner: Callable[[float], Plan], first: int | None = None
+) -> Callable[[float], Plan]:
+    """The planner of an order with which another run of its mission begins, unless it refuses."""
+
+    def begins(now: float) -> Plan:
+        plan = planner(now)
+        actor.missions.run_begins(first)
+        return plan
+
+    return begins
+
+
+# -- the fence
+
+
+async def set_fence(
+    actor: VehicleActor,
+    *,
+    radius_m: float | None = None,
+    height_m: float | None = None,
+    action: str | None = None,
+    force: bool = False,
+) -> FenceOutcome:
+    """See `VehicleFence.set`."""
+    work = lambda: actor.fence.set(radius_m=radius_m, height_m=height_m, action=action, force=force)  # noqa: E731
+    return await _report_fence(actor, "fence", work)
+
+
+async def read_fence(actor: VehicleActor) -> FenceOutcome:
+    """See `VehicleFence.status`."""
+    return await actor.fence.status()
+
+
+async def test_fence(actor: VehicleActor, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
+    """See `VehicleFence.test`."""
+    work = lambda: actor.fence.test(radius_m=radius_m, action=action, timeout_s=timeout_s)  # noqa: E731
+    return await _report_fence(actor, "fence test", work)
+
+
+async def _report_fence(
+    actor: VehicleActor, order: str, work: Callable[[], Coroutine[None, None, FenceOutcome]]
+) -> FenceOutcome:
+    """Report its outcome like that of any order; a cancelled test reports itself."""
+    if actor.vehicle.duplicate:
+        return FenceOutcome(actor.runner.finish(order, duplicate_refusal(actor.vehicle)))
+    outcome = await work()
+    actor.runner.finish(order, outcome.outcome)
+    return outcome
+
+
+# -- logs
+
+
+async def list_logs(actor: VehicleActor) -> LogsOutcome:
+    """See `VehicleLogs.list`."""
+    return await actor.logs.list()
+
+
+async def get_logs(actor: VehicleActor, *, logs: Sequence[int] | str, force: bool = False) -> LogsOutcome:
+    """See `VehicleLogs.get`."""
+    return await actor.logs.get(logs, force=force)
