@@ -142,9 +142,7 @@ def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> 
         text = f"{lost_place(actor.vehicle, now)}, and may be anywhere about there{FORGET.format(name=actor.name)}"
         return [refused(actor.name, check, text, remedies.forget(actor.name), insist=True)]
     if age_s > PLAN_POSITION_S or speed_mps > MOVING_MPS:
-        text = (
-            f"it takes no part and {'is silent' if age_s > PLAN_POSITION_S else f'flies with {speed_mps:.1f} m/s'}: "
-        )
+        text = f"it takes no part and {'is silent' if age_s > PLAN_POSITION_S else f'flies with {speed_mps:.1f} m/s'}: "
         text += f"it is no obstacle that stays at ({where})"
         return [refused(actor.name, check, text, remedies.hold(actor.name), insist=True)]
     text = f"it flies, takes no part, and is taken to stay at ({where})"

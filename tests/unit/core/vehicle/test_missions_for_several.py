@@ -262,7 +262,9 @@ def test_more_items_than_all_may_have_together_are_refused_before_anything_is_ma
     most = MAX_ARRANGED_ITEMS // count
     just = MissionPlan((RETURN,) * most)
     assert next(arranging(just, step, [None] * count, [Footprint()] * count)) is None
-    with pytest.raises(ValueError, match=rf"{most + 1} items for each of {count} vehicles .* shorten it to {most} items"):
+    with pytest.raises(
+        ValueError, match=rf"{most + 1} items for each of {count} vehicles .* shorten it to {most} items"
+    ):
         next(arranging(MissionPlan((RETURN,) * (most + 1)), step, [None] * count, [Footprint()] * count))
 
 
