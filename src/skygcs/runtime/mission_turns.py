@@ -16,7 +16,7 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.landing_evidence import LandingWatch
+from skygcs.core.vehicle.flight_evidence import LandingWatch
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -170,7 +170,7 @@ class MissionTurns:
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=ends_on_ground(items, vehicle.abilities.return_end),
+            lands=ends_on_ground(items, vehicle.return_end(now)),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),

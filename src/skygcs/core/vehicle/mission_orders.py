@@ -417,7 +417,7 @@ class Turn(NamedTuple):
     at_home: bool = False
     """It is where it holds at the end of a return that does not land."""
     not_landed: str | None = None
-    """What shows that it has crashed, or was disarmed in the air; see `landing_evidence`."""
+    """Evidence that it has crashed, or was disarmed in the air (`flight_evidence.LandingWatch`)."""
     settled: bool = True
     """It has been disarmed long enough for that to be known."""
 
@@ -481,7 +481,9 @@ def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnE
     if last is None:
         return False
     if ends_with_return(items):
-        return return_end is ReturnEnd.LANDS
+        if return_end is ReturnEnd.BY_MISSION:
+            return any(item.command == mav_cmd.DO_LAND_START for item in items)
+        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS)
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

@@ -368,11 +368,8 @@ async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeig
     slots = asyncio.Semaphore(PREFLIGHT_READERS)
 
     async def one(actor: VehicleActor) -> ReturnHeight | None:
-        names = (
-            (("RTL_RETURN_ALT", 1.0),) if actor.vehicle.family == "px4" else (("RTL_ALT", 100.0), ("RTL_ALT_M", 1.0))
-        )
         async with slots:
-            for name, per_metre in names:
+            for name, per_metre in itertools.chain(*actor.vehicle.abilities.return_heights):  # a copter has one
                 outcome = await actor.params.get(name)
                 if outcome.ok and outcome.param is not None:
                     return ReturnHeight(outcome.param.name, per_metre, float(outcome.param.value) / per_metre)

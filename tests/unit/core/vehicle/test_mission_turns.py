@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from skygcs.core.mavlink.modes import Family
-from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of
+from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, last_moving, next_turn
 
@@ -86,6 +86,22 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     ],
 )
 def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:
-    end = abilities_of(family, VehicleClass(kind)).return_end
+    end = abilities_of(family, VehicleClass(kind)).return_end_by(lambda name: None)
     assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
     assert ends_on_ground([MissionItem(16), MissionItem(21)], end)
+
+
+@pytest.mark.parametrize(
+    ("end", "landing", "lands"),
+    [
+        (ReturnEnd.LANDS_ON_ROTORS, False, True),
+        (ReturnEnd.BY_MISSION, True, True),
+        (ReturnEnd.BY_MISSION, False, False),  # without one it circles
+        (ReturnEnd.CIRCLES, True, False),
+    ],
+)
+def test_a_planes_return_ends_on_the_ground_by_its_parameters_and_its_mission(
+    end: ReturnEnd, landing: bool, lands: bool
+) -> None:
+    down = [MissionItem(189), MissionItem(16), MissionItem(21)] if landing else []
+    assert ends_on_ground([*down, MissionItem(16), MissionItem(20)], end) is lands
