@@ -194,7 +194,7 @@ def test_a_quadplane_returns_as_its_parameters_say(field: Field, figures: dict[s
     message = field.order("vehicles.rtl", name)[name]["message"]
     assert message == "returning to launch; it circles at its return height", message
     for value in (0, 1):
-        field.order("params.set", name, params={"Q_RTL_MODE": value})
+        field.order("params.set", name, params={"Q_RTL_MODE": value}, force=True)
         field.wait(lambda: field.truth(name).speed_mps > 10, 10, "it flies on")
     message = field.order("vehicles.rtl", name)[name]["message"]
     assert message.endswith("it flies home as a plane, and lands there on its rotors"), message
@@ -202,7 +202,7 @@ def test_a_quadplane_returns_as_its_parameters_say(field: Field, figures: dict[s
     figures["return s"] = field.wait(lambda: not field.truth(name).armed, 180, "it has landed and disarmed")
     figures["beside m"] = round(away_m(field, 0, 0), 1)
     assert away_m(field, 0, 0) < 10
-    field.order("params.set", name, params={"Q_RTL_MODE": 0})
+    field.order("params.set", name, params={"Q_RTL_MODE": 0}, force=True)
 
 
 @pytest.mark.only("rover")
