@@ -140,7 +140,7 @@ class OrderRunner:
         self._newest: Plan | None = None
         self._waiting = 0
         """Orders that move the vehicle and are repeated until it accepts them (`retry`)."""
-        self._ended = asyncio.Event()
+        self._order_ended = asyncio.Event()
         """Set at each end of a plan in progress, or of an order that is repeated."""
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
@@ -161,15 +161,15 @@ class OrderRunner:
             return await self.track(order, self._tries(order, planner, wait_s))
         finally:
             self._waiting -= moves
-            self._ended.set()
+            self._order_ended.set()
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
         """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
         one, by whatever door it came: its end is awaited, and only if the vehicle has not accepted it is this one
         given."""
         while self.moving or self._waiting:
-            self._ended.clear()
-            await self._ended.wait()
+            self._order_ended.clear()
+            await self._order_ended.wait()
         if self.carried_out > number:
             return self.finish(order, Outcome.refused(f"a newer order moves it (number {self.carried_out})"))
         return await self.run(order, planner)
@@ -271,7 +271,7 @@ class OrderRunner:
             outcome = await self._execute(plan, clearance)
         finally:
             self.moving -= 1
-            self._ended.set()
+            self._order_ended.set()
         outcome = replace(outcome, order_number=number)
         if outcome.ok:
             self.carried_out = max(self.carried_out, number)
