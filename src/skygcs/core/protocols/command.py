@@ -103,7 +103,7 @@ class Outcome:
         return cls(False, "refused", f"refused: {why}")
 
     def as_dict(self) -> dict[str, Any]:
-        """As in the answers of methods; without a number for an order that has none."""
+        """Return its fields for the answers of methods; an order without a number has no such field."""
         number = {} if self.order_number is None else {"order_number": self.order_number}
         return {
             "ok": self.ok,

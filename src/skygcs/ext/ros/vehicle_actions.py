@@ -36,7 +36,7 @@ class UnderWay(NamedTuple):
     goal: Goal
     progress: OrderProgress
     number: int | None
-    """Of its order, at the daemon; None: it has none, as a goto under control."""
+    """Number of its order at the daemon; None: it has none, as a goto under control."""
 
 
 class VehicleActions:
