@@ -176,7 +176,7 @@ class Daemon:
         """Give them orders to check, frames to observe and vehicles to gate, and leave them their part of the links."""
         self.hub.gate_sending(self.extensions.send_gates())
         self.fleet.order_refusal = self.extensions.order_refusal
-        self.fleet.plans.on_fault = self.hub.fault
+        self.fleet.plans.on_fault = self.fleet.locks.on_fault = self.hub.fault
         self.fleet.flights_elsewhere.update(self.extensions.flights_elsewhere())
         view.taken_bytes_per_s = self.extensions.bytes_per_s
         for extension in self.extensions:

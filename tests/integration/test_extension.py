@@ -18,6 +18,7 @@ from skygcs.config.loader import load_fleet_and_dialect
 from skygcs.config.models import VehicleSettings
 from skygcs.config.tables import Model
 from skygcs.core.routing.send_gates import SendGate
+from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, RpcError
 from skygcs.extension import Extension, Extensions
@@ -238,6 +239,28 @@ async def test_one_of_any_name_gates_what_is_sent_to_a_vehicle(
         gate.fault = ValueError("broken")
         await gcs.done("vehicles.stop", action="land")
         gcs.told.clear()  # the faults
+
+
+@pytest.mark.looptime
+async def test_a_flight_of_one_that_fails_refuses_what_would_change_it_and_is_a_fault_of_the_daemon(
+    tmp_path: Path,
+) -> None:
+    def broken() -> bool:
+        raise ValueError("broken")
+
+    async with flown(tmp_path) as gcs:
+        locks, actor = gcs.daemon.fleet.locks, gcs.actor()
+        flown_ = [(actor.vehicle, actor.config.control)]
+        locks.take(locks.make(Holder.PLAN, "show", gcs.daemon.fleet.world.origin, flown_), broken)
+        refused = await gcs.outcome("vehicles.set_home", lat_deg=43.8, lon_deg=-79.5, force=True)
+        assert not refused["ok"] and "could not say whether it has ended" in refused["message"], refused
+        await gcs.done("vehicles.goto", enu_m=[5.0, 5.0, 12.0])
+        await gcs.done("vehicles.land")
+        assert (await gcs("daemon.info"))["faults"] > 0
+        assert [told.text for told in gcs.told if told.kind == "fault"] == [
+            "internal fault, please report it: ValueError: broken"
+        ]
+        gcs.told.clear()
 
 
 async def test_a_daemon_does_not_start_without_a_gate_that_was_promised(

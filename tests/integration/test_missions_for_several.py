@@ -203,6 +203,30 @@ async def test_nobody_starts_after_another_station_has_landed_the_one_that_flies
         assert f"v1 was taken over ({mode}); v2 does not start" in ended
 
 
+@pytest.mark.parametrize("px4", [2, 0], ids=["px4", "ardupilot"])
+@pytest.mark.parametrize("how", ["switched off", "crash check"])
+async def test_nobody_starts_after_the_one_that_flies_has_fallen_on_its_last_way_down(
+    tmp_path: Path, px4: int, how: str
+) -> None:
+    """It is on the ground and disarmed by its last item, and counted as landed."""
+    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH, end="land"))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        if how == "switched off":
+            gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
+        else:
+            await gcs.until(lambda: gcs.place("v1")[2] < 1.0, 60.0)
+            sim = gcs.sim("v1")
+            sim.tx.say(mav.MAV_SEVERITY_EMERGENCY, "Crash: Disarming: AngErr=40>30, Accel=1.2<3.0")
+            sim.switch_off("crash")
+        await landed(gcs, "v1")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+        (ended,) = [t.text for t in gcs.told if t.kind == "mission" and "ended" in t.data]
+        assert "v1 has not landed: " in ended and "v2 does not start" in ended
+
+
 async def test_the_same_order_given_again_waits_for_the_first_one_again(tmp_path: Path) -> None:
     """It held at the end of the flight before, which counted as that of the new one."""
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:

@@ -55,6 +55,41 @@ async def test_a_cancelled_goal_holds(tmp_path: Path) -> None:
         assert (await goal.cancel())["return_code"] == 3  # terminated
 
 
+@pytest.mark.parametrize("door", ["service", "another client"])
+@pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+async def test_a_cancel_does_not_take_the_place_of_an_order_that_is_not_answered_yet(
+    tmp_path: Path, kind: dict[str, int], door: str
+) -> None:
+    """The hold of a cancelled goal came after a landing by a service that was still on its way, and ended it."""
+    async with bridged(tmp_path, delay_s=1.0, **kind) as ros:
+        goal = await ros.send("goto", **NORTH)
+        await ros.gcs.until(lambda: ros.gcs.place()[1] > 10)
+        if door == "service":
+            land = asyncio.create_task(ros.node.services["/v1/mavros/cmd/land"].call())
+        else:
+            land = asyncio.create_task(ros.gcs("vehicles.land", targets="v1"))
+        await asyncio.sleep(0.2)
+        assert (await goal.cancel())["return_code"] == 0
+        result = await goal.result()
+        assert result["status"] == ABORTED, result
+        await land
+        await ros.gcs.until(lambda: not ros.gcs.sims[0].armed, 120.0)
+        assert "holding" not in str([told.text for told in ros.gcs.told])
+
+
+async def test_a_cancel_holds_after_a_newer_order_that_the_vehicle_did_not_accept(tmp_path: Path) -> None:
+    async with bridged(tmp_path, delay_s=1.0, px4=1) as ros:
+        goal = await ros.send("goto", **NORTH)
+        await ros.gcs.until(lambda: ros.gcs.place()[1] > 10)
+        ros.gcs.sims[0].faults.refuse_mode = "not now"
+        land = asyncio.create_task(ros.gcs("vehicles.land", targets="v1"))
+        await asyncio.sleep(0.2)
+        await goal.cancel()
+        assert not (await land)["outcomes"]["v1"]["ok"]
+        ros.gcs.sims[0].faults.refuse_mode = ""  # before the hold comes, a second later
+        assert (await goal.result())["status"] == CANCELED
+
+
 async def other_goto(ros: Any) -> None:
     await ros.gcs.done("vehicles.goto", enu_m=[0.0, -40.0, 10.0])
 

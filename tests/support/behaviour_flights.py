@@ -59,8 +59,8 @@ def get_ready(rig: Rig, limit_s: float = 150.0) -> None:
 
 
 def take_off(rig: Rig, height_m: float = HEIGHT_M) -> float:
-    """Seconds until it is within half a metre of the height."""
-    began = rig.clock()
+    """Seconds until it is within half a metre of the height, by its own clock from its arming: how long an order is on
+    its way says how busy the computer is."""
     rig.zero_here()
     if rig.px4:
         amsl = FIELD.alt_amsl_m + height_m
@@ -73,7 +73,7 @@ def take_off(rig: Rig, height_m: float = HEIGHT_M) -> float:
         assert rig.arm() == 0
         assert rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m) == 0
     rig.wait(lambda: rig.here.up_m > height_m - 0.5, 60, "it is at its height")
-    took = rig.clock() - began
+    took = rig.now - rig.armed_at
     if rig.px4:
         rig.wait(lambda: rig.mode == PX4_LOITER, 20, "its take-off has ended")
     rig.run(3.0)
@@ -98,11 +98,18 @@ def at(rig: Rig, east_m: float, north_m: float, up_m: float, near_m: float = 1.0
     return hypot(here.east_m - east_m, here.north_m - north_m, here.up_m - up_m) < near_m
 
 
+SINKS_M, SINKS_S = 0.3, 1.0
+"""Height that both have lost a second after the order to land."""
+
+
 def land(rig: Rig) -> Figures:
-    """Land where it is: seconds to the ground and to disarming, by its own clock."""
+    """Land where it is: seconds to the ground and to disarming, by its own clock, from when it begins to sink: an order
+    was 8 s on its way on a busy computer."""
     began, up_m = rig.now, rig.here.up_m
     assert rig.set_mode(PX4_LAND if rig.px4 else LAND) == 0
     rig.wait(lambda: not rig.armed, 120, "it has landed and disarmed")
+    sinks = next((s.t_s for s in rig.track if s.t_s > began and s.up_m < up_m - SINKS_M), began)
+    began = max(began, sinks - SINKS_S)
     down = next((s.t_s for s in rig.track if s.t_s > began and s.up_m < 0.5), nan)
     return {
         "from m": round(up_m, 1),
@@ -156,8 +163,9 @@ def idle_on_the_ground(rig: Rig) -> Figures:
 def up_there_and_down(rig: Rig) -> Figures:
     figures: Figures = {"takeoff s": round(take_off(rig), 1)}
     assert go(rig, 0, 15, HEIGHT_M) == 0
-    took = rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
-    figures["15 m s"] = took and round(took, 1)
+    began = rig.now
+    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
+    figures["15 m s"] = round(rig.now - began, 1)
     figures["top speed"] = round(max(s.vel_mps for s in rig.track[-200:]), 1)
     rig.run(4)
     assert go(rig, 0, -15, HEIGHT_M) == 0
@@ -167,9 +175,9 @@ def up_there_and_down(rig: Rig) -> Figures:
         assert rig.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, nan, nan, nan) == 0
     else:
         assert rig.set_mode(BRAKE) == 0
-    took = rig.wait(lambda: rig.here.vel_mps < 0.3, 30, "it stands")
+    rig.wait(lambda: rig.here.vel_mps < 0.3, 30, "it stands")
     figures["hold from mps"] = round(speed, 1)
-    figures["hold s"] = took and round(took, 1)
+    figures["hold s"] = round(rig.now - from_.t_s, 1)
     rig.run(2)
     figures["hold m"] = round(hypot(rig.here.north_m - from_.north_m, rig.here.east_m - from_.east_m), 1)
     return figures | {f"land {k}": v for k, v in land(rig).items()}

@@ -159,8 +159,8 @@ class FakeVehicle:
     async def rtl(self) -> FakeOutcome:
         return await self._order("rtl")
 
-    async def hold(self) -> FakeOutcome:
-        return await self._order("hold")
+    async def hold(self, *, instead_of: int | None = None) -> FakeOutcome:
+        return await self._order("hold", **({} if instead_of is None else {"instead_of": instead_of}))
 
     async def stop(self, *, action: str) -> FakeOutcome:
         return await self._order("stop", action=action)

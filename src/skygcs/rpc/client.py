@@ -248,9 +248,10 @@ class Client:
         """Return to the place of take-off and land there, as the autopilot is set."""
         return await self._order("rtl", targets)
 
-    async def hold(self, targets: Targets) -> Outcomes:
-        """Stop, and stay there."""
-        return await self._order("hold", targets)
+    async def hold(self, targets: Targets, *, instead_of: int | None = None) -> Outcomes:
+        """Stop, and stay there. ``instead_of``: the order_number of an order that this ends; refused if the vehicle has
+        accepted a newer one that moves it."""
+        return await self._order("hold", targets, **({} if instead_of is None else {"instead_of": instead_of}))
 
     async def mode(self, targets: Targets, mode: str, *, force: bool = False) -> Outcomes:
         """By the autopilot's own name: "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter)."""

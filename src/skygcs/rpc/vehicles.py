@@ -78,6 +78,15 @@ class TakeoffParams(TargetsParams):
     )
 
 
+class HoldParams(TargetsParams):
+    instead_of: int | None = Field(
+        None,
+        ge=0,
+        description="The order_number of an order that this ends: refused if the vehicle has accepted a newer order "
+        "that moves it, from whichever client; one that is in progress is awaited. null: it ends whatever moves it.",
+    )
+
+
 class StopParams(TargetsParams):
     action: Literal["hold", "land", "kill"] = Field(
         "hold", description="hold where it is, land there, or kill: stop the motors, and what flies falls."
@@ -201,7 +210,7 @@ METHODS: tuple[Method[Context], ...] = (
     ),
     order_method("vehicles.land", TargetsParams, VehicleActor.land, "Land where it is."),
     order_method("vehicles.rtl", TargetsParams, VehicleActor.rtl, "Return to launch and land there."),
-    order_method("vehicles.hold", TargetsParams, VehicleActor.hold, "Stop and hold position."),
+    order_method("vehicles.hold", HoldParams, VehicleActor.hold, "Stop and hold position."),
     order_method(
         "vehicles.stop",
         StopParams,

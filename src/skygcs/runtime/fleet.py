@@ -106,7 +106,7 @@ class Fleet:
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
         self._links = links or WideLinks()
-        self.locks = FlightLocks(self._links.links_to)  # of the flights under way
+        self.locks = FlightLocks(self._links.links_to, self._report_fault)  # of the flights under way
         self.world = World(_origin(config), self.vehicles, self.locks, on_event)
         self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
         own = config.daemon

@@ -12,7 +12,7 @@ from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.separation import DOWNWASH_RATIO
 from skygcs.core.trajectory.piecewise import MAX_POSITION_M, Vector
-from skygcs.core.vehicle.orders import POSITION_FRESH_S
+from skygcs.core.vehicle.orders import ORDER_POSITION_S
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 FLEET_FILE = "fleet file"
@@ -64,10 +64,10 @@ def _minutes(seconds: float) -> str:
 
 def place(actor: VehicleActor, now: float, *, fresh: bool) -> Vector | None:
     """Where a vehicle was last heard, in the fleet's frame; None if that is unknown, or ``fresh`` is asked and it is
-    older than `POSITION_FRESH_S`."""
+    older than `ORDER_POSITION_S`."""
     vehicle = actor.vehicle
     found, at = vehicle.enu_m(), vehicle.telemetry_at("position")
-    if found is None or at is None or vehicle.replayed or (fresh and now - at > POSITION_FRESH_S):
+    if found is None or at is None or vehicle.replayed or (fresh and now - at > ORDER_POSITION_S):
         return None
     east, north, up = found
     return (east, north, up) if all(abs(value) <= MAX_POSITION_M for value in found) else None

@@ -8,7 +8,6 @@ from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterable,
 from typing import Any, Protocol, TypeVar
 
 from skygcs.core.geo import Origin, world_from_enu
-from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
@@ -312,8 +311,8 @@ class FleetOrders:
             return dict(runs)
 
         async def one(actor: VehicleActor, run: MissionRun) -> MissionRun:
-            lands = actor.vehicle.abilities.return_end is ReturnEnd.LANDS
-            known = run.returns and lands and actor.vehicle.connected and not actor.vehicle.replayed
+            flies = bool(actor.vehicle.abilities.return_heights)
+            known = run.returns and flies and actor.vehicle.connected and not actor.vehicle.replayed
             return run._replace(height=await read_return_height(actor)) if known else run
 
         found = await asyncio.gather(*(one(actor, run) for actor, run in runs.items()))

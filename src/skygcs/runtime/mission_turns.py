@@ -16,6 +16,7 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle.flight_evidence import LandingWatch
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -138,13 +139,14 @@ class MissionTurns:
 
     async def _is_over(self, actor: VehicleActor, items: Sequence[MissionItem]) -> bool:
         """Wait until its turn is over; False: the turns have ended."""
-        mode = actor.vehicle.mode
+        mode, landing = actor.vehicle.mode, LandingWatch(self._loop.time())
         while True:
             await asyncio.sleep(PERIOD_S)
+            landing.look(actor.vehicle)
             if actor.vehicle.armed is not False:
                 mode = actor.vehicle.mode
             taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
-            decision = next_turn(self._look(actor, items, mode))
+            decision = next_turn(self._look(actor, items, mode, landing))
             if taken and decision.next != "end":
                 self._report_end(f"{', '.join(taken)} was ordered something else")
                 return False
@@ -158,21 +160,23 @@ class MissionTurns:
                 case "wait":
                     continue
 
-    def _look(self, actor: VehicleActor, items: Sequence[MissionItem], mode: str) -> Turn:
-        vehicle = actor.vehicle
+    def _look(self, actor: VehicleActor, items: Sequence[MissionItem], mode: str, landing: LandingWatch) -> Turn:
+        vehicle, now = actor.vehicle, self._loop.time()
         return Turn(
             actor.name,
             heard=vehicle.connected,
-            flying=is_flying(vehicle, self._loop.time()),
+            flying=is_flying(vehicle, now),
             armed=vehicle.armed is not False,
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=ends_on_ground(items, vehicle.abilities.return_end),
+            lands=ends_on_ground(items, vehicle.return_end(now)),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
             at_home=self._is_at_home(vehicle),
+            not_landed=landing.why_not(vehicle),
+            settled=landing.settled(vehicle, now),
         )
 
     def _is_at_home(self, vehicle: Vehicle) -> bool:

@@ -124,6 +124,8 @@ class OrderRunner:
         already is none."""
         self.moving = 0
         """Plans in progress that move the vehicle."""
+        self.carried_out = 0
+        """``number`` of the last plan that moves the vehicle and that it has accepted."""
         self.sent_before_at = -math.inf
         """Time at which the last setpoint, or the last command of another order than a goto, went out: it may reach the
         vehicle after a goto that was sent later."""
@@ -136,6 +138,10 @@ class OrderRunner:
         self._order_refusal = order_refusal
         # plans in progress
         self._newest: Plan | None = None
+        self._waiting = 0
+        """Orders that move the vehicle and are repeated until it accepts them (`retry`)."""
+        self._order_ended = asyncio.Event()
+        """Set at each end of a plan in progress, or of an order that is repeated."""
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
         """Plans that can be undone: each has a task of its own, which undoes it even if its caller is cancelled."""
@@ -149,7 +155,24 @@ class OrderRunner:
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
         reason that does not pass with time; the outcome then states what to do."""
-        return await self.track(order, self._tries(order, planner, wait_s))
+        moves = order in MOVING
+        self._waiting += moves
+        try:
+            return await self.track(order, self._tries(order, planner, wait_s))
+        finally:
+            self._waiting -= moves
+            self._order_ended.set()
+
+    async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
+        """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
+        one, by whatever door it came: its end is awaited, and only if the vehicle has not accepted it is this one
+        given."""
+        while self.moving or self._waiting:
+            self._order_ended.clear()
+            await self._order_ended.wait()
+        if self.carried_out > number:
+            return self.finish(order, Outcome.refused(f"a newer order moves it (number {self.carried_out})"))
+        return await self.run(order, planner)
 
     async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
         """Run the work of an order and report its outcome; if it is cancelled, that is its outcome."""
@@ -248,6 +271,10 @@ class OrderRunner:
             outcome = await self._execute(plan, clearance)
         finally:
             self.moving -= 1
+            self._order_ended.set()
+        outcome = replace(outcome, order_number=number)
+        if outcome.ok:
+            self.carried_out = max(self.carried_out, number)
         if outcome.ok and self.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
             self.on_carried_out(plan)
         return outcome

@@ -205,6 +205,7 @@ class Preflight:
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
             copter=self.vehicle.abilities.setpoints,
+            abilities=self.vehicle.abilities,
             sticks=sticks_of(self.vehicle, self._loop.time()),
             outside=self._metadata.outside(known.values()) if answers else None,
             judged=len(known),
@@ -234,8 +235,7 @@ class Preflight:
                         self._absent.add(name)
 
         async with asyncio.TaskGroup() as group:
-            copter = self.vehicle.abilities.setpoints
-            for names in needed_params(self.vehicle.family, wanted, copter=copter):
+            for names in needed_params(self.vehicle.family, wanted, self.vehicle.abilities):
                 group.create_task(ask(names), name=f"preflight of {self.vehicle.name}: {names[0]}")
         return answers
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departing
 from skygcs.core.monitor.tracks import is_flying
@@ -37,14 +38,6 @@ MOVED_M = 1.0
 
 AGAIN_S = 5.0
 """After an order to one that waits which it did not take."""
-
-HEIGHT_PARAMS: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "px4": (("RTL_RETURN_ALT", 1.0),),
-    "ardupilot": (("RTL_ALT", 100.0), ("RTL_ALT_M", 1.0)),
-}
-"""Parameters with the return height, and their units per metre: ArduPilot's was in centimetres up to 4.6."""
-
-CLIMB_PARAMS = (("RTL_CLIMB_MIN", 100.0), ("RTL_CLIMB_MIN_M", 1.0))
 
 AtEnd = Literal["hold", "land"]
 
@@ -307,24 +300,30 @@ class Returns:
 
 async def read_return_height(actor: VehicleActor) -> ReturnHeight:
     """The return height by its parameters, read from the vehicle; `UNKNOWN`: it does not answer, or has none."""
-    most_m = await _param(actor, HEIGHT_PARAMS.get(actor.vehicle.family, ()))
-    if most_m is None:
-        return UNKNOWN
-    climb_m = await _param(actor, CLIMB_PARAMS) if actor.vehicle.family == "ardupilot" else 0.0
-    return ReturnHeight(0.0, most_m, climb_m or 0.0)
+    able = actor.vehicle.abilities
+    heights = [await _param(actor, height) for height in able.return_heights]
+    return _return_height(heights, await _param(actor, able.return_climb) if able.return_climb else 0.0)
 
 
 def known_return_height(vehicle: Vehicle) -> ReturnHeight:
     """The return height by parameters that have been read before; `UNKNOWN` without them."""
-    most_m = _known(vehicle, HEIGHT_PARAMS.get(vehicle.family, ()))
-    if most_m is None:
+    able = vehicle.abilities
+    climb_m = _known(vehicle, able.return_climb) if able.return_climb else 0.0
+    if climb_m is None:
         return UNKNOWN
-    climb_m = _known(vehicle, CLIMB_PARAMS) if vehicle.family == "ardupilot" else 0.0
-    return UNKNOWN if climb_m is None else ReturnHeight(0.0, most_m, climb_m)
+    return _return_height([_known(vehicle, height) for height in able.return_heights], climb_m)
 
 
-def _known(vehicle: Vehicle, names: Sequence[tuple[str, float]]) -> float | None:
-    return next((value / per_metre for name, per_metre in names if (value := vehicle.param(name)) is not None), None)
+def _return_height(heights_m: Sequence[float | None], climb_m: float | None) -> ReturnHeight:
+    """The highest of its heights; `UNKNOWN` if one of them is not known. Below 0: as high as it is (ArduPlane)."""
+    known = [max(height_m, 0.0) for height_m in heights_m if height_m is not None]
+    if not known or len(known) < len(heights_m):
+        return UNKNOWN
+    return ReturnHeight(0.0, max(known), max(climb_m or 0.0, 0.0))
+
+
+def _known(vehicle: Vehicle, param: HeightParam) -> float | None:
+    return next((value / per_metre for name, per_metre in param if (value := vehicle.param(name)) is not None), None)
 
 
 def _is_placed(vehicle: Vehicle, now: float) -> bool:
@@ -345,9 +344,9 @@ def _named(names: Sequence[str]) -> str:
     return " and ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-async def _param(actor: VehicleActor, names: Sequence[tuple[str, float]]) -> float | None:
+async def _param(actor: VehicleActor, param: HeightParam) -> float | None:
     """The first of these parameters that the vehicle has, in metres; None: it has none, or does not answer."""
-    for name, per_metre in names:
+    for name, per_metre in param:
         outcome = await actor.params.get(name)
         if outcome.ok and outcome.param is not None:
             return float(outcome.param.value) / per_metre

@@ -327,7 +327,7 @@ class SeparationMonitor:
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
         if home is not None:
             base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
-        run = run._replace(return_end=actor.vehicle.abilities.return_end)
+        run = run._replace(return_end=actor.vehicle.return_end(self._loop.time()))
         if run.returns and run.height == UNKNOWN:
             run = run._replace(height=known_return_height(actor.vehicle))
         return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, mover.circle_m)

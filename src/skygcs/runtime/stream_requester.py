@@ -10,12 +10,11 @@ rate controller for each radio and one for all other links, and each counts what
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import RESULT_NAMES, Ack
 from skygcs.core.radio_link.rate_controller import RateController, RateRequest
 from skygcs.core.radio_link.stream_rates import POSITION
@@ -26,6 +25,9 @@ from skygcs.runtime.command_client import CommandClient
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
 """Times after its first frame or its reboot at which a vehicle's version and home, which it does not stream, are
 requested."""
+
+PARAMS_EVERY_S = 60.0
+"""From one request to the next, after those, for a parameter that decides what an order does."""
 
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
 
@@ -79,6 +81,7 @@ class StreamRequester:
         self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._identified = 0
         self._identify_from: float | None = None
+        self._asked_again_at = 0.0
 
     # -- a radio's plan
 
@@ -172,6 +175,8 @@ class StreamRequester:
             return
         if self._identified < len(IDENTIFY_AT_S) and self.settled:
             self._identify(now)
+        elif self._identified == len(IDENTIFY_AT_S):
+            self._ask_again(now)
         if not self.planned:
             self._read_intervals(now)
             if self._requested is None or now > self._requested[1] + ANSWER_WITHIN_S:
@@ -251,6 +256,7 @@ class StreamRequester:
         if now - self._identify_from < IDENTIFY_AT_S[self._identified]:
             return
         self._identified += 1
+        self._asked_again_at = now
         if self._commands.in_flight(mav_cmd.REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
             return
         for message in IDENTIFY_WITH:
@@ -263,16 +269,30 @@ class StreamRequester:
     def _identify_program(self) -> None:
         """Ask an ArduPilot which of its programs it is, and an ArduPlane whether it lifts by rotors: its MAV_TYPE shows
         neither (`mavlink.vehicle_class`). Ask what cannot stop how wide its circles are."""
-        vehicle, ardupilot = self._vehicle, self._vehicle.family == "ardupilot"
+        vehicle = self._vehicle
+        ardupilot = vehicle.family == "ardupilot"
         if ardupilot and vehicle.program is None and not self._commands.in_flight(mav_cmd.DO_SEND_BANNER):
             self._commands.transmit("COMMAND_LONG", {"command": mav_cmd.DO_SEND_BANNER}, Priority.PROTOCOL)
+        self._ask_params(vehicle.abilities.asked_params)
+
+    def _ask_params(self, names: Iterable[str]) -> None:
+        """Ask for those of these parameters that are not known."""
         if "PARAM_REQUEST_READ" not in self._dialect.by_name:
             return
-        wings = ardupilot and vehicle.kind in (VehicleClass.PLANE, VehicleClass.VTOL)
-        for name in (*vehicle.abilities.asked_params, *(("Q_ENABLE", "Q_GUIDED_MODE") if wings else ())):
-            if vehicle.param(name) is None:
+        for name in names:
+            if self._vehicle.param(name) is None:
                 values = {"param_id": name, "param_index": -1}
                 self._commands.transmit("PARAM_REQUEST_READ", values, Priority.PROTOCOL)
+
+    def _ask_again(self, now: float) -> None:
+        """Ask now and then for a parameter without which an order is refused: all requests of the beginning may have
+        been lost, or its class was not known then. Q_ENABLE, which a build without QuadPlanes has not, is asked for
+        only while nothing else shows that."""
+        if now - self._asked_again_at < PARAMS_EVERY_S:
+            return
+        self._asked_again_at = now
+        names = self._vehicle.abilities.asked_params
+        self._ask_params(name for name in names if name != "Q_ENABLE" or not self._vehicle.rotors_known)
 
     def _read_intervals(self, now: float) -> None:
         """Give the controller the newest MESSAGE_INTERVAL."""

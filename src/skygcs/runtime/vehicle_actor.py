@@ -436,7 +436,12 @@ class VehicleActor:
     async def rtl(self) -> Outcome:
         return await self.runner.run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
-    async def hold(self) -> Outcome:
+    async def hold(self, *, instead_of: int | None = None) -> Outcome:
+        """``instead_of``: the number of the order that it ends; refused if a newer one moves the vehicle."""
+        if instead_of is not None and self.offboard.controller.active:  # of an order under control there is no number
+            return self.runner.finish("hold", Outcome.refused("it is flown by setpoints since that order"))
+        if instead_of is not None:
+            return await self.runner.unless_newer(instead_of, "hold", self._plan_hold)
         return await self.runner.run("hold", self._plan_hold)
 
     async def stop(self, action: Action) -> Outcome:

@@ -120,6 +120,14 @@ def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
     assert not meets(returning(UNKNOWN, ReturnEnd.STANDS), (0.0, 50.0), 30.0)
 
 
+def test_one_that_lands_on_its_rotors_flies_home_as_a_plane_and_comes_down_there() -> None:
+    landing = returning(ReturnHeight(0.0, 30.0), ReturnEnd.LANDS_ON_ROTORS)
+    for at, up_m in (((0.0, 50.0), 10.0), ((0.0, 50.0), 30.0), ((0.0, 0.0), 30.0), ((0.0, 0.0), 1.0)):
+        assert meets(landing, at, up_m), (at, up_m)
+    assert not meets(landing, (0.0, 50.0), 45.0)
+    assert landing.legs[-1].begin == pytest.approx((0.0, 0.0), abs=0.02)
+
+
 def place_of(at: Point, up_m: float) -> tuple[float, float, float]:
     lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
     return lat_deg, lon_deg, HOME[2] + up_m

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.transmit_queue import Priority
 from support.vehicles import ARDUPILOT, PX4, Ground, ScriptedVehicle, Sent, accept_everything
 
@@ -142,3 +143,35 @@ async def test_an_ardupilot_is_asked_at_once() -> None:
         await asyncio.sleep(10)
         assert asked(ground)[0] == (HOME, 500_000.0)
         assert not [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command == READ_INTERVAL]
+
+
+def read(ground: Ground, name: str) -> int:
+    """How often a parameter was requested."""
+    return sum(s.name == "PARAM_REQUEST_READ" and s.param_id == name for s in ground.sent)
+
+
+class Plane(ScriptedVehicle):
+    """One that shows a fixed wing."""
+
+    def beat(
+        self, autopilot: int = ARDUPILOT, mode: int = 0, *, armed: bool = False, status: int = 3, kind: int = 1
+    ) -> Frame:
+        return super().beat(autopilot, mode, armed=armed, status=status, kind=kind)
+
+
+async def test_what_an_order_of_a_plane_waits_for_is_asked_for_until_it_is_known() -> None:
+    """Five requests in the first minute were all: a plane whose answers were lost then never took off."""
+    async with Ground(wanting(ATTITUDE=0.5)) as ground:
+        vehicle = Plane(ground, 1, ARDUPILOT)
+        (actor,) = await ground.met(vehicle)
+        await asyncio.sleep(70)
+        before = read(ground, "TKOFF_ALT")
+        await asyncio.sleep(600)
+        assert before + 9 <= read(ground, "TKOFF_ALT") <= before + 11, "once a minute"
+        assert actor.vehicle.rotors_known, "by its EXTENDED_SYS_STATE"
+        assert read(ground, "Q_ENABLE") <= 5, "a build without QuadPlanes has none"
+        vehicle.tell(vehicle.say(vehicle.mav.param_value_encode(b"TKOFF_ALT", 50.0, 9, 900, 1)))
+        await asyncio.sleep(1)
+        before = read(ground, "TKOFF_ALT")
+        await asyncio.sleep(200)
+        assert read(ground, "TKOFF_ALT") == before

@@ -535,6 +535,53 @@ async def test_a_hold_that_is_refused_says_what_it_does_instead(refused: float, 
         assert not outcome.ok and said in outcome.message
 
 
+async def test_a_hold_in_place_of_one_order_waits_for_a_newer_one_and_is_refused_if_that_is_accepted() -> None:
+    async with Ground() as ground:
+        copter, actor = await flying(ground, ARDUPILOT)
+        went = await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)
+        assert went.order_number is not None and went.as_dict()["order_number"] == went.order_number
+        landing = asyncio.create_task(actor.land())
+        await asyncio.sleep(0)
+        held = await actor.hold(instead_of=went.order_number)
+        landed = await landing
+        assert landed.ok and landed.order_number == went.order_number + 1
+        assert held.result == "refused" and f"number {landed.order_number}" in held.message
+        assert MODE not in [c for c, _ in copter.commands()]
+        assert (await actor.hold(instead_of=landed.order_number)).ok, "that is the newest one"
+
+
+async def test_a_hold_in_place_of_one_order_is_sent_if_the_vehicle_refuses_the_newer_one() -> None:
+    async with Ground() as ground:
+        copter, actor = await flying(ground, ARDUPILOT)
+        went = await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)
+        copter.script = refusing(LAND, 4)
+        landing = asyncio.create_task(actor.land())
+        await asyncio.sleep(0)
+        held = await actor.hold(instead_of=went.order_number)
+        assert not (await landing).ok and held.ok and held.message == "holding in GUIDED"
+
+
+async def test_a_hold_in_place_of_one_order_waits_while_a_newer_one_is_repeated() -> None:
+    """Between two of its attempts nothing is in progress."""
+    async with Ground() as ground:
+        copter, actor = await one(ground, ARDUPILOT)
+        copter.script = refusing(TAKEOFF, 4)
+        taking_off = asyncio.create_task(actor.takeoff(5.0, wait_s=20.0))
+        await asyncio.sleep(4.0)
+        held = asyncio.create_task(actor.hold(instead_of=0))
+        await asyncio.sleep(4.0)
+        assert not held.done()
+        copter.script = accept_everything
+        assert (await taking_off).ok
+        assert (await held).result == "refused"
+
+
+async def test_an_order_that_moves_nothing_has_no_number() -> None:
+    async with Ground() as ground:
+        _, actor = await one(ground, ARDUPILOT)
+        assert "order_number" not in (await actor.arm()).as_dict()
+
+
 NEAR = {"lat_deg": HOME[0] + 1e-4, "lon_deg": HOME[1] - 1e-4}
 TARGET = (512, 87.0)
 """REQUEST_MESSAGE of POSITION_TARGET_GLOBAL_INT."""

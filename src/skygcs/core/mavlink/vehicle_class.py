@@ -23,8 +23,9 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
     hovers      yes      no             on its rotors       no            no      yes     no        no
     circles     no       always         on its wing         no            no      no      no        taken to
     setpoints   yes      no             no                  no            no      no      no        no
-    return      lands    circles        circles (PX4        stands        -       stands  -         taken to
-    ends                                lands)                                                      land
+    return      lands    circles, or    circles, or on      stands        -       stands  -         taken to
+    ends                 by its         its rotors (PX4                                             land
+                         mission        lands)
 
 What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
 modes and commands of each order are fields too; `autopilot` makes plans of them and says why.
@@ -36,7 +37,7 @@ and PX4 1.16 (navigator: loiter.cpp, takeoff.cpp, land.cpp; fw_pos_control: cont
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -192,8 +193,29 @@ class ReturnEnd(StrEnum):
     """How a return ends, at its home."""
 
     LANDS = "it lands and disarms"
+    LANDS_ON_ROTORS = "it flies home as a plane, and lands there on its rotors"
+    BY_MISSION = "it lands by the landing of its mission (DO_LAND_START); without one it circles at its return height"
     CIRCLES = "it circles at its return height"
     STANDS = "it stops and stays armed"
+
+
+HeightParam = tuple[tuple[str, float], ...]
+"""A height in metres above home: the names of its parameter in different versions, each with its units per metre."""
+
+Q_RTL_MODE, RTL_AUTOLAND, Q_OPTIONS = "Q_RTL_MODE", "RTL_AUTOLAND", "Q_OPTIONS"
+
+
+def plane_return_end(param: Callable[[str], float | None]) -> ReturnEnd:
+    """How RTL of an ArduPlane ends, by its parameters; of one that is not known the firmware's default counts, which is
+    0 of both. ArduPlane/mode_rtl.cpp: _enter, navigate, switch_QRTL."""
+    rotors, landing = int(param(Q_RTL_MODE) or 0), int(param(RTL_AUTOLAND) or 0)
+    if rotors in (2, 3):  # VTOL_APPROACH_QRTL, QRTL_ALWAYS: RTL_AUTOLAND is not looked at
+        return ReturnEnd.LANDS_ON_ROTORS
+    if landing in (2, 4):  # RTL_IMMEDIATE_DO_LAND_START, DO_RETURN_PATH_START: before it is near its home
+        return ReturnEnd.BY_MISSION
+    if rotors == 1:  # SWITCH_QRTL: within RTL_RADIUS, before RTL_THEN_DO_LAND_START
+        return ReturnEnd.LANDS_ON_ROTORS
+    return ReturnEnd.BY_MISSION if landing == 1 else ReturnEnd.CIRCLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +263,18 @@ class Abilities:
     return_mode: str = ""
     """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
     return_end: ReturnEnd = ReturnEnd.LANDS
-    """PX4: rtl_direct.cpp (a fixed wing loiters); ArduPilot: ModeRTL of each program (Q_RTL_MODE 0)."""
+    """PX4: rtl_direct.cpp (a fixed wing loiters); ArduPilot: ModeRTL of each program (an ArduPlane's with its default
+    parameters, see `return_end_by`)."""
+    return_params: tuple[str, ...] = ()
+    """Parameters that change how its return ends."""
+    failsafe_params: tuple[str, ...] = ()
+    """Further ones that change what a failsafe does."""
+    return_heights: tuple[HeightParam, ...] = ()
+    """It returns in the highest of these, if it is not higher."""
+    return_climb: HeightParam = ()
+    """By so much it climbs at least before it turns home."""
+    order_params: tuple[str, ...] = ()
+    """Further parameters that decide what its orders do."""
     stop_mode: str = ""
     """Mode that stops it, or circles, and ignores setpoints; "": skygcs knows none."""
     hold_mode: str = ""
@@ -256,10 +289,20 @@ class Abilities:
     """Deceleration on which the monitor counts when it orders a hold, m/s²; 0: it counts on none."""
 
     @property
+    def height_params(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the parameters of its return height; of several in one, any will do."""
+        return tuple(tuple(name for name, _ in height) for height in self.return_heights)
+
+    @property
     def asked_params(self) -> tuple[str, ...]:
         """Parameters without which an order or a margin is not known."""
         circle = () if self.hold_radius is None else (self.hold_radius.param,)
-        return (*circle, *((TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()))
+        height = (TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()
+        return (*circle, *height, *self.return_params, *self.order_params)
+
+    def return_end_by(self, param: Callable[[str], float | None]) -> ReturnEnd:
+        """How its return ends, by its parameters."""
+        return plane_return_end(param) if self.return_params else self.return_end
 
     def may_move(self, in_air: bool | None) -> bool:
         """True unless it is known to stand while its motors may turn: what flies stands while it is on the ground (not
@@ -272,11 +315,21 @@ class Abilities:
         return self.landing not in (Landing.NONE, Landing.UNKNOWN)
 
 
+_COPTER_RETURN: tuple[HeightParam, ...] = ((("RTL_ALT", 100.0), ("RTL_ALT_M", 1.0)),)
+"""ArduCopter: in centimetres up to 4.6."""
+_COPTER_CLIMB: HeightParam = (("RTL_CLIMB_MIN", 100.0), ("RTL_CLIMB_MIN_M", 1.0))
+_PLANE_RETURN: tuple[HeightParam, ...] = ((("RTL_ALTITUDE", 1.0),),)
+"""ArduPlane; below 0: as high as it is (Plane::get_RTL_altitude_cm)."""
+_QUADPLANE_RETURN: tuple[HeightParam, ...] = (*_PLANE_RETURN, (("Q_RTL_ALT", 1.0),))
+"""QRTL approaches at the higher one of the two (ModeQRTL::update_target_altitude)."""
+_PLANE_CLIMB: HeightParam = (("RTL_CLIMB_MIN", 1.0),)
+_PX4_RETURN: tuple[HeightParam, ...] = ((("RTL_RETURN_ALT", 1.0),),)
+
 _C = VehicleClass
 _ON_THE_GROUND = Abilities(flies=False, return_end=ReturnEnd.STANDS)
 
-_PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE)
-_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS)
+_PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_PX4_RETURN)
+_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS, return_heights=())
 
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),
@@ -295,6 +348,8 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         takeoff=TakeOff.CLIMB,
         landing=Landing.HERE,
         brake_mps2=2.0,
+        return_heights=_COPTER_RETURN,
+        return_climb=_COPTER_CLIMB,
     ),
     ("ardupilot", _C.PLANE): Abilities(
         circles=True,
@@ -303,6 +358,10 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         landing=Landing.MISSION,
         hold_radius=ARDUPLANE_HOLD,
         return_end=ReturnEnd.CIRCLES,
+        return_params=(RTL_AUTOLAND,),
+        return_heights=_PLANE_RETURN,
+        return_climb=_PLANE_CLIMB,
+        order_params=("Q_ENABLE",),
     ),
     ("ardupilot", _C.VTOL): Abilities(
         hovers=True,
@@ -313,6 +372,11 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         land_mode="QLAND",
         hold_radius=ARDUPLANE_HOLD,
         return_end=ReturnEnd.CIRCLES,
+        return_params=(Q_RTL_MODE, RTL_AUTOLAND),
+        failsafe_params=(Q_OPTIONS,),
+        return_heights=_QUADPLANE_RETURN,
+        return_climb=_PLANE_CLIMB,
+        order_params=("Q_ENABLE", "Q_GUIDED_MODE"),
     ),
     ("ardupilot", _C.ROVER): replace(_ON_THE_GROUND, stop_mode="HOLD", brake_mps2=1.0),
     ("ardupilot", _C.BOAT): replace(_ON_THE_GROUND, stop_mode="HOLD", hold_mode="LOITER"),
@@ -335,7 +399,12 @@ of PX4) has the abilities of its family in `UNKNOWN`. NAV_LAND is MAVLink's own 
 ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
     ("ardupilot", _C.VTOL): replace(
-        TABLE["ardupilot", _C.VTOL], circles=False, stop_mode="QLOITER", return_mode="QRTL", return_end=ReturnEnd.LANDS
+        TABLE["ardupilot", _C.VTOL],
+        circles=False,
+        stop_mode="QLOITER",
+        return_mode="QRTL",
+        return_end=ReturnEnd.LANDS,
+        return_params=(),
     ),
 }
 """A VTOL while it is known to be carried by its rotors."""
@@ -371,3 +440,12 @@ def instead_of_setpoints(able: Abilities) -> str:
     """Return what moves a vehicle that follows no setpoints, for a person."""
     words = ["goto"] * able.goes + ["hold"] * bool(able.stop_mode) + ["rtl"] * able.returns
     return f"orders ({', '.join(words)}) and missions move it" if words else "its missions move it"
+
+
+def declared_params() -> frozenset[str]:
+    """Every parameter that decides what an order or a return of some class does."""
+    names: set[str] = set()
+    for able in (*TABLE.values(), *ON_ROTORS.values(), *UNKNOWN.values()):
+        names.update(able.asked_params)
+        names.update(name for height in (*able.return_heights, able.return_climb) for name, _ in height)
+    return frozenset(names)

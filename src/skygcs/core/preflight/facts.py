@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
+from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
+from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.vehicle_model import Sticks
 
@@ -54,6 +56,8 @@ class Facts:
     links: Mapping[str, LinkFacts] | None = None
     answers: Mapping[str, Answer] | None = None
     copter: bool = False
+    abilities: Abilities | None = None
+    """Abilities of its class; None: a copter's."""
     sticks: Sticks = Sticks.UNKNOWN
     """State of a pilot's sticks by the vehicle's telemetry."""
     outside: Mapping[str, str] | None = None
@@ -70,6 +74,11 @@ class Facts:
     def family(self) -> str:
         """px4, ardupilot or generic."""
         return str(self.state["autopilot"])
+
+    @property
+    def class_abilities(self) -> Abilities:
+        """Abilities of its class with its firmware."""
+        return self.abilities or abilities_of(cast("Family", self.family), VehicleClass.COPTER)
 
     @property
     def able(self) -> bool:

@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from skygcs.core.mavlink.param_encoding import value_text
+from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, HeightParam, ReturnEnd
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Facts
-from skygcs.core.preflight.report import Finding, Fix, Severity, failed, passed, skipped, unknown
+from skygcs.core.preflight.report import Finding, Fix, Severity, Verdict, failed, passed, skipped, unknown
 from skygcs.core.preflight.rules import Rule
 from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
@@ -46,7 +47,9 @@ FENCE_ALT = 1
 MAX_OUTSIDE = 5
 """Parameters outside their ranges that a finding names."""
 
-CM = 100.0
+ON_ROTORS_FAILSAFE = {1 << 20: "returns as above", 1 << 5: "returns on them (QRTL)"}
+"""Bits of Q_OPTIONS, the first one that is set counts: FS_RTL and FS_QRTL (ArduPlane/events.cpp:
+failsafe_long_on_event, for the transmitter and the ground station)."""
 
 NEITHER = "neither PX4 nor ArduPilot"
 
@@ -154,15 +157,24 @@ def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
-    least, most = wanted.rtl_height_m
-    name, unit = _rtl_name(facts)
-    value = facts.value(name)
+    """Check each of the heights in which it may return; the worst of them is reported."""
     if facts.family == "generic":
         return skipped(NEITHER)
+    heights = facts.class_abilities.return_heights
+    if not heights:
+        return skipped("it has no return height")
+    findings = [_height_finding(facts, wanted, param) for param in heights]
+    return next((f for v in (Verdict.FAIL, Verdict.UNKNOWN) for f in findings if f.verdict is v), findings[0])
+
+
+def _height_finding(facts: Facts, wanted: Expectations, param: HeightParam) -> Finding:
+    least, most = wanted.rtl_height_m
+    name, unit = _held(facts, param)
+    value = facts.value(name)
     if value is None:
         return _not_known(facts, name)
     height_m = value / unit
-    if height_m == 0 and least == 0:
+    if height_m <= 0 and least == 0:
         return passed("returns at the height it is at")
     # a fence below it is worse than a height that somebody does not want
     ceiling_m, fence = _ceiling(facts)
@@ -182,6 +194,27 @@ def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
         f"set {name} to {value_text(to)}, or change rtl_height_m",
         Fix(name, to, value),
     )
+
+
+def return_end(facts: Facts, wanted: Expectations) -> Finding:
+    """State how its return ends, where its parameters decide that."""
+    able = facts.class_abilities
+    if not able.return_params:
+        return skipped("no parameter changes how its return ends")
+    for name in (*able.return_params, *able.failsafe_params):
+        if facts.value(name) is None:
+            return _not_known(facts, name)
+    ends = able.return_end_by(facts.value)
+    values = ", ".join(f"{name} {value_text(facts.value(name) or 0)}" for name in able.return_params)
+    text = f"at home {ends} ({values})"
+    if Q_OPTIONS not in able.failsafe_params:
+        return passed(text)
+    options = int(facts.value(Q_OPTIONS) or 0)
+    does = next((does for bit, does in ON_ROTORS_FAILSAFE.items() if options & bit), "lands where it is (QLAND)")
+    text += f"; on its rotors it {does} if it loses its link ({Q_OPTIONS} {options})"
+    if ends is ReturnEnd.CIRCLES:
+        return failed(text, f"set {Q_RTL_MODE} to 1 if it is to land there on its rotors", severity=Severity.NOTE)
+    return passed(text)
 
 
 def geofence(facts: Facts, wanted: Expectations) -> Finding:
@@ -374,25 +407,21 @@ def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]
 
 
 def return_height(facts: Facts) -> tuple[str, float, float] | None:
-    """Its parameter of the height of a return above home, that parameter's units per metre, and the height in m; None:
-    not known."""
-    name, unit = _rtl_name(facts)
-    value = facts.value(name)
-    return None if value is None else (name, unit, value / unit)
+    """Its parameter of the height of a return above home, that parameter's units per metre, and the height in m: the
+    highest one of several. None: not known, or it returns as high as it is."""
+    found = []
+    for param in facts.class_abilities.return_heights:
+        name, unit = _held(facts, param)
+        value = facts.value(name)
+        if value is None or value < 0:
+            return None
+        found.append((name, unit, value / unit))
+    return max(found, key=lambda height: height[2], default=None)
 
 
-def _rtl_name(facts: Facts) -> tuple[str, float]:
-    """The name of the parameter, and its units per metre: RTL_ALT was in centimetres up to ArduPilot 4.6."""
-    if facts.family == "px4":
-        return "RTL_RETURN_ALT", 1.0
-    return (
-        ("RTL_ALT_M", 1.0)
-        if facts.value("RTL_ALT") is None and facts.value("RTL_ALT_M") is not None
-        else (
-            "RTL_ALT",
-            CM,
-        )
-    )
+def _held(facts: Facts, param: HeightParam) -> tuple[str, float]:
+    """The name under which the vehicle holds it, and its units per metre; the first one without an answer."""
+    return next(((name, unit) for name, unit in param if facts.value(name) is not None), param[0])
 
 
 def _ceiling(facts: Facts) -> tuple[float | None, str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from skygcs.core.mavlink.modes import Family
+from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.preflight import external_vision, health, settings
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Facts
@@ -12,6 +14,7 @@ from skygcs.core.preflight.report import Finding, Report, Severity
 
 Judge = Callable[[Facts, Expectations], Finding]
 Needs = Callable[[Expectations], bool]
+OfClass = Callable[[Abilities], tuple[tuple[str, ...], ...]]
 
 DANGER, FAULT, NOTE = Severity.DANGER, Severity.FAULT, Severity.NOTE
 
@@ -33,6 +36,8 @@ class Check:
     if_wanted: Needs = lambda wanted: True
     of_copters: bool = False
     """Its parameters are read of copters only."""
+    of_class: OfClass = lambda able: ()
+    """Further parameters, which the abilities of its class name."""
 
 
 def _controlled(wanted: Expectations) -> bool:
@@ -91,8 +96,14 @@ CHECKS: tuple[Check, ...] = (
         "rtl height",
         FAULT,
         settings.rtl_height,
-        px4=(("RTL_RETURN_ALT",),),
-        ardupilot=(("RTL_ALT", "RTL_ALT_M"), ("FENCE_ALT_MAX",), ("FENCE_TYPE",)),
+        ardupilot=(("FENCE_ALT_MAX",), ("FENCE_TYPE",)),
+        of_class=lambda able: able.height_params,
+    ),
+    Check(
+        "return",
+        NOTE,
+        settings.return_end,
+        of_class=lambda able: tuple((name,) for name in (*able.return_params, *able.failsafe_params)),
     ),
     Check(
         "geofence",
@@ -157,14 +168,17 @@ CHECKS: tuple[Check, ...] = (
 """In the order of a person's attention; parameters that the fleet file names come behind them, as `parameter`s."""
 
 
-def needed_params(family: str, wanted: Expectations, *, copter: bool = True) -> tuple[tuple[str, ...], ...]:
-    """Names of parameters to read from a vehicle of this autopilot, each once; of several in one, any will do."""
+def needed_params(
+    family: Family, wanted: Expectations, abilities: Abilities | None = None
+) -> tuple[tuple[str, ...], ...]:
+    """Names of parameters to read from a vehicle of this autopilot, each once; of several in one, any will do.
+    ``abilities``: of its class; None: a copter's."""
+    able = abilities or abilities_of(family, VehicleClass.COPTER)
     needed: dict[tuple[str, ...], None] = {}
     for check in CHECKS:
-        if check.of_copters and not copter:
-            continue
-        if check.if_wanted(wanted):
+        if check.if_wanted(wanted) and (able.setpoints or not check.of_copters):
             needed.update(dict.fromkeys({"px4": check.px4, "ardupilot": check.ardupilot}.get(family, ())))
+            needed.update(dict.fromkeys(check.of_class(able)))
     single = {names[0] for names in needed if len(names) == 1}
     needed.update({(name,): None for name, rule in wanted.params.items() if not rule.empty and name not in single})
     return tuple(needed)

@@ -94,6 +94,8 @@ class Outcome:
     attempts: int = 0
     elapsed_s: float = 0.0
     status_texts: tuple[str, ...] = ()
+    order_number: int | None = None
+    """Number of an order that moves the vehicle, among those of this daemon; None: it does not, or was not begun."""
 
     @classmethod
     def refused(cls, why: str) -> Self:
@@ -101,6 +103,8 @@ class Outcome:
         return cls(False, "refused", f"refused: {why}")
 
     def as_dict(self) -> dict[str, Any]:
+        """Return its fields for the answers of methods; an order without a number has no such field."""
+        number = {} if self.order_number is None else {"order_number": self.order_number}
         return {
             "ok": self.ok,
             "result": self.result,
@@ -108,6 +112,7 @@ class Outcome:
             "attempts": self.attempts,
             "elapsed_s": round(self.elapsed_s, 3),
             "status_texts": list(self.status_texts),
+            **number,
         }
 
 

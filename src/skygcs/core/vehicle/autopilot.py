@@ -57,7 +57,9 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
 
 - A fixed wing cannot stop: LOITER circles. A stop with the action "land" of a vehicle that cannot land stops it; one of
   a class that is not known gets NAV_LAND, which does nothing where it is not known.
-- An ArduPlane whose Q_ENABLE is not known yet is not sent off along the ground: it may be a QuadPlane.
+- An ArduPlane of which neither Q_ENABLE nor a vtol_state is known yet is not sent off along the ground: it may be a
+  QuadPlane. A build without QuadPlanes has no Q_ENABLE and answers no request for it; its vtol_state is undefined, as
+  that of a QuadPlane never is (GCS_MAVLINK_Plane::vtol_state).
 - ArduPlane has no command that takes off to a height (NAV_TAKEOFF is a QuadPlane's): its TAKEOFF mode climbs to
   TKOFF_ALT above where it stands and circles there (mode_takeoff.cpp). So a take-off to another height is refused. The
   mode comes first, as in no other one its throttle waits for the take-off (servos.cpp, Plane::suppress_throttle). If
@@ -68,6 +70,8 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
 - ArduPlane has no NAV_LAND: DO_LAND_START goes to the landing of its mission, and is denied without one
   (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
   QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms).
+- What RTL of an ArduPlane does at its home, RTL_AUTOLAND and of a QuadPlane Q_RTL_MODE say
+  (`vehicle_class.plane_return_end`); the outcome of the order says it.
 - HOLD of a boat stops its motors, so that it drifts; LOITER keeps it where it is.
 - Blimp accepts DO_REPOSITION and does nothing; ArduSub's NAV_LAND is its SURFACE (GCS_MAVLINK_Sub).
 """
@@ -81,7 +85,7 @@ from dataclasses import dataclass, replace
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, POSITION_TARGET_GLOBAL_INT
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
-from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, Landing, TakeOff, VehicleClass
+from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, Landing, ReturnEnd, TakeOff, VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.vehicle.order_plan import (
     LIFT_OFF_S,
@@ -229,13 +233,15 @@ def rtl(vehicle: Vehicle, now: float) -> Plan:
     able = vehicle.abilities_now(now)
     if not able.returns:
         raise RefusedError(_why_not(vehicle, "return"))
+    ends = vehicle.return_end(now)
+    then = "" if ends is ReturnEnd.LANDS or vehicle.family == "generic" else f"; {ends}"
     if able.return_mode:
         step = _named_mode(vehicle, able.return_mode)
-        return Plan("rtl", (step,), f"returning in {able.return_mode}", despite_duplicate=True)
+        return Plan("rtl", (step,), f"returning in {able.return_mode}{then}", despite_duplicate=True)
     wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
     step = Step("rtl", CommandSpec(mav_cmd.NAV_RETURN_TO_LAUNCH), expect=expect)
-    return Plan("rtl", (step,), "returning to launch", despite_duplicate=True)
+    return Plan("rtl", (step,), f"returning to launch{then}", despite_duplicate=True)
 
 
 def hold(vehicle: Vehicle, now: float) -> Plan:
@@ -423,10 +429,10 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tu
 
 
 def _plane_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float) -> tuple[Step, ...]:
-    if vehicle.param("Q_ENABLE") is None:
+    if not vehicle.rotors_known:
         raise NotReadyError(
-            "its Q_ENABLE is not known yet: a QuadPlane would be run along the ground; an ArduPlane that was built "
-            "without QuadPlanes has none, there set the mode TAKEOFF and arm it"
+            "it is not known yet whether it is a QuadPlane, which would be run along the ground: neither Q_ENABLE nor "
+            "EXTENDED_SYS_STATE has come since it started"
         )
     own_m = vehicle.param(TAKEOFF_HEIGHT)
     if own_m is None:

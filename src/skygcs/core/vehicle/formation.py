@@ -79,6 +79,10 @@ MAX_STEP_M, MAX_SPACING_M = 100.0, 1000.0
 ITEMS_A_TURN = 32
 """Items that are moved at a stretch: half a millisecond."""
 
+MAX_ARRANGED_ITEMS = 200_000
+"""Items of all vehicles' missions together, all of which are kept until the last upload has ended: 70 MB, and 800 items
+for each of 250 vehicles. MAVLink's own bound is 65535 items for each."""
+
 LatLon = tuple[float, float]
 
 
@@ -114,10 +118,17 @@ def arranging(
 
     Raises ValueError, in words for a person, for what cannot be arranged: a vehicle of kind present whose place is not
     known, a line without a course, an item that has no height or no place on earth, one that sets a height or a place
-    in a way that cannot be moved (`FLOWN_OTHERWISE`), and heights of two references without a step.
+    in a way that cannot be moved (`FLOWN_OTHERWISE`), heights of two references without a step, and more than
+    `MAX_ARRANGED_ITEMS` together.
     """
     if not plan.mission:
         raise ValueError("it holds no mission to arrange")
+    if (together := len(plan.mission) * len(places)) > MAX_ARRANGED_ITEMS:
+        raise ValueError(
+            f"{len(plan.mission)} items for each of {len(places)} vehicles are {together} together, and "
+            f"{MAX_ARRANGED_ITEMS} can be arranged: shorten it to {MAX_ARRANGED_ITEMS // len(places)} items, or upload "
+            "a mission of its own to each vehicle"
+        )
     offsets = offsets_enu_m(plan.mission, arrangement, places, footprints)
     plans = []
     for offset in offsets:

@@ -416,6 +416,10 @@ class Turn(NamedTuple):
     """That item is a return."""
     at_home: bool = False
     """It is where it holds at the end of a return that does not land."""
+    not_landed: str | None = None
+    """Evidence that it has crashed, or was disarmed in the air (`flight_evidence.LandingWatch`)."""
+    settled: bool = True
+    """It has been disarmed long enough for that to be known."""
 
     @property
     def follows(self) -> bool:
@@ -442,8 +446,8 @@ def next_turn(flown: Turn) -> TurnDecision:
     has returned, and circles or stands at its home     the next one may start
     is on the ground and disarmed, by its last item     the next one may start
     is in a mode that is not its mission's, came down   end: what comes next is a person's decision
-    before its last item, has another order, a
-    failsafe, or is not heard
+    before its last item, has crashed or fallen, has
+    another order, a failsafe, or is not heard
     """
     if flown.ordered:
         return TurnDecision("end", f"{flown.name} was ordered something else")
@@ -451,11 +455,13 @@ def next_turn(flown: Turn) -> TurnDecision:
         return TurnDecision("end", f"{flown.name} is not heard")
     if flown.failsafe:
         return TurnDecision("end", f"{flown.name} is in failsafe")
+    if flown.not_landed is not None:
+        return TurnDecision("end", f"{flown.name} has not landed: {flown.not_landed}")
     if not flown.follows:
         return TurnDecision("end", f"{flown.name} was taken over ({flown.mode or 'mode unknown'})")
     if not flown.flying and not flown.armed:
         if flown.complete or (flown.lands and flown.ending):
-            return TurnDecision("start", f"{flown.name} has landed")
+            return TurnDecision("start", f"{flown.name} has landed") if flown.settled else TurnDecision("wait", "")
         return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
     if flown.complete and not flown.lands:
         return TurnDecision("start", f"{flown.name} has flown its mission")
@@ -475,7 +481,9 @@ def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnE
     if last is None:
         return False
     if ends_with_return(items):
-        return return_end is ReturnEnd.LANDS
+        if return_end is ReturnEnd.BY_MISSION:
+            return any(item.command == mav_cmd.DO_LAND_START for item in items)
+        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS)
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

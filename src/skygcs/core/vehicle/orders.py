@@ -29,8 +29,9 @@ from skygcs.spelling import near_names
 
 MAX_TAKEOFF_M = 500.0
 
-POSITION_FRESH_S = 10.0
-"""Distance checks and altitudes need a newer position; the slowest stream profile sends 0.5 Hz."""
+ORDER_POSITION_S = 10.0
+"""Oldest position by which an order is checked: distances and altitudes of something that may have flown on meanwhile,
+which needs no centimetres. The slowest stream profile sends 0.5 Hz, so that four may be lost in a row."""
 
 LOWEST_M = 1.0
 """A goto below this height above home flies into the ground; a height of 0 most likely was never filled in."""
@@ -110,7 +111,7 @@ def _down_already(order: str, vehicle: Vehicle, now: float) -> Plan | None:
     """Nothing to do for a multicopter that is certainly on the ground and disarmed: a PX4 would stay in AUTO.LAND or
     AUTO.RTL there, in which it does not arm. None: it may be flying."""
     state, at = vehicle.landed_state()
-    if vehicle.kind is not VehicleClass.COPTER or state != "on_ground" or now - at > POSITION_FRESH_S:
+    if vehicle.kind is not VehicleClass.COPTER or state != "on_ground" or now - at > ORDER_POSITION_S:
         return None
     if why_not_idle(vehicle, now) is not None:
         return None
@@ -396,15 +397,15 @@ def _on_ground(vehicle: Vehicle, now: float) -> bool:
     if vehicle.in_air(now) is not False:
         return False
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
-    height_m = None if position is None or at is None or now - at > POSITION_FRESH_S else position["alt_rel_m"]
+    height_m = None if position is None or at is None or now - at > ORDER_POSITION_S else position["alt_rel_m"]
     return height_m is None or height_m < CLIMBED_M
 
 
 def fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
     """Latitude and longitude (degrees) and height above sea level (m) of a vehicle; None: not known, or older than
-    `POSITION_FRESH_S`."""
+    `ORDER_POSITION_S`."""
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
-    if position is None or at is None or position["lat_deg"] is None or now - at > POSITION_FRESH_S:
+    if position is None or at is None or position["lat_deg"] is None or now - at > ORDER_POSITION_S:
         return None
     return position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
 

@@ -7,8 +7,9 @@ from skygcs.core.vehicle.decoding import TelemetryGroup
 HEARD_S = 1.5
 """An older heartbeat does not show whether the vehicle is still disarmed; heartbeats come at 1 Hz."""
 
-POSITION_FRESH_S = 5.0
-"""Oldest position used for a standing vehicle: the slowest stream profile sends 0.5 Hz, and one may be lost."""
+STANDING_POSITION_S = 5.0
+"""Oldest position that is the altitude of the ground: the vehicle stands, and must be the same one that stands there
+now. The slowest stream profile sends 0.5 Hz, so that one may be lost."""
 
 STANDS_MPS = 0.5
 """A vehicle that climbs or sinks faster is flying, even if the landed state, sent every two seconds, is still old."""
@@ -58,6 +59,6 @@ class TakeoffAltitude:
 
 def standing_amsl_m(position: TelemetryGroup | None, age_s: float) -> float | None:
     """The altitude of a position of this age if the vehicle may be standing; else None."""
-    if position is None or position["lat_deg"] is None or age_s > POSITION_FRESH_S:
+    if position is None or position["lat_deg"] is None or age_s > STANDING_POSITION_S:
         return None
     return float(position["alt_amsl_m"]) if abs(position["vel_enu_mps"][2]) < STANDS_MPS else None

@@ -18,6 +18,7 @@ from skygcs.core.mavlink.vehicle_class import (
     Q_MODES,
     Abilities,
     Program,
+    ReturnEnd,
     VehicleClass,
     abilities_of,
     mode_type,
@@ -270,6 +271,13 @@ class Vehicle:
         return 0 if slot is None or slot.frame is None else self._vtol_state
 
     @property
+    def rotors_known(self) -> bool:
+        """True if an ArduPlane has shown whether it is a QuadPlane: by Q_ENABLE, which a build without QuadPlanes does
+        not have, or by an EXTENDED_SYS_STATE since it started, where each QuadPlane has a vtol_state."""
+        slot = self.slots.get(self._landed_id)
+        return self.param("Q_ENABLE") is not None or (slot is not None and slot.frame is not None)
+
+    @property
     def abilities(self) -> Abilities:
         """Abilities of its class, however it flies now."""
         return abilities_of(self.family, self.kind)
@@ -277,6 +285,10 @@ class Vehicle:
     def abilities_now(self, now: float) -> Abilities:
         """Abilities of its class now: a VTOL on its rotors stops, on its wing it does not."""
         return abilities_of(self.family, self.kind, hovers=self.hovers(now))
+
+    def return_end(self, now: float) -> ReturnEnd:
+        """How a return that is ordered now ends; while its parameters are not known, as by the firmware's defaults."""
+        return self.abilities_now(now).return_end_by(self.param)
 
     def hold_radius_m(self, now: float) -> float:
         """Radius of the circle that it flies to hold, m; 0 for what stops."""

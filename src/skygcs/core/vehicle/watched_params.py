@@ -1,11 +1,13 @@
-"""Parameters that decide how an autopilot takes setpoints, from the PARAM_VALUEs that any station requested."""
+"""Parameters that decide how an autopilot takes setpoints and orders, from the PARAM_VALUEs that anybody requested."""
 
 from __future__ import annotations
 
 import math
 import struct
 
-WATCHED = frozenset(
+from skygcs.core.mavlink.vehicle_class import declared_params
+
+WATCHED = declared_params() | frozenset(
     {
         "ATC_ANGLE_BOOST",
         "COM_DLL_EXCEPT",
@@ -21,15 +23,10 @@ WATCHED = frozenset(
         "MOT_THST_HOVER",
         "MPC_THR_HOVER",
         "NAV_DLL_ACT",
-        "NAV_LOITER_RAD",
-        "Q_ENABLE",
-        "Q_GUIDED_MODE",
         "THR_MDL_FAC",
-        "TKOFF_ALT",
-        "WP_LOITER_RAD",
     }
 )
-"""Others are not kept: a vehicle has a thousand parameters."""
+"""Those of setpoints, and what `vehicle_class` declares. Others are not kept: a vehicle has a thousand parameters."""
 
 INTEGER_FORMAT = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 """struct codes of the integer types among MAV_PARAM_TYPE."""

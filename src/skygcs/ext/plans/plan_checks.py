@@ -44,8 +44,9 @@ from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
 
-POSITION_FRESH_S = 3.0
-"""A vehicle whose position is older is not measured."""
+PLAN_POSITION_S = 3.0
+"""Oldest position that a plan is measured with: it is held against the margins between vehicles, which an order
+to one of them is not: there an older one serves (`orders.ORDER_POSITION_S`)."""
 
 GPS_FIX_3D = 3
 
@@ -114,7 +115,7 @@ def measure(actors: Sequence[VehicleActor], everybody: Iterable[VehicleActor], f
 def _why_unplaced(vehicle: Vehicle, place: Vector | None, age_s: float) -> str | None:
     if place is None:
         return "its position is not known"
-    if age_s > POSITION_FRESH_S:
+    if age_s > PLAN_POSITION_S:
         return f"its position is {age_s:.0f} s old"
     gps = vehicle.telemetry("gps")
     if gps is not None and gps["fix_type"] < GPS_FIX_3D:
@@ -136,13 +137,11 @@ def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> 
     where = ", ".join(f"{v:.1f}" for v in place)
     if not flies:
         return [Finding(actor.name, check, Level.OK, f"it takes no part and is an obstacle at ({where})")]
-    if age_s > POSITION_FRESH_S and not actor.vehicle.connected:
+    if age_s > PLAN_POSITION_S and not actor.vehicle.connected:
         text = f"{lost_place(actor.vehicle, now)}, and may be anywhere about there{FORGET.format(name=actor.name)}"
         return [refused(actor.name, check, text, remedies.forget(actor.name), insist=True)]
-    if age_s > POSITION_FRESH_S or speed_mps > MOVING_MPS:
-        text = (
-            f"it takes no part and {'is silent' if age_s > POSITION_FRESH_S else f'flies with {speed_mps:.1f} m/s'}: "
-        )
+    if age_s > PLAN_POSITION_S or speed_mps > MOVING_MPS:
+        text = f"it takes no part and {'is silent' if age_s > PLAN_POSITION_S else f'flies with {speed_mps:.1f} m/s'}: "
         text += f"it is no obstacle that stays at ({where})"
         return [refused(actor.name, check, text, remedies.hold(actor.name), insist=True)]
     text = f"it flies, takes no part, and is taken to stay at ({where})"
@@ -368,11 +367,8 @@ async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeig
     slots = asyncio.Semaphore(PREFLIGHT_READERS)
 
     async def one(actor: VehicleActor) -> ReturnHeight | None:
-        names = (
-            (("RTL_RETURN_ALT", 1.0),) if actor.vehicle.family == "px4" else (("RTL_ALT", 100.0), ("RTL_ALT_M", 1.0))
-        )
         async with slots:
-            for name, per_metre in names:
+            for name, per_metre in itertools.chain(*actor.vehicle.abilities.return_heights):  # a copter has one
                 outcome = await actor.params.get(name)
                 if outcome.ok and outcome.param is not None:
                     return ReturnHeight(outcome.param.name, per_metre, float(outcome.param.value) / per_metre)

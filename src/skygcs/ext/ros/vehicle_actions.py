@@ -2,9 +2,10 @@
 
 Each is the daemon's method of that name, with all of its checks. At most one goal of a vehicle is under way: an order
 from any client that is accepted later ends the one before as aborted. A cancel holds the vehicle only if its goal is
-the newest order. While a newer order is unanswered nothing is sent: if that order is accepted the goal ends as
-replaced, if it is refused the hold is sent. A goal whose connection to the daemon is lost ends at once as aborted; the
-vehicle flies on by its autopilot then, as with every order.
+the newest order. While a newer goal is unanswered nothing is sent: if its order is accepted the goal ends as replaced,
+if it is refused the hold is sent. Orders by other doors (a service of ROS, the shell, the page) the daemon knows: it
+awaits one that is in progress, and refuses the hold if the vehicle accepts that. A goal whose connection to the daemon
+is lost ends at once as aborted; the vehicle flies on by its autopilot then, as with every order.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class UnderWay(NamedTuple):
     server: ActionServer
     goal: Goal
     progress: OrderProgress
+    number: int | None
+    """Number of its order at the daemon; None: it has none, as a goto under control."""
 
 
 class VehicleActions:
@@ -116,31 +119,31 @@ class VehicleActions:
         try:
             params = order_params(order, goal)
             progress = OrderProgress(order, goal, self._vehicle.state, self._takeoff_height_m())
-            refusal = await self._ask(progress, params)
+            outcome = await self._ask(progress, params)
+            refusal = None if outcome["ok"] else str(outcome["message"])
         except (GoalError, RpcError, DaemonUnreachable) as error:
             refusal = str(error)
         if refusal is not None:
             self._log(ERROR, f"{order}: goal refused: {refusal}")
             self._hold_if_due()
             return False
-        self._begin(order, progress)
+        self._begin(order, progress, outcome.get("order_number"))
         return True
 
-    async def _ask(self, progress: OrderProgress, params: dict[str, Any]) -> str | None:
-        """Why the daemon refuses an order; None: it has accepted it."""
+    async def _ask(self, progress: OrderProgress, params: dict[str, Any]) -> dict[str, Any]:
+        """The outcome of an order at the daemon."""
         self._asked.append(progress)
         try:
-            outcome = await self._order(progress.order, **params)
+            return await self._order(progress.order, **params)
         finally:
             self._asked.remove(progress)
-        return None if outcome["ok"] else str(outcome["message"])
 
-    def _begin(self, order: Order, progress: OrderProgress) -> None:
+    def _begin(self, order: Order, progress: OrderProgress, number: int | None) -> None:
         self._on_order()
         if (before := self._under_way) is not None:
             self._end(before, End(ABORTED, f"replaced: {order} was ordered"))
         server = self.servers[order]
-        under_way = self._under_way = UnderWay(server, server.begin(), progress)
+        under_way = self._under_way = UnderWay(server, server.begin(), progress, number)
         end = progress.accepted(self._clock())
         if self._gcs() is None:
             self._end(under_way, LOST)
@@ -164,7 +167,8 @@ class VehicleActions:
 
     async def _hold(self, under_way: UnderWay) -> None:
         try:
-            outcome = await self._order("hold")
+            newest = {} if under_way.number is None else {"instead_of": under_way.number}
+            outcome = await self._order("hold", **newest)
         except (GoalError, RpcError, DaemonUnreachable) as error:
             self._end(under_way, End(ABORTED, f"cancelled, and not held: {error}"))
             return

@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
+from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.preflight import external_vision, health, settings
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
@@ -316,12 +318,79 @@ def test_each_autopilot_is_asked_for_its_own_estimator() -> None:
 
 
 @each("family", ["px4", "ardupilot"])
-def test_every_parameter_a_check_looks_at_is_asked_for(family: str) -> None:
+def test_every_parameter_a_check_looks_at_is_asked_for(family: Family) -> None:
     """A check that looks at more than its line of the table says would call it not known."""
     wanted = Expectations(control="attitude", transmitter=False, geofence_required=True)
     asked = {n: Answer(Param(n, 1)) for group in needed_params(family, wanted) for n in group}
     reported = examine(Facts(state={**STATE, "autopilot": family}, answers=asked), wanted)
     assert not [f.text for f in reported.findings if "it was not asked for" in f.text]
+
+
+FAMILIES: tuple[Family, ...] = ("px4", "ardupilot")
+QUADPLANE = abilities_of("ardupilot", VehicleClass.VTOL)
+PLANE = abilities_of("ardupilot", VehicleClass.PLANE)
+
+
+@each(
+    ("able", "answers", "verdict", "text"),
+    [
+        (PLANE, {"RTL_ALTITUDE": 100.0}, Verdict.PASS, "returns at 100 m"),
+        (PLANE, {"RTL_ALTITUDE": -1.0}, Verdict.PASS, "at the height it is at"),
+        (PLANE, {"RTL_ALTITUDE": 300.0}, Verdict.FAIL, "RTL_ALTITUDE is 300: it would return at 300 m (0 to 120 m)"),
+        (QUADPLANE, {"RTL_ALTITUDE": 100.0, "Q_RTL_ALT": 15.0}, Verdict.PASS, "returns at 100 m"),
+        (QUADPLANE, {"RTL_ALTITUDE": 100.0, "Q_RTL_ALT": 150.0}, Verdict.FAIL, "Q_RTL_ALT is 150"),
+        (abilities_of("ardupilot", VehicleClass.ROVER), {}, Verdict.SKIPPED, "it has no return height"),
+    ],
+)
+def test_the_height_of_a_return_is_that_of_the_class(
+    able: Abilities, answers: dict[str, Value | None], verdict: Verdict, text: str
+) -> None:
+    seen = replace(facts(answers, autopilot="ardupilot"), abilities=able)
+    finding = settings.rtl_height(seen, WANTED)
+    assert finding.verdict is verdict and text in finding.text, finding
+
+
+def test_planes_of_one_fleet_are_offered_return_heights_by_their_own_parameters() -> None:
+    answers: dict[str, Value | None] = {"RTL_ALTITUDE": 30.0, "Q_RTL_ALT": 40.0}
+    seen = replace(facts(answers, autopilot="ardupilot"), abilities=QUADPLANE)
+    assert settings.return_height(seen) == ("Q_RTL_ALT", 1.0, 40.0)
+    assert settings.return_height(replace(seen, abilities=PLANE)) == ("RTL_ALTITUDE", 1.0, 30.0)
+    assert settings.return_height(replace(facts({"RTL_ALTITUDE": -1.0}), abilities=PLANE)) is None
+
+
+@each(
+    ("able", "answers", "verdict", "text"),
+    [
+        (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "at home it circles at its return height (RTL_AUTOLAND 0)"),
+        (PLANE, {"RTL_AUTOLAND": 1}, Verdict.PASS, "the landing of its mission"),
+        (
+            QUADPLANE,
+            {"Q_RTL_MODE": 0, "Q_OPTIONS": 0},
+            Verdict.FAIL,
+            "it lands where it is (QLAND) if it loses its link",
+        ),
+        (QUADPLANE, {"Q_RTL_MODE": 1, "Q_OPTIONS": 32}, Verdict.PASS, "on its rotors it returns on them (QRTL) if"),
+        (QUADPLANE, {"Q_RTL_MODE": 3, "Q_OPTIONS": (1 << 20) + 32}, Verdict.PASS, "it returns as above if it loses"),
+    ],
+)
+def test_how_a_return_ends_is_shown_where_parameters_decide_it(
+    able: Abilities, answers: dict[str, Value | None], verdict: Verdict, text: str
+) -> None:
+    seen = replace(facts({"RTL_AUTOLAND": 0, **answers}, autopilot="ardupilot"), abilities=able)
+    finding = settings.return_end(seen, WANTED)
+    assert finding.verdict is verdict and text in finding.text, finding
+    if verdict is Verdict.FAIL:
+        assert finding.severity is Severity.NOTE and "Q_RTL_MODE to 1" in finding.todo
+    assert settings.return_end(facts(), WANTED).verdict is Verdict.SKIPPED
+
+
+@each("kind", list(VehicleClass))
+def test_every_parameter_that_a_class_is_judged_by_is_asked_for(kind: VehicleClass) -> None:
+    for family in FAMILIES:
+        able = abilities_of(family, kind)
+        asked = {n: Answer(Param(n, 1)) for group in needed_params(family, WANTED, able) for n in group}
+        seen = Facts(state={**STATE, "autopilot": family}, answers=asked, abilities=able, copter=able.setpoints)
+        assert not [f.text for f in examine(seen, WANTED).findings if "it was not asked for" in f.text]
 
 
 def test_names_of_checks_are_different() -> None:

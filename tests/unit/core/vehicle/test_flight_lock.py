@@ -117,3 +117,39 @@ def test_the_plan_is_named_before_its_engagements_and_a_flight_that_ended_holds_
         locks.require(change)
     flies["control"] = False
     assert locks.held() == [] and locks.refusal(change) is None
+
+
+def test_a_flight_whose_code_fails_holds_its_lock_and_stops_no_order_path() -> None:
+    faults: list[Exception] = []
+    locks, fails, flies = FlightLocks(on_fault=faults.append), True, True
+
+    def under_way() -> bool:
+        if fails:
+            raise ValueError("broken")
+        return flies
+
+    plan = locks.take(lock(), under_way)
+    assert locks.held() == [plan] and [str(fault) for fault in faults] == ["broken"]
+    why = str(locks.refusal(Renumbering(ALPHA)))
+    assert "`skygcs-cli plan abort` first" in why and why.endswith("if it has, restart skygcs")
+    with pytest.raises(RefusedError, match="could not say whether it has ended"):
+        locks.require(OriginChange(None))
+    assert locks.refusal(Renumbering(OTHER)) is None, "what touches no flight is none of its business"
+    fails = False
+    assert str(locks.refusal(Renumbering(ALPHA))).endswith("`skygcs-cli plan abort` first"), "it answers again"
+    flies = False
+    assert locks.held() == []
+
+
+def test_flights_that_fail_leave_one_lock_per_kind_and_vehicle() -> None:
+    def broken() -> bool:
+        raise ValueError("broken")
+
+    locks = FlightLocks()
+    for _ in range(3):
+        locks.take(lock(), broken)
+    other = locks.take(lock(Holder.ENGAGEMENT, member("alpha", ALPHA)), broken)
+    last = locks.take(lock(Holder.PLAN, member("alpha", ALPHA)), lambda: True)
+    held = locks.held()
+    assert [[m.name for m in one.members] for one in held] == [["bravo"], ["alpha"], ["alpha"]]
+    assert last in held and other in held

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from skygcs.core.mavlink.modes import Family
-from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of
+from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, last_moving, next_turn
 
@@ -34,6 +34,9 @@ EARLY = "v1 is on the ground before the last item of its mission"
         (ENDING._replace(mode="RTL", at_home=True), "wait", ""),
         (ON_ITS_WAY._replace(lands=False, at_home=True), "wait", ""),
         # a crash that disarms, and whoever else flies it
+        (ENDING._replace(flying=False, armed=False, not_landed="it lies"), "end", "v1 has not landed: it lies"),
+        (ENDING._replace(not_landed="it lies"), "end", "v1 has not landed: it lies"),
+        (ENDING._replace(flying=False, armed=False, settled=False), "wait", ""),  # what shows a crash may still come
         (ON_ITS_WAY._replace(flying=False, armed=False), "end", EARLY),
         (ON_ITS_WAY._replace(lands=False, ending=True, flying=False, armed=False), "end", EARLY),
         (ON_ITS_WAY._replace(mode="POSCTL"), "end", "v1 was taken over (POSCTL)"),
@@ -54,6 +57,7 @@ def test_nobody_starts_while_the_one_before_is_taken_over_in_trouble_or_in_the_a
     modes = ("AUTO.MISSION", "AUTO", "AUTO.RTL", "AUTO.LOITER", "AUTO.LAND", "POSCTL", "LAND", "GUIDED", "")
     for mode, *flags in itertools.product(modes, *([False, True],) * 10):
         flown = Turn("v1", *flags[:7], mode, *flags[7:])  # type: ignore[arg-type]
+        assert next_turn(flown._replace(not_landed="it lies")).next == "end"
         if next_turn(flown).next == "start":
             assert flown.heard and not flown.failsafe and not flown.ordered
             over = flown.complete or (flown.ending and flown.returns and flown.at_home)
@@ -82,6 +86,22 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     ],
 )
 def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:
-    end = abilities_of(family, VehicleClass(kind)).return_end
+    end = abilities_of(family, VehicleClass(kind)).return_end_by(lambda name: None)
     assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
     assert ends_on_ground([MissionItem(16), MissionItem(21)], end)
+
+
+@pytest.mark.parametrize(
+    ("end", "landing", "lands"),
+    [
+        (ReturnEnd.LANDS_ON_ROTORS, False, True),
+        (ReturnEnd.BY_MISSION, True, True),
+        (ReturnEnd.BY_MISSION, False, False),  # without one it circles
+        (ReturnEnd.CIRCLES, True, False),
+    ],
+)
+def test_a_planes_return_ends_on_the_ground_by_its_parameters_and_its_mission(
+    end: ReturnEnd, landing: bool, lands: bool
+) -> None:
+    down = [MissionItem(189), MissionItem(16), MissionItem(21)] if landing else []
+    assert ends_on_ground([*down, MissionItem(16), MissionItem(20)], end) is lands

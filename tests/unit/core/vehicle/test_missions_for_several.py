@@ -24,6 +24,7 @@ from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.formation import (
     ITEMS_A_TURN,
     LEAST_STEP_M,
+    MAX_ARRANGED_ITEMS,
     SPACING_M,
     Arrangement,
     ArrangementKind,
@@ -253,6 +254,18 @@ def test_many_long_missions_are_moved_in_small_pieces() -> None:
             break
     assert pieces >= count * 500 / ITEMS_A_TURN
     assert plans == for_several(plan, Arrangement("line"), [None] * count, [Footprint()] * count)
+
+
+def test_more_items_than_all_may_have_together_are_refused_before_anything_is_made() -> None:
+    """A file of 65535 items, which MAVLink can number, for 250 vehicles were 6 GB."""
+    count, step = 250, Arrangement("heights", 3.0)
+    most = MAX_ARRANGED_ITEMS // count
+    just = MissionPlan((RETURN,) * most)
+    assert next(arranging(just, step, [None] * count, [Footprint()] * count)) is None
+    with pytest.raises(
+        ValueError, match=rf"{most + 1} items for each of {count} vehicles .* shorten it to {most} items"
+    ):
+        next(arranging(MissionPlan((RETURN,) * (most + 1)), step, [None] * count, [Footprint()] * count))
 
 
 def test_the_shell_offers_each_kind() -> None:

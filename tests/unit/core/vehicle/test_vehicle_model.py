@@ -11,7 +11,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import ON_ROTORS, TABLE, ReturnEnd, VehicleClass
 from skygcs.core.mission.item import MissionType
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
@@ -21,6 +21,7 @@ from skygcs.core.vehicle.stick_modes import hazard, without_sticks
 from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
+from skygcs.core.vehicle.watched_params import WATCHED
 from skygcs.errors import NotReadyError, RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
@@ -153,8 +154,6 @@ def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> 
     """TAKEOFF is mode 13 (ArduPlane/mode.h), TKOFF_ALT its height (mode_takeoff.cpp)."""
     with pytest.raises(NotReadyError, match="TKOFF_ALT"):
         orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, Q_ENABLE=0.0).vehicle, NOW, 50.0)
-    with pytest.raises(NotReadyError, match="Q_ENABLE"):
-        orders.takeoff(on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0).vehicle, NOW, 50.0)
     plane = on_the_ground(ARDUPILOT, PLANE, 5, TKOFF_ALT=50.0, Q_ENABLE=0.0).vehicle
     with pytest.raises(RefusedError, match=re.escape("takes off to its TKOFF_ALT (50 m), not to 30 m")):
         orders.takeoff(plane, NOW, 30.0)
@@ -162,6 +161,68 @@ def test_an_arduplane_takes_off_in_its_takeoff_mode_to_its_own_height_only() -> 
     assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
     undo = plan.steps[0].undo
     assert undo is not None and undo.command is not None and undo.command.params[1] == 12.0  # LOITER, not FBWA
+
+
+def test_a_plane_is_sent_off_along_the_ground_once_it_has_shown_that_it_is_no_quadplane() -> None:
+    """A build without QuadPlanes has no Q_ENABLE, and answers no request for it: it never became ready. Its vtol_state
+    is undefined, as that of a QuadPlane never is (GCS_MAVLINK_Plane::vtol_state)."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice(1)
+
+    def hear(message: mav.MAVLink_message) -> None:
+        vehicle.on_frame(voice.say(message), NOW)
+
+    hear(mav.MAVLink_heartbeat_message(PLANE, ARDUPILOT, 0x01, 5, 3, 3))
+    hear(mav.MAVLink_param_value_message(b"TKOFF_ALT", 50.0, 9, 900, 1))
+    vehicle.on_frame(voice.position(alt_amsl_m=HOME[2], rel_m=0.0), NOW)
+    with pytest.raises(NotReadyError, match="neither Q_ENABLE nor EXTENDED_SYS_STATE"):
+        orders.takeoff(vehicle, NOW, 50.0)
+    hear(mav.MAVLink_extended_sys_state_message(0, 1))
+    plan = orders.takeoff(vehicle, NOW, 50.0)
+    assert commands(plan)[:2] == [(mav.MAV_CMD_DO_SET_MODE, 13.0), (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
+    hear(mav.MAVLink_extended_sys_state_message(3, 1))  # a QuadPlane whose Q_ENABLE was lost
+    assert commands(orders.takeoff(vehicle, NOW, 50.0))[-1] == (mav.MAV_CMD_NAV_TAKEOFF, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("rotors", "landing", "end"),
+    [
+        # ArduPlane/mode_rtl.cpp. Q_RTL_MODE 0: navigate comes to RTL_AUTOLAND
+        (0, 0, ReturnEnd.CIRCLES),
+        (0, 1, ReturnEnd.BY_MISSION),
+        (0, 2, ReturnEnd.BY_MISSION),
+        (0, 3, ReturnEnd.CIRCLES),  # OnlyForGoAround
+        (0, 4, ReturnEnd.BY_MISSION),
+        # 1: switch_QRTL is asked 1 s after the mode change, and near its home; 2 and 4 jump before
+        (1, 0, ReturnEnd.LANDS_ON_ROTORS),
+        (1, 1, ReturnEnd.LANDS_ON_ROTORS),
+        (1, 2, ReturnEnd.BY_MISSION),
+        (1, 4, ReturnEnd.BY_MISSION),
+        # 2 and 3: navigate returns before it, or the mode is QRTL
+        *((rotors, landing, ReturnEnd.LANDS_ON_ROTORS) for rotors in (2, 3) for landing in range(5)),
+    ],
+)
+def test_a_quadplanes_return_ends_as_its_parameters_say(rotors: int, landing: int, end: ReturnEnd) -> None:
+    params = {"Q_ENABLE": 1.0, "Q_RTL_MODE": float(rotors), "RTL_AUTOLAND": float(landing)}
+    winged = Shown(ARDUPILOT, PLANE, 12, **params)
+    assert winged.vehicle.return_end(NOW) is end
+    assert orders.rtl(winged.vehicle, NOW).done == f"returning to launch; {end}"
+    hovering = Shown(ARDUPILOT, PLANE, 19, **params)
+    assert orders.rtl(hovering.vehicle, NOW).done == "returning in QRTL"  # which lands, whatever they are
+
+
+def test_what_a_return_does_is_in_the_answer_of_what_does_not_land() -> None:
+    assert orders.rtl(Shown(ARDUPILOT, QUADROTOR, 5).vehicle, NOW).done == "returning to launch"
+    assert orders.rtl(Shown(PX4, VTOL, 4 << 16).vehicle, NOW).done == "returning to launch"
+    assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; it circles at its return height")
+    assert orders.rtl(Shown(ARDUPILOT, ROVER, 15).vehicle, NOW).done.endswith("; it stops and stays armed")
+    landing = Shown(ARDUPILOT, PLANE, 12, Q_ENABLE=0.0, RTL_AUTOLAND=2.0).vehicle
+    assert "it lands by the landing of its mission" in orders.rtl(landing, NOW).done
+
+
+def test_every_parameter_that_a_class_declares_is_kept() -> None:
+    for able in (*TABLE.values(), *ON_ROTORS.values()):
+        assert set(able.asked_params) <= WATCHED
+        assert {name for height in (*able.return_heights, able.return_climb) for name, _ in height} <= WATCHED
 
 
 def test_no_undo_ends_in_a_mode_flown_by_sticks() -> None:
