@@ -9,10 +9,8 @@ import { leaderOf, type Box, type Placement } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body, Meeting } from "./scene.ts";
-import { angleOf, directionOf, type Sprites } from "./sprites.ts";
+import { angleOf, directionOf, type Drawing, type Pen, type Sprites } from "./sprites.ts";
 import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
-
-export type Pen = CanvasRenderingContext2D;
 
 const GRID_PX = 96;
 /** The scale bar is as long at most. */
@@ -521,11 +519,10 @@ export function drawBodies(
     for (const body of bodies) {
       if ((body.armed && body.heard) !== filled) continue;
       const colour = colourOf(body);
-      const direction = body.yawRad === null ? -1 : directionOf(body.yawRad);
-      const key = `${filled ? "f" : "h"}${colour}${direction}`;
-      sprites.draw(pen, key, BODY_PX, toScreenX(camera, body.x), toScreenY(camera, body.y), (on) => {
-        drawBody(on, palette, direction, colour, filled);
-      });
+      const direction = body.yawRad === null ? null : directionOf(body.yawRad);
+      const key = `${filled ? "f" : "h"}${direction === null ? "" : "d"}${colour}`;
+      const drawing: Drawing = (on, one) => drawBody(on, palette, direction === null ? null : angleOf(one), colour, filled);
+      sprites.draw(pen, key, BODY_PX, toScreenX(camera, body.x), toScreenY(camera, body.y), drawing, direction);
     }
   }
   troubleRings(pen, camera, palette, bodies);
@@ -550,11 +547,11 @@ export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: rea
   troubleRings(pen, camera, palette, bodies, 0.5);
 }
 
-function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
+function drawBody(pen: Pen, palette: Palette, yawRad: number | null, colour: string, filled: boolean): void {
   pen.lineJoin = "round";
   pen.beginPath();
-  if (direction < 0) pen.arc(0, 0, 6, 0, 7);
-  else dart(pen, 0, 0, angleOf(direction), GLYPH_PX);
+  if (yawRad === null) pen.arc(0, 0, 6, 0, 7);
+  else dart(pen, 0, 0, yawRad, GLYPH_PX);
   pen.fillStyle = filled ? colour : palette.ground;
   pen.strokeStyle = filled ? palette.ground : colour;
   pen.lineWidth = filled ? 2.5 : 1.75;

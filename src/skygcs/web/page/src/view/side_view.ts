@@ -1,10 +1,11 @@
 // Heights: a strip below the fleet view with the same x axis, so that each vehicle is straight below its place above.
 
 import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
-import { colourOfShape, haloText, type Colours, type Pen } from "./drawing.ts";
+import { colourOfShape, haloText, type Colours } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body } from "./scene.ts";
+import type { Pen } from "./sprites.ts";
 
 /** Of a low view, as on a phone that lies on its side, a quarter. */
 const SIDE_PX = 120;
