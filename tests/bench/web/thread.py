@@ -1,7 +1,8 @@
 """What the page's main thread is busy with while vehicles fly circles and nobody touches it.
 
 CPU time of the thread itself, which does not depend on what else the machine does, and the own times of the page's
-functions from Chromium's sampling profiler. Bundled names are short: build with `minify: false` to read them.
+functions from Chromium's sampling profiler. The built page has short names: `minify: false` in build.mjs gives them in
+full.
 """
 
 from __future__ import annotations
@@ -39,7 +40,16 @@ def circling(sites: int, vehicles: int) -> Iterator[WebStation]:
     with tempfile.TemporaryDirectory(prefix="skygcs-bench-thread-") as name:
         folder = Path(name)
         path = folder / "gcs.sock"
-        line = [sys.executable, "-m", "support.many_sites", str(path), "--sites", str(sites), "--vehicles", str(vehicles)]
+        line = [
+            sys.executable,
+            "-m",
+            "support.many_sites",
+            str(path),
+            "--sites",
+            str(sites),
+            "--vehicles",
+            str(vehicles),
+        ]
         process = subprocess.Popen(line, env=os.environ | {"PYTHONPATH": str(ROOT / "tests")})
         station = WebStation(folder, None)
         try:

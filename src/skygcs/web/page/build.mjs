@@ -73,7 +73,7 @@ async function page() {
     outdir: join(out, "assets"),
     splitting: true,
     chunkNames: "[name]-[hash]",
-    minify: process.env.PLAIN === undefined,
+    minify: true,
     metafile: true,
     define: { "process.env.NODE_ENV": '"production"' },
   });
@@ -81,7 +81,7 @@ async function page() {
     ...common,
     entryPoints: { app: "src/styles/app.css" },
     outdir: join(out, "assets"),
-    minify: process.env.PLAIN === undefined,
+    minify: true,
     metafile: true,
     plugins: [subsetFonts],
     assetNames: "[name]",

@@ -91,7 +91,7 @@ export class FleetView {
   constructor(readonly store: Store) {
     store.subscribe((state) => {
       this.onState(state);
-      this.redraw();
+      if (this.canvas !== null && !this.requested) this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
     });
     const anew = (): void => {
       this.palette = null;

@@ -1,7 +1,7 @@
 // Heights: a strip below the fleet view with the same x axis, so that each vehicle is straight below its place above.
 
 import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
-import { colourOfShape, haloText, type Colours } from "./drawing.ts";
+import { colourOfShape, haloText, lineAcross, lineDown, type Colours } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
 import type { Body } from "./scene.ts";
@@ -97,19 +97,10 @@ function heightLines(
   yOf: (z: number) => number,
 ): void {
   const step = niceLengthM(pxPerM, 44);
-  pen.lineWidth = 1;
-  pen.strokeStyle = palette.gridMajor;
-  pen.beginPath();
-  for (let z = step; z <= topM; z += step) {
-    pen.moveTo(0, Math.round(yOf(z)) + 0.5);
-    pen.lineTo(camera.widthPx, Math.round(yOf(z)) + 0.5);
-  }
-  pen.stroke();
-  pen.strokeStyle = palette.muted;
-  pen.beginPath();
-  pen.moveTo(0, Math.round(yOf(0)) + 0.5);
-  pen.lineTo(camera.widthPx, Math.round(yOf(0)) + 0.5);
-  pen.stroke();
+  pen.fillStyle = palette.gridMajor;
+  for (let z = step; z <= topM; z += step) lineAcross(pen, camera, yOf(z));
+  pen.fillStyle = palette.muted;
+  lineAcross(pen, camera, yOf(0));
   pen.font = `11px ${palette.font}`;
   pen.textAlign = "left";
   pen.textBaseline = "bottom";
@@ -120,15 +111,8 @@ function heightLines(
 }
 
 function drawStems(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], yOf: (z: number) => number): void {
-  pen.strokeStyle = palette.axis;
-  pen.lineWidth = 1;
-  pen.beginPath();
-  for (const body of bodies) {
-    const x = Math.round(toScreenX(camera, body.x)) + 0.5;
-    pen.moveTo(x, yOf(0));
-    pen.lineTo(x, yOf(body.z));
-  }
-  pen.stroke();
+  pen.fillStyle = palette.axis;
+  for (const body of bodies) lineDown(pen, toScreenX(camera, body.x), yOf(0), yOf(body.z));
 }
 
 function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, colours: Colours, yOf: (z: number) => number): void {
