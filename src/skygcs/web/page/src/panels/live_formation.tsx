@@ -8,7 +8,7 @@ import type { Outcome, Vec3 } from "../types.ts";
 import { mayOrder, orderWith } from "./calls.ts";
 import { overlay } from "./drawing.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
-import { Choice, Failure, NumberField, usePolled, useTool } from "./parts.tsx";
+import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "live formation";
@@ -76,24 +76,11 @@ function Shown({ status }: { status: FormationStatus }) {
         {status.least_m === null ? "" : `, least distance ${status.least_m.toFixed(1)} m (${(status.least_pair ?? []).join(" and ")})`}
       </p>
       {status.reason !== "" && <p class="failure">{status.reason}</p>}
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>vehicle</th>
-            <th>state</th>
-            <th class="number">off its place</th>
-          </tr>
-        </thead>
-        <tbody>
-          {status.members.map((one) => (
-            <tr key={one.vehicle} class={one.left === null ? "" : "lost"}>
-              <td>{one.vehicle}</td>
-              <td>{one.left !== null ? `left: ${one.left}` : one.hindered ? "another is in its way" : one.at_place ? "at its place" : "on its way"}</td>
-              <td class="number">{one.off_place_m === null ? "–" : `${one.off_place_m.toFixed(1)} m`}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable rows={status.members} keyOf={(one) => one.vehicle} row={(one) => ({ class: one.left === null ? "" : "lost" })} columns={[
+        ["vehicle", (one) => one.vehicle],
+        ["state", (one) => (one.left !== null ? `left: ${one.left}` : one.hindered ? "another is in its way" : one.at_place ? "at its place" : "on its way")],
+        ["off its place", (one) => (one.off_place_m === null ? "–" : `${one.off_place_m.toFixed(1)} m`), "number"],
+      ]} />
     </>
   );
 }

@@ -6,7 +6,7 @@ import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
-import { Failure, keepFile, NumberField, Scroll, usePolled, type FileContent } from "./parts.tsx";
+import { Failure, keepFile, NumberField, PlainTable, Scroll, usePolled, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface MissionStatus {
@@ -36,43 +36,25 @@ export function MissionFlight(props: FlightProps & { showDownloaded: (file: File
   return (
     <section class="card" aria-label="On board">
       <h3>On board</h3>
-      <Board status={status} />
+      <Scroll label="Missions on board" tall>
+        <PlainTable rows={status} keyOf={(one) => one.vehicle} columns={[
+          ["vehicle", (one) => one.vehicle],
+          ["state", (one) => <State one={one} />],
+          ["item", (one) => one.item ?? "–", "number"],
+          ["mission", (one) => one.counts.mission ?? "?", "number"],
+          ["fence", (one) => one.counts.fence ?? "?", "number"],
+        ]} />
+      </Scroll>
       {orders && <Buttons {...props} />}
       {orders && targets.length === 1 && <Download {...props} name={targets[0] ?? ""} />}
     </section>
   );
 }
 
-function Board({ status }: { status: readonly MissionStatus[] }) {
-  return (
-    <Scroll label="Missions on board" tall>
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>vehicle</th>
-            <th>state</th>
-            <th class="number">item</th>
-            <th class="number">mission</th>
-            <th class="number">fence</th>
-          </tr>
-        </thead>
-        <tbody>
-          {status.map((one) => (
-            <tr key={one.vehicle}>
-              <td>{one.vehicle}</td>
-              <td>
-                {one.transfer === null ? stateText(one) : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
-                {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
-              </td>
-              <td class="number">{one.item ?? "–"}</td>
-              <td class="number">{one.counts.mission ?? "?"}</td>
-              <td class="number">{one.counts.fence ?? "?"}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
-    </Scroll>
-  );
+function State({ one }: { one: MissionStatus }) {
+  if (one.transfer === null) return <>{stateText(one)}</>;
+  const percent = one.transfer.percent ?? 0;
+  return <>{one.transfer.what} {percent} %<progress max={100} value={percent} aria-label={`Transfer of ${one.vehicle}`} /></>;
 }
 
 function Buttons({ store, connection, status, targets }: FlightProps) {

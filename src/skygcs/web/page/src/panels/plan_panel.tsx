@@ -9,7 +9,7 @@ import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -318,23 +318,10 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
 function Terms({ approach, ratio }: { approach: Approach; ratio: number }) {
   return (
     <Fold title="Terms of the margin">
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>m (heights / {ratio})</th>
-            {approach.vehicles.map((name) => <th key={name} class="number">{name}</th>)}
-          </tr>
-        </thead>
-        <tbody>
-          {termRows(approach).map(([name, one, other]) => (
-            <tr key={name}>
-              <td>{name}</td>
-              <td class="number">{one.toFixed(3)}</td>
-              <td class="number">{other.toFixed(3)}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable rows={termRows(approach)} keyOf={([name]) => name} columns={[
+        [`m (heights / ${ratio})`, ([name]) => name],
+        ...approach.vehicles.map((name, i) => [name, (row: readonly [string, number, number]) => row[i === 0 ? 1 : 2].toFixed(3), "number"] as const),
+      ]} />
     </Fold>
   );
 }

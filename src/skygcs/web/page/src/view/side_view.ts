@@ -4,6 +4,7 @@ import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
 import { colourOfShape, haloText, lineAcross, lineDown, type Colours } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
+import { Paths } from "./paths.ts";
 import type { Body } from "./scene.ts";
 import type { Pen } from "./sprites.ts";
 
@@ -68,23 +69,15 @@ export function drawSide(
   heightLines(pen, camera, palette, topM, pxPerM, yOf);
   for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, yOf);
   drawStems(pen, camera, palette, bodies, yOf);
-  const byColour = new Map<string, Path2D>();
+  const paths = new Paths();
   for (const body of bodies) {
-    const colour = colourOf(body);
-    let path = byColour.get(colour);
-    if (path === undefined) {
-      path = new Path2D();
-      byColour.set(colour, path);
-    }
+    const path = paths.of(colourOf(body));
     const x = toScreenX(camera, body.x);
     const y = yOf(body.z);
     path.moveTo(x + 4.5, y);
     path.arc(x, y, body.selected ? 5.5 : 4.5, 0, 7);
   }
-  for (const [colour, path] of byColour) {
-    pen.fillStyle = colour;
-    pen.fill(path);
-  }
+  paths.fill(pen);
   pen.restore();
 }
 
