@@ -4,7 +4,7 @@ import { useEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { carriedOver } from "../framed.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useStore } from "../hooks.ts";
+import { useOverlay, useSelected, useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import type { Store } from "../store.ts";
 import type { Origin, Vec3 } from "../types.ts";
@@ -56,8 +56,7 @@ let lastSeveral = ALIKE;
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
-  const selection = useStore(store, (state) => state.selection);
-  const targets = useMemo(() => [...selection], [selection]);
+  const targets = useSelected(store);
   const [tab, setTab] = useState<What>(lastTab);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
   const { draft, keep, note } = useDraft(store, tab);
@@ -71,14 +70,14 @@ export default function MissionPanel(props: PanelProps) {
   const status = useMissionStatus(props, targets);
   const [first] = status;
   const current = first?.item ?? null;
-  useEffect(() => {
+  const shapes = useMemo(() => {
     const drawn = tab === "file" ? [] : drawnShapes(draft.drawing, tab === "polygon");
     const circle = tab === "circle" ? circleShapes(draft) : [];
     const shown = checked === null || tab !== "file" ? [] : missionShapes(checked, current);
     const others = tab === "file" || tab === "mission" ? severalShapes(checked?.several ?? null) : [];
-    view.setOverlay(OVERLAY, overlay([...shown, ...others], circle, drawn));
-  }, [view, checked, draft, tab, current]);
-  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
+    return overlay([...shown, ...others], circle, drawn);
+  }, [checked, draft, tab, current]);
+  useOverlay(view, OVERLAY, shapes);
   const go = (id: string): void => {
     lastTab = id as What;
     setTab(lastTab);
