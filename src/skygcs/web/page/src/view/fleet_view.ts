@@ -29,6 +29,8 @@ const TRAILS_SHARE = 10;
 const TRAILS_ANEW_MS = 10_000;
 /** A frame that takes longer to draw is followed by a pause of as long, so that the page stays quick to answer. */
 const SLOW_DRAW_MS = 10;
+/** A vehicle is shown as silent though nothing comes any more, of it or of others. */
+const AGES_EVERY_MS = 1000;
 /** A pause that is shorter than a frame of the screen is none. */
 const SCREEN_FRAME_MS = 17;
 
@@ -306,7 +308,7 @@ export class FleetView {
     const { camera, scene } = this;
     const sidePxPerM = this.options.side ? (this.heightPx - camera.heightPx) / Math.max(this.sideTopM, 1) : 0;
     const pauseMs = pauseBefore(Math.max(scene.acrossMps * camera.pxPerM, scene.upMps * sidePxPerM) * this.ratio);
-    if (pauseMs < Infinity) this.redrawIn(Math.max(pauseMs, took > SLOW_DRAW_MS ? took : 0));
+    if (scene.bodies.some(({ heard }) => heard)) this.redrawIn(Math.min(Math.max(pauseMs, took > SLOW_DRAW_MS ? took : 0), AGES_EVERY_MS));
   }
 
   /** Draws after so long, if nothing is drawn before. */
