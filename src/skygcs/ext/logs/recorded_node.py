@@ -28,7 +28,7 @@ from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY, Px4Memory,
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
 from skygcs.core.ros.shared_topics import SHARED, connection_status, map_transform, pose_transform
 from skygcs.core.ros.stamps import header
-from skygcs.core.ros.topics import SOURCES, TELEMETRY, Topic, samples
+from skygcs.core.ros.topics import LATCHED, SOURCES, TELEMETRY, Topic, samples
 from skygcs.tlog.format import LogEntry
 from skygcs.tlog.selection import Selection
 
@@ -210,15 +210,14 @@ class RecordedNode:
         memory = VehicleMemory(FrameNames(f"{prefix}map", f"{prefix}base_link"), self._naming.geoid_m)
         vehicle = self.vehicles[key] = RecordedVehicle(key, root, memory)
         self._chosen = self._chooses(HEARTBEAT, key)
-        self._publish(vehicle, disconnected(0), unix_ns)
+        self._publish(vehicle, disconnected(unix_ns), unix_ns)
         return vehicle
 
     def _lose(self, vehicle: RecordedVehicle) -> None:
         if not vehicle.connected:
             return
         vehicle.connected = False
-        before = vehicle.memory
-        vehicle.memory = VehicleMemory(before.frames, before.geoid_m, before.clock)
+        vehicle.memory = vehicle.memory.after_loss()
         if vehicle.px4 is not None:
             vehicle.px4 = Px4Memory(vehicle.px4.sysid, vehicle.px4.clock)
         lost_ns = vehicle.heard_ns + round(DEFAULT_LOST_S * 1e9)
@@ -272,7 +271,12 @@ class RecordedNode:
     def _write(self, name: str, topic: Topic, unix_ns: int, fields: Mapping[str, Any]) -> None:
         if self._chosen and self._timed:
             self._put(name, topic, unix_ns, fields)
-        elif self._chosen and not self._began and topic.quality in ("latched", "px4") and name != "/rosout":
+        elif (
+            self._chosen
+            and not self._began
+            and (topic.quality in LATCHED or topic.quality == "px4")
+            and name != "/rosout"
+        ):
             self._kept[name] = topic, fields
 
 

@@ -172,7 +172,7 @@ class Bridge:
             root = vehicle_root(self.config.root, name, state["sysid"])
             if root in taken:
                 raise ValueError(f"{root} are the topics of {taken[root]}")
-            vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state)
+            vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state, self._unix_ns())
             if self.config.commands != "none":
                 self.controls[name] = VehicleControl(
                     self.node,

@@ -18,7 +18,7 @@ from skygcs.ext.ros.px4_topics import Px4Topics
 class VehicleTopics:
     """Topics of one vehicle, from its discovery to the end of the process. ``state``: as the daemon sent it last."""
 
-    def __init__(self, shared: SharedTopics, config: RosConfig, state: Mapping[str, Any]) -> None:
+    def __init__(self, shared: SharedTopics, config: RosConfig, state: Mapping[str, Any], now_ns: int) -> None:
         """Raises ValueError for a name that ROS does not take."""
         self.name: str = state["name"]
         self.sysid: int = state["sysid"]
@@ -39,7 +39,7 @@ class VehicleTopics:
         self._shared = shared
         self._logger = self.mavros.strip("/").replace("/", ".")
         self._sends_tf = bool(prefix)
-        self._publish(disconnected(0))
+        self._publish(disconnected(now_ns))
 
     def on_message(self, name: str, fields: Mapping[str, Any], arrival_ns: int) -> None:
         """One MAVLink message of its autopilot, or of the radio. Raises InterfaceError, KeyError, TypeError or
@@ -61,8 +61,7 @@ class VehicleTopics:
         """It is not heard any more."""
         if self.connected:
             self.connected = False
-            before = self.memory
-            self.memory = VehicleMemory(before.frames, before.geoid_m, before.clock)
+            self.memory = self.memory.after_loss()
             self._publish(disconnected(now_ns))
             if self.px4 is not None:
                 self.px4.on_lost()

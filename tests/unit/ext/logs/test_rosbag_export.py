@@ -190,7 +190,7 @@ def test_qualities_of_service_are_those_of_the_live_node(capture_bag: Path) -> N
             (profile,) = connection.ext.offered_qos_profiles  # type: ignore[union-attr]
             best_effort = profile.reliability is QosReliability.BEST_EFFORT
             lasting = profile.durability is QosDurability.TRANSIENT_LOCAL
-            assert (best_effort, lasting) == (quality in ("sensor", "px4"), quality in ("latched", "px4"))
+            assert (best_effort, lasting) == (quality in ("sensor", "px4"), quality in ("latched", "newest", "px4"))
             assert profile.depth == DEPTHS[quality]
     assert px4_topics == 12
 
