@@ -43,7 +43,7 @@ RADIO_DBM = 1.9, 127.0
 
 LOG_LEVELS = dict(enumerate((40, 40, 40, 40, 30, 30, 20, 10)))
 LOG_WARN = 30
-"""rcl_interfaces' Log level of each MAV_SEVERITY, by the classes in which MAVROS logs (`process_statustext_normal` of
+"""rcl_interfaces' Log level of each MAV_SEVERITY, by the classes in which MAVROS logs (process_statustext_normal of
 its plugin sys_status): from emergency on errors, a notice is a warning, and so is a severity that is none."""
 
 
@@ -66,7 +66,7 @@ def heartbeat(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) ->
 
 
 def ros_mode(fields: dict[str, Any]) -> str:
-    """The mode's name as MAVROS has it (`UAS::str_mode_v10`, lib/uas_stringify.cpp): of a PX4 a sub mode counts in AUTO
+    """The mode's name as MAVROS has it (UAS::str_mode_v10, lib/uas_stringify.cpp): of a PX4 a sub mode counts in AUTO
     alone. A mode for which MAVROS has no name, as CMODE(21), has the autopilot's."""
     if not fields["base_mode"] & CUSTOM_MODE_ENABLED:
         return f"MODE(0x{fields['base_mode']:2X})"

@@ -59,7 +59,7 @@ class VehicleMemory:
     fix_service: int = SERVICE_GPS
     fix_covariance: tuple[float, ...] = UNKNOWN_COVARIANCE
     fix_covariance_type: int = COVARIANCE_UNKNOWN
-    """Values of the newest GPS_RAW_INT; before the first one as MAVROS begins (`Data::Data`, lib/uas_data.cpp)."""
+    """Values of the newest GPS_RAW_INT; before the first one as MAVROS begins (Data::Data, lib/uas_data.cpp)."""
     receiver_geoid_m: float | None = None
     map_frame: EnuFrame | None = None
     has_local: bool = False
@@ -72,7 +72,7 @@ class VehicleMemory:
 
     def after_loss(self) -> VehicleMemory:
         """Memory after the connection was lost: what MAVROS' plugins imu, sys_status and rc_io forget then
-        (`connection_cb`) is gone. The rest stays: the origin of global_position/local does not move in a pause of the
+        (connection_cb) is gone. The rest stays: the origin of global_position/local does not move in a pause of the
         radio."""
         return replace(
             self,

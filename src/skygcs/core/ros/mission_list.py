@@ -10,7 +10,7 @@ Fields = Mapping[str, Any]
 
 class MissionList:
     """A message of the topic when MAVROS publishes one: the list is another, or another item is current
-    (`handle_mission_ack`, `handle_mission_item_int` and `handle_mission_current` of its mission_protocol_base.cpp)."""
+    (handle_mission_ack, handle_mission_item_int and handle_mission_current of its mission_protocol_base.cpp)."""
 
     def __init__(self) -> None:
         self._waypoints: list[Fields] = []

@@ -113,8 +113,8 @@ POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_ABS, POS_VERT_AGL = 1 << 1, 1 << 2, 1 << 4, 1 << 6
 """ESTIMATOR_STATUS_FLAGS. A PX4 fills them of the same conditions as its positions: the first two are xy_valid and
-z_valid, with those of the velocities; the others lat_lon_valid and terrain_alt_valid (`Ekf::get_ekf_soln_status`,
-`EKF2::PublishLocalPosition` and `PublishGlobalPosition`, 1.16)."""
+z_valid, with those of the velocities; the others lat_lon_valid and terrain_alt_valid (Ekf::get_ekf_soln_status,
+EKF2::PublishLocalPosition and PublishGlobalPosition, 1.16)."""
 
 NOT_KNOWN_INVALID = 0xFFFF
 """Flags of an estimator that has not said: what it sends is taken as valid."""

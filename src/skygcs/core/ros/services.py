@@ -108,7 +108,7 @@ def home(request: Fields) -> dict[str, Any]:
 
 def mode_asked(custom_mode: str, autopilot: int, mav_type: int) -> str:
     """The mode that SetMode's custom_mode names, in capitals: by its name, or by its number as in MAVROS
-    (`cmode_find_cmap` of its lib/uas_stringify.cpp), decimal or 0x…. Raises RequestError."""
+    (cmode_find_cmap of its lib/uas_stringify.cpp), decimal or 0x…. Raises RequestError."""
     text = custom_mode.strip().upper()
     if not text:
         raise RequestError("give custom_mode: base_mode alone names no mode of these autopilots")
@@ -174,7 +174,7 @@ def _home_waypoint(home: Fields) -> dict[str, Any]:
 
 def parameter_value(fields: Fields, ros1: bool) -> float:
     """The number in a request to set a parameter; of ROS 1's pair the integer if it is positive, else the real number
-    unless that is 0 (`set_cb` of MAVROS 1's plugin param). Raises RequestError."""
+    unless that is 0 (set_cb of MAVROS 1's plugin param). Raises RequestError."""
     value = fields["value"]
     if ros1:
         number = float(value["integer"] if value["integer"] > 0 or value["real"] == 0 else value["real"])

@@ -31,7 +31,7 @@ IGNORE_VXYZ = (16, 8, 32)
 IGNORE_AXYZ = (128, 64, 256)
 FORCE, IGNORE_YAW, IGNORE_YAW_RATE = 512, 1024, 2048
 """POSITION_TARGET_TYPEMASK; of vectors the bits of east, north, up. Its bits are of MAVLink's axes, north first: MAVROS
-turns the values of a message into NED and passes the mask on (`local_cb` of its plugin setpoint_raw), so bit 1 ignores
+turns the values of a message into NED and passes the mask on (local_cb of its plugin setpoint_raw), so bit 1 ignores
 the y of a message in ENU."""
 
 IGNORE_BODY_VXY = (8, 16)
@@ -257,7 +257,7 @@ class AttitudePair:
 
     def on_twist(self, fields: Fields, now: float) -> Demand:
         """setpoint_attitude/cmd_vel. Raises SetpointError. Its rates are about right, forward, up: MAVROS turns them as
-        if they were a vector of ENU (`send_attitude_ang_velocity` of its plugin setpoint_attitude), and nodes that
+        if they were a vector of ENU (send_attitude_ang_velocity of its plugin setpoint_attitude), and nodes that
         were written for it send them so. Those of setpoint_raw/attitude are about forward, left, up."""
         x, y, z = vector_of(fields["twist"]["angular"])
         return body_rates((y, -x, z), self._fresh(now))
