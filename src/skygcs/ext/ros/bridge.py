@@ -159,7 +159,7 @@ class Bridge:
         place = state.get("ekf_origin")
         if self._origin is not None and place is not None and self.config.frame_prefix:
             frame = vehicle.memory.frames.map
-            self.shared.fix_transform(map_transform(place, self._origin, frame, self._unix_ns()))
+            self.shared.fix_transforms(map_transform(place, self._origin, frame, self._unix_ns()))
 
     def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
         name = state["name"]

@@ -8,7 +8,7 @@ from typing import Any
 from skygcs.core.ros.condition import disconnected, log_entry
 from skygcs.core.ros.memory import FrameNames, Sample, VehicleMemory
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
-from skygcs.core.ros.shared_topics import pose_transform
+from skygcs.core.ros.shared_topics import mavlink_frames, pose_transform
 from skygcs.core.ros.topics import SOURCES, TELEMETRY, samples
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import SharedTopics
@@ -40,6 +40,8 @@ class VehicleTopics:
         self._logger = self.mavros.strip("/").replace("/", ".")
         self._sends_tf = bool(prefix)
         self._publish(disconnected(now_ns))
+        if self._sends_tf:
+            shared.fix_transforms(*mavlink_frames(self.memory.frames, now_ns))
 
     def on_message(self, name: str, fields: Mapping[str, Any], arrival_ns: int) -> None:
         """One MAVLink message of its autopilot, or of the radio. Raises InterfaceError, KeyError, TypeError or

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from skygcs.ext.ros.bridge import Bridge
@@ -59,6 +60,23 @@ def test_each_vehicle_has_its_own_topics() -> None:
     assert pose["header"]["stamp"] == {"sec": NOW_NS // 10**9 - 1, "nanosec": 996_000_000}
     (transform,) = rig.node.last("/tf")["transforms"]
     assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("alpha/map", "alpha/base_link")
+
+
+def test_mavlinks_frames_are_turned_as_in_mavros() -> None:
+    """uas_tf.cpp, setup_static_tf: map_ned has the axes north, east, down; base_link_frd forward, right, down."""
+    rig = Rig()
+    rig.state("alpha", 1)
+    found = {t["child_frame_id"]: t for t in rig.node.last("/tf_static")["transforms"]}
+    axes = {
+        "alpha/map_ned": ("alpha/map", [[0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+        "alpha/base_link_frd": ("alpha/base_link", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
+    }
+    for child, (parent, vectors) in axes.items():
+        assert found[child]["header"]["frame_id"] == parent
+        w, x, y, z = (found[child]["transform"]["rotation"][name] for name in "wxyz")
+        v = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = np.eye(3) + 2 * w * v + 2 * v @ v
+        assert np.abs(turn.T - vectors).max() < 1e-12  # columns are the child's axes in the parent
 
 
 def test_a_vehicle_that_is_not_heard_is_disconnected_once_and_forgets_what_mavros_does() -> None:
