@@ -40,6 +40,10 @@ FRESH_NS = 3_000_000_000
 MOVING_FRESH_NS = 500_000_000
 """The same for an attitude that completes a position: at 2 Hz, the slowest that is planned for a radio."""
 
+FLAGS_FRESH_NS = 10_000_000_000
+"""The same for what an estimator calls valid: at 0.5 Hz, as over a radio, five messages that are lost. Afterwards all
+counts as valid, so what is invalid must not become it because one was lost."""
+
 NAN3 = (math.nan,) * 3
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -227,7 +231,7 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
 
 
 def _estimator_flags(arrival_ns: int, memory: Px4Memory) -> int:
-    status = memory.kept("ESTIMATOR_STATUS", arrival_ns)
+    status = memory.kept("ESTIMATOR_STATUS", arrival_ns, FLAGS_FRESH_NS)
     return NOT_KNOWN_INVALID if status is None else int(status["flags"])
 
 

@@ -153,6 +153,10 @@ def test_what_is_valid_is_what_the_estimator_says(flags: int) -> None:
     place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
     assert (place["lat_lon_valid"], place["alt_valid"]) == (bool(flags & 16), bool(flags & 4))
     assert place["terrain_alt_valid"] == bool(flags & 64)
+    for later_s, valid in ((9, bool(flags & 2)), (11, True)):  # a lost message changes nothing, a stream that ends does
+        later = LOCAL | {"time_boot_ms": 5000 + 1000 * later_s}
+        local = made("LOCAL_POSITION_NED", later, memory, NOW + later_s * 10**9)["vehicle_local_position"]
+        assert local["xy_valid"] == valid
 
 
 def test_a_global_position_has_the_geoid_of_the_receiver_and_the_terrain() -> None:
