@@ -173,11 +173,11 @@ def _home_waypoint(home: Fields) -> dict[str, Any]:
 
 
 def parameter_value(fields: Fields, ros1: bool) -> float:
-    """The number in a request to set a parameter; of ROS 1's pair the integer if it is positive, else the real number
-    unless that is 0 (set_cb of MAVROS 1's plugin param). Raises RequestError."""
+    """The number in a request to set a parameter; of ROS 1's pair the integer unless it is 0, else the real number
+    (set_cb of MAVROS 1's plugin param). Raises RequestError."""
     value = fields["value"]
     if ros1:
-        number = float(value["integer"] if value["integer"] > 0 or value["real"] == 0 else value["real"])
+        number = float(value["integer"]) if value["integer"] else float(value["real"])
     elif value["type"] == INTEGER:
         number = float(value["integer_value"])
     elif value["type"] == DOUBLE:

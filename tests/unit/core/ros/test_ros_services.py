@@ -97,7 +97,7 @@ def test_commands() -> None:
 
 def test_parameters() -> None:
     assert services.parameter_value({"value": {"type": 3, "double_value": 0.5}}, ros1=False) == 0.5
-    for integer, real, number in ((0, 0.5, 0.5), (3, 0.5, 3), (-2, 0.0, -2), (-2, 0.5, 0.5), (0, 0.0, 0)):
+    for integer, real, number in ((0, 0.5, 0.5), (3, 0.5, 3), (-2, 0.0, -2), (-2, 0.5, -2), (0, 0.0, 0)):
         assert services.parameter_value({"value": {"integer": integer, "real": real}}, ros1=True) == number
     for value in ({"type": 4, "string_value": "x"}, {"type": 3, "double_value": math.nan}):
         with pytest.raises(RequestError):
