@@ -45,7 +45,7 @@ def test_a_mission_that_was_read_is_a_list() -> None:
     home = {"lat_deg": 43.5, "lon_deg": -79.5, "alt_amsl_m": 180.0}
     for first, current in ((None, 0), (home, 1)):
         mission = MissionList()
-        mission.on_current(current)
+        assert mission.on_current(current) is None  # no list is known yet
         listed = mission.replaced(services.waypoint_messages(items, 1, first))
         ros2_interfaces().encode("mavros_msgs/msg/WaypointList", listed)
         assert listed["current_seq"] == current and listed["waypoints"][-1]["is_current"]
