@@ -6,14 +6,19 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from skygcs.core.mavlink.modes import mode_name
+from skygcs.core.mavlink.modes import (
+    AUTOPILOT_PX4,
+    CUSTOM_MODE_ENABLED,
+    PX4_MAIN_AUTO,
+    SAFETY_ARMED,
+    family,
+    mode_name,
+)
 from skygcs.core.ros.memory import Sample, VehicleMemory
 from skygcs.core.ros.stamps import header, time_fields
 
-CUSTOM_MODE_ENABLED, GUIDED_ENABLED, MANUAL_INPUT_ENABLED, SAFETY_ARMED = 1, 8, 64, 128
+GUIDED_ENABLED, MANUAL_INPUT_ENABLED = 8, 64
 """MAV_MODE_FLAG."""
-
-GIMBAL = 154
 
 DISCHARGING = 2
 TECHNOLOGY = {1: 3, 2: 4, 3: 2, 4: 1}
@@ -36,8 +41,10 @@ ESTIMATOR_FLAGS = (
 RADIO_DBM = 1.9, 127.0
 """Units of a SiK radio's rssi per dB, and what 0 means in dBm below 0."""
 
-LOG_LEVELS = (50, 50, 50, 40, 30, 30, 20, 10)
-"""rcl_interfaces' Log level of each MAV_SEVERITY, by the classes in which MAVROS logs: a notice is a warning there."""
+LOG_LEVELS = dict(enumerate((40, 40, 40, 40, 30, 30, 20, 10)))
+LOG_WARN = 30
+"""rcl_interfaces' Log level of each MAV_SEVERITY, by the classes in which MAVROS logs (process_statustext_normal of
+its plugin sys_status): from emergency on errors, a notice is a warning, and so is a severity that is none."""
 
 
 def heartbeat(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:
@@ -59,10 +66,16 @@ def heartbeat(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) ->
 
 
 def ros_mode(fields: dict[str, Any]) -> str:
-    """The mode's name as MAVROS has it."""
-    name = mode_name(fields["autopilot"], fields["type"], fields["base_mode"], fields["custom_mode"])
-    known = not name.startswith("UNKNOWN")
-    return name if known else f"CMODE({fields['custom_mode']})"
+    """The mode's name as MAVROS has it (UAS::str_mode_v10, lib/uas_stringify.cpp): of a PX4 a sub mode counts in AUTO
+    alone. A mode for which MAVROS has no name, as CMODE(21), has the autopilot's."""
+    if not fields["base_mode"] & CUSTOM_MODE_ENABLED:
+        return f"MODE(0x{fields['base_mode']:2X})"
+    autopilot, number = fields["autopilot"], fields["custom_mode"]
+    if autopilot == AUTOPILOT_PX4:
+        number &= 0xFFFF0000 if number >> 16 & 0xFF == PX4_MAIN_AUTO else 0x00FF0000
+    name = mode_name(autopilot, fields["type"], fields["base_mode"], number)
+    known = family(autopilot) != "generic" and not name.startswith("UNKNOWN")
+    return name if known else f"CMODE({number})"
 
 
 def disconnected(now_ns: int) -> Sample:
@@ -90,7 +103,8 @@ def sys_status(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -
 
 def battery_status(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:
     """BATTERY_STATUS."""
-    cells = _cells(fields["voltages"], {CELL_UNKNOWN}) + _cells(fields.get("voltages_ext") or (), {CELL_UNKNOWN, 0})
+    cells, above = _cells(fields["voltages"], {CELL_UNKNOWN}, 0.0)
+    cells += _cells(fields.get("voltages_ext") or (), {CELL_UNKNOWN, 0}, above)[0]
     battery = _battery(arrival_ns, sum(cells), fields["current_battery"] / 100, fields["battery_remaining"] / 100)
     battery["power_supply_technology"] = TECHNOLOGY.get(fields["type"], 0)
     battery["cell_voltage"] = cells
@@ -114,8 +128,9 @@ def _battery(arrival_ns: int, volts: float, amps: float, fraction: float) -> dic
     }
 
 
-def _cells(millivolts: Any, ends: set[int]) -> list[float]:
-    cells, above = [], 0.0
+def _cells(millivolts: Any, ends: set[int], above: float) -> tuple[list[float], float]:
+    """The voltages of cells, and what the next array's first one continues; ``above``: what its own first continues."""
+    cells = []
     for value in millivolts:
         if value in ends:
             break
@@ -124,7 +139,7 @@ def _cells(millivolts: Any, ends: set[int]) -> list[float]:
             continue
         cells.append(above + value * 1e-3)
         above = 0.0
-    return cells
+    return cells, above
 
 
 def estimator_status(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:
@@ -141,7 +156,7 @@ def statustext(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -
 
 def log_entry(name: str, severity: int, text: str, now_ns: int) -> dict[str, Any]:
     """A message of /rosout (rcl_interfaces' Log)."""
-    level = LOG_LEVELS[min(max(severity, 0), len(LOG_LEVELS) - 1)]
+    level = LOG_LEVELS.get(severity, LOG_WARN)
     return {"stamp": time_fields(now_ns), "level": level, "name": name, "msg": text}
 
 

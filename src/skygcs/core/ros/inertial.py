@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4
-from skygcs.core.ros.memory import Sample, VehicleMemory
+from skygcs.core.ros.memory import UNKNOWN_COVARIANCE, Sample, VehicleMemory
 from skygcs.core.ros.rotations import Quaternion, Vector, enu_orientation, flu_from_frd, quaternion_from_rpy, wxyz, xyz
 from skygcs.core.ros.stamps import header
-
-UNKNOWN_COVARIANCE = (-1.0, *(0.0,) * 8)
 
 ORIENTATION_VARIANCE = 1.0**2
 ANGULAR_VARIANCE = math.radians(0.02) ** 2

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import EnuFrame
 from skygcs.core.ros.rotations import Quaternion, Vector
 from skygcs.core.ros.stamps import VehicleClock
+
+STATUS_NO_FIX, STATUS_FIX = -1, 0
+SERVICE_GPS = 1
+COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED, COVARIANCE_DIAGONAL = 0, 1, 2
+"""sensor_msgs' NavSatStatus.status and .service, NavSatFix.position_covariance_type."""
+
+UNKNOWN_COVARIANCE = (-1.0, *(0.0,) * 8)
+"""sensor_msgs' sign of a covariance of 3 by 3 that is not known."""
 
 
 class Sample(NamedTuple):
@@ -29,7 +37,7 @@ class FrameNames:
 
 @dataclass(slots=True)
 class VehicleMemory:
-    """Memory of one vehicle, from its first message on; a new one after its connection was lost, but for ``clock``."""
+    """Memory of one vehicle, from its first message on."""
 
     frames: FrameNames = field(default_factory=FrameNames)
     geoid_m: float | None = None
@@ -47,10 +55,11 @@ class VehicleMemory:
     has_scaled_imu: bool = False
     has_attitude_quaternion: bool = False
     # position
-    fix_status: int = 0
-    fix_service: int = 0
-    fix_covariance: tuple[float, ...] = (0.0,) * 9
-    fix_covariance_type: int = 0
+    fix_status: int = STATUS_NO_FIX
+    fix_service: int = SERVICE_GPS
+    fix_covariance: tuple[float, ...] = UNKNOWN_COVARIANCE
+    fix_covariance_type: int = COVARIANCE_UNKNOWN
+    """Values of the newest GPS_RAW_INT; before the first one as MAVROS begins (Data::Data, lib/uas_data.cpp)."""
     receiver_geoid_m: float | None = None
     map_frame: EnuFrame | None = None
     has_local: bool = False
@@ -60,6 +69,21 @@ class VehicleMemory:
     has_rc_channels: bool = False
     rc_in: list[int] = field(default_factory=list)
     rc_out: list[int] = field(default_factory=list)
+
+    def after_loss(self) -> VehicleMemory:
+        """Memory after the connection was lost: what MAVROS' plugins imu, sys_status and rc_io forget then
+        (connection_cb) is gone. The rest stays: the origin of global_position/local does not move in a pause of the
+        radio."""
+        return replace(
+            self,
+            has_highres_imu=False,
+            has_scaled_imu=False,
+            has_attitude_quaternion=False,
+            has_battery0=False,
+            has_rc_channels=False,
+            rc_in=[],
+            rc_out=[],
+        )
 
     @property
     def undulation_m(self) -> float:

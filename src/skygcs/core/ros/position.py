@@ -12,8 +12,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.ros.inertial import UNKNOWN_COVARIANCE
-from skygcs.core.ros.memory import Sample, VehicleMemory
+from skygcs.core.ros.memory import (
+    COVARIANCE_APPROXIMATED,
+    COVARIANCE_DIAGONAL,
+    COVARIANCE_UNKNOWN,
+    SERVICE_GPS,
+    STATUS_FIX,
+    STATUS_NO_FIX,
+    UNKNOWN_COVARIANCE,
+    Sample,
+    VehicleMemory,
+)
 from skygcs.core.ros.rotations import (
     conjugate,
     enu_from_ned,
@@ -28,11 +37,6 @@ from skygcs.core.ros.rotations import (
 from skygcs.core.ros.stamps import header
 
 U16_UNKNOWN = 0xFFFF
-
-STATUS_NO_FIX, STATUS_FIX = -1, 0
-SERVICE_GPS = 1
-UNKNOWN, APPROXIMATED, DIAGONAL_KNOWN = 0, 1, 2
-"""sensor_msgs' NavSatStatus.status and .service, NavSatFix.position_covariance_type."""
 
 ROTATION_VARIANCE = 99999.0
 """MAVROS' parameter rot_covariance, as it ships."""
@@ -54,7 +58,8 @@ def local_position_ned(fields: dict[str, Any], arrival_ns: int, memory: VehicleM
 
 
 def local_position_ned_cov(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:
-    """LOCAL_POSITION_NED_COV; its covariance is the upper right triangle of 9 by 9."""
+    """LOCAL_POSITION_NED_COV; its covariance is the upper right triangle of 9 by 9. Variances stay in the message's
+    order (north, east, down) as in MAVROS, though the vectors beside them are turned."""
     memory.has_local_cov = True
     odom = _local(fields, fields["time_usec"], arrival_ns, memory)
     covariance = fields["covariance"]
@@ -117,11 +122,11 @@ def gps_raw_int(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) 
 def _fix_covariance(fields: dict[str, Any]) -> tuple[tuple[float, ...], int]:
     h_acc, v_acc = fields.get("h_acc") or 0, fields.get("v_acc") or 0
     if h_acc > 0 and v_acc > 0:
-        horizontal, vertical, kind = (h_acc / 1e3) ** 2, (v_acc / 1e3) ** 2, DIAGONAL_KNOWN
+        horizontal, vertical, kind = (h_acc / 1e3) ** 2, (v_acc / 1e3) ** 2, COVARIANCE_DIAGONAL
     elif fields["eph"] != U16_UNKNOWN and fields["epv"] != U16_UNKNOWN:
-        horizontal, vertical, kind = (fields["eph"] / 1e2) ** 2, (fields["epv"] / 1e2) ** 2, APPROXIMATED
+        horizontal, vertical, kind = (fields["eph"] / 1e2) ** 2, (fields["epv"] / 1e2) ** 2, COVARIANCE_APPROXIMATED
     else:
-        return UNKNOWN_COVARIANCE, UNKNOWN
+        return UNKNOWN_COVARIANCE, COVARIANCE_UNKNOWN
     return (horizontal, 0.0, 0.0, 0.0, horizontal, 0.0, 0.0, 0.0, vertical), kind
 
 

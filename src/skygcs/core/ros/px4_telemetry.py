@@ -1,9 +1,10 @@
 """PX4's own topics (px4_msgs) of a PX4's MAVLink messages: /alpha/fmu/out/….
 
-Frames and units are PX4's, which are MAVLink's: NED, FRD, quaternions (w, x, y, z) that turn FRD into NED. Times are
-microseconds since the vehicle's boot, as the definitions state. A field that no message carries has the value that
-PX4's definition gives to "unknown"; where it gives none, the value of an estimator that was never reset (0, false,
-the identity). docs/reference/ros-parity.md lists them.
+Each converter is the inverse of the stream with which a PX4 makes the message of its topics
+(src/modules/mavlink/streams of PX4 1.16). Frames and units are PX4's, which are MAVLink's: NED, FRD, quaternions
+(w, x, y, z) that turn FRD into NED. Times are microseconds since the vehicle's boot, as the definitions state. A field
+that no message carries has the value that PX4's definition gives to "unknown"; where it gives none, the value of an
+estimator that was never reset (0, false, the identity). docs/reference/ros-parity.md lists them.
 
 Some fields come from another message than the one that is converted: `Px4Memory.kept` has its newest while it is
 fresh.
@@ -38,6 +39,10 @@ FRESH_NS = 3_000_000_000
 
 MOVING_FRESH_NS = 500_000_000
 """The same for an attitude that completes a position: at 2 Hz, the slowest that is planned for a radio."""
+
+FLAGS_FRESH_NS = 10_000_000_000
+"""The same for what an estimator calls valid: at 0.5 Hz, as over a radio, five messages that are lost. Afterwards all
+counts as valid, so what is invalid must not become it because one was lost."""
 
 NAN3 = (math.nan,) * 3
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -77,8 +82,8 @@ NAV_STATE_UNKNOWN = 31
 HIL_ENABLED, SAFETY_ARMED = 32, 128
 """MAV_MODE_FLAG."""
 
-STATE_CRITICAL = 5
-"""MAV_STATE: what an armed PX4 has in its heartbeat while a failsafe acts."""
+STATE_UNINIT, STATE_STANDBY, STATE_CRITICAL = 0, 3, 5
+"""MAV_STATE of a PX4's heartbeat: disarmed before and after its checks have passed; armed while a failsafe acts."""
 
 PREARM_CHECK = 0x10000000
 """MAV_SYS_STATUS_PREARM_CHECK."""
@@ -110,8 +115,13 @@ VELOCITY_FRAMES = {1: 1, 20: 2, 12: 3, 8: 3}
 POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Variances in the upper right triangle of a covariance of 6 by 6, row by row."""
 
-VELOCITY_VERT, POS_VERT_ABS = 1 << 2, 1 << 5
-"""ESTIMATOR_STATUS_FLAGS."""
+VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_ABS, POS_VERT_AGL = 1 << 1, 1 << 2, 1 << 4, 1 << 6
+"""ESTIMATOR_STATUS_FLAGS. A PX4 fills them of the same conditions as its positions: the first two are xy_valid and
+z_valid, with those of the velocities; the others lat_lon_valid and terrain_alt_valid (Ekf::get_ekf_soln_status,
+EKF2::PublishLocalPosition and PublishGlobalPosition, 1.16)."""
+
+NOT_KNOWN_INVALID = 0xFFFF
+"""Flags of an estimator that has not said: what it sends is taken as valid."""
 
 
 @dataclass(slots=True)
@@ -194,14 +204,15 @@ def _attitude_now(arrival_ns: int, memory: Px4Memory) -> tuple[Quaternion, tuple
 
 
 def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
-    """GLOBAL_POSITION_INT; accuracies of ESTIMATOR_STATUS, the geoid of GPS_RAW_INT, the terrain of ALTITUDE."""
+    """GLOBAL_POSITION_INT; accuracies and what is valid of ESTIMATOR_STATUS, the geoid of GPS_RAW_INT, the terrain of
+    ALTITUDE, whose own altitude_terrain counts from the local frame's origin."""
     alt_m = fields["alt"] / 1e3
     fix, altitude = memory.kept("GPS_RAW_INT", arrival_ns), memory.kept("ALTITUDE", arrival_ns)
     ellipsoid_mm = math.nan if fix is None else fix.get("alt_ellipsoid") or math.nan  # 0: a receiver without it
     geoid_m = math.nan if fix is None else (ellipsoid_mm - fix["alt"]) / 1e3
-    terrain_m = math.nan if altitude is None else altitude["altitude_terrain"]
-    terrain_m = terrain_m if terrain_m > -1000 else math.nan  # MAVLink's "unknown" is -1000 or less
-    has_place = (fields["lat"], fields["lon"]) != (0, 0)
+    bottom_m = _bottom_m(altitude)
+    terrain_m = math.nan if altitude is None else altitude["altitude_amsl"] - bottom_m
+    has_place, flags = (fields["lat"], fields["lon"]) != (0, 0), _estimator_flags(arrival_ns, memory)
     yield Sample(
         "vehicle_global_position",
         {
@@ -210,13 +221,24 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
             "lon": fields["lon"] / 1e7,
             "alt": alt_m,
             "alt_ellipsoid": alt_m + geoid_m,
-            "lat_lon_valid": has_place,
-            "alt_valid": has_place,
+            "lat_lon_valid": has_place and bool(flags & POS_HORIZ_ABS),
+            "alt_valid": has_place and bool(flags & VELOCITY_VERT),
             **_accuracy(arrival_ns, memory),
             "terrain_alt": terrain_m,
-            "terrain_alt_valid": not math.isnan(terrain_m),
+            "terrain_alt_valid": bool(flags & POS_VERT_AGL) and not math.isnan(terrain_m),
         },
     )
+
+
+def _estimator_flags(arrival_ns: int, memory: Px4Memory) -> int:
+    status = memory.kept("ESTIMATOR_STATUS", arrival_ns, FLAGS_FRESH_NS)
+    return NOT_KNOWN_INVALID if status is None else int(status["flags"])
+
+
+def _bottom_m(altitude: Fields | None) -> float:
+    """The distance to the ground of ALTITUDE; NaN when it is not known, which is NaN or negative there."""
+    bottom_m: float = math.nan if altitude is None else altitude["bottom_clearance"]
+    return bottom_m if bottom_m >= 0 else math.nan
 
 
 def _accuracy(arrival_ns: int, memory: Px4Memory) -> dict[str, float]:
@@ -227,31 +249,30 @@ def _accuracy(arrival_ns: int, memory: Px4Memory) -> dict[str, float]:
 
 
 def local_position_ned(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
-    """LOCAL_POSITION_NED, which a PX4 sends while its horizontal position and velocity are valid; also an odometry,
-    unless ODOMETRY comes."""
+    """LOCAL_POSITION_NED, which a PX4 sends of every estimate, valid or not: ESTIMATOR_STATUS says which; also an
+    odometry, unless ODOMETRY comes."""
     stamps = _stamps(fields["time_boot_ms"] * 1000, arrival_ns, memory)
     velocity = {name: fields[name] for name in ("vx", "vy", "vz")}
-    estimator, altitude = memory.kept("ESTIMATOR_STATUS", arrival_ns), memory.kept("ALTITUDE", arrival_ns)
-    flags = VELOCITY_VERT | POS_VERT_ABS if estimator is None else estimator["flags"]
+    flags = _estimator_flags(arrival_ns, memory)
+    has_xy, has_z = bool(flags & VELOCITY_HORIZ), bool(flags & VELOCITY_VERT)
     turned = _attitude_now(arrival_ns, memory)
-    bottom_m = math.nan if altitude is None else altitude["bottom_clearance"]
-    has_bottom = bottom_m >= 0  # MAVLink's "unknown" is negative
+    bottom_m = _bottom_m(memory.kept("ALTITUDE", arrival_ns))
     yield Sample(
         "vehicle_local_position",
         {
             **stamps,
-            "xy_valid": True,
-            "z_valid": bool(flags & POS_VERT_ABS),
-            "v_xy_valid": True,
-            "v_z_valid": bool(flags & VELOCITY_VERT),
+            "xy_valid": has_xy,
+            "z_valid": has_z,
+            "v_xy_valid": has_xy,
+            "v_z_valid": has_z,
             **{name: fields[name] for name in ("x", "y", "z")},
             **velocity,
             "z_deriv": fields["vz"],
             **dict.fromkeys(("ax", "ay", "az", "heading_var", "unaided_heading", "tilt_var"), math.nan),
             "heading": math.nan if turned is None else yaw_of(turned[0]),
             **_reference(memory),
-            "dist_bottom_valid": has_bottom,
-            "dist_bottom": bottom_m if has_bottom else math.nan,
+            "dist_bottom_valid": not math.isnan(bottom_m),
+            "dist_bottom": bottom_m,
             "dist_bottom_var": math.nan,
             **_accuracy(arrival_ns, memory),
             "evh": math.nan,
@@ -320,7 +341,8 @@ def odometry(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sam
 
 
 def heartbeat(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
-    """HEARTBEAT; how a VTOL flies is EXTENDED_SYS_STATE's, the checks before arming are SYS_STATUS's."""
+    """HEARTBEAT; how a VTOL flies is EXTENDED_SYS_STATE's; of an armed vehicle the checks before arming are
+    SYS_STATUS's."""
     base_mode, mode, kind = fields["base_mode"], fields["custom_mode"], fields["type"]
     armed = bool(base_mode & SAFETY_ARMED)
     nav_state = NAV_STATES.get((mode >> 16 & 0xFF, mode >> 24 & 0xFF), NAV_STATE_UNKNOWN)
@@ -348,13 +370,21 @@ def heartbeat(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sa
             "system_type": kind,
             "system_id": memory.sysid,
             "component_id": 1,
-            "pre_flight_checks_pass": bool(health & PREARM_CHECK),
+            "pre_flight_checks_pass": _checks_pass(armed, fields["system_status"], health),
         },
     )
 
 
+def _checks_pass(armed: bool, system_status: int, health: int) -> bool:
+    """pre_flight_checks_pass: a disarmed PX4 has it in its heartbeat, which comes each second."""
+    if not armed and system_status in (STATE_UNINIT, STATE_STANDBY):
+        return system_status == STATE_STANDBY
+    return bool(health & PREARM_CHECK)
+
+
 def battery_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
-    """BATTERY_STATUS. A PX4 that knows no cells puts the whole battery in the first, or in several that continue."""
+    """BATTERY_STATUS. A PX4 that knows no cells puts the whole battery in the first, or in several that continue; of
+    one that is not connected there is no voltage."""
     millivolts = [value for value in fields["voltages"] if value != CELL_UNKNOWN]
     extra = [value for value in fields.get("voltages_ext") or () if value not in (0, CELL_UNKNOWN)]
     known = len(millivolts) > 1 and CELL_CONTINUES not in millivolts
@@ -364,7 +394,7 @@ def battery_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterat
     yield Sample(
         "battery_status",
         {
-            **_battery(arrival_ns, memory),
+            **_battery(bool(millivolts), arrival_ns, memory),
             "voltage_v": sum((*millivolts, *extra)) / 1e3,
             "current_a": -1.0 if current_a == -1 else current_a / 100,
             "discharged_mah": float(fields["current_consumed"]),
@@ -372,7 +402,7 @@ def battery_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterat
             "time_remaining_s": time_s,
             "temperature": math.nan if temperature == TEMPERATURE_UNKNOWN else temperature / 100,
             "cell_count": len(cells),
-            "id": min(fields["id"] + 1, 255),
+            "id": fields["id"] + 1 & 0xFF,
             "voltage_cell_v": cells + [0.0] * (CELLS - len(cells)),
             "max_cell_voltage_delta": max(cells) - min(cells) if cells else 0.0,
             "faults": int(fields.get("fault_bitmask") or 0) & 0xFFFF,
@@ -382,13 +412,13 @@ def battery_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterat
 
 
 def sys_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
-    """SYS_STATUS: the first battery, unless BATTERY_STATUS comes."""
+    """SYS_STATUS: a battery, unless BATTERY_STATUS comes. Of several it is the weakest, by no number: it is given 1."""
     if memory.kept("BATTERY_STATUS", arrival_ns) is None:
         millivolts, current = fields["voltage_battery"], fields["current_battery"]
         yield Sample(
             "battery_status",
             {
-                **_battery(arrival_ns, memory),
+                **_battery(millivolts != CELL_UNKNOWN, arrival_ns, memory),
                 "voltage_v": 0.0 if millivolts == CELL_UNKNOWN else millivolts / 1e3,
                 "current_a": -1.0 if current == -1 else current / 100,
                 "remaining": _fraction(fields["battery_remaining"]),
@@ -397,13 +427,13 @@ def sys_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[S
         )
 
 
-def _battery(arrival_ns: int, memory: Px4Memory) -> dict[str, Any]:
-    """A battery of which nothing is known but that it is there."""
+def _battery(connected: bool, arrival_ns: int, memory: Px4Memory) -> dict[str, Any]:
+    """A battery of which nothing else is known."""
     unknown = ("current_average_a", "discharged_mah", "scale")
     not_a_number = ("time_remaining_s", "temperature", "nominal_voltage", "remaining_capacity_wh")
     return {
         "timestamp": memory.clock.boot_us(arrival_ns),
-        "connected": True,
+        "connected": connected,
         **dict.fromkeys(unknown, -1.0),
         **dict.fromkeys(not_a_number, math.nan),
     }

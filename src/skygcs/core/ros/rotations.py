@@ -1,4 +1,5 @@
-"""Rotations between MAVLink's frames and those of ROS (REP 103, REP 105), as MAVROS has them.
+"""Rotations between MAVLink's frames and those of ROS (REP 103, REP 105), as MAVROS has them (its files
+lib/ftf_frame_conversions.cpp and lib/ftf_quaternion_utils.cpp).
 
     NED -> ENU           the local frame: north, east, down becomes east, north, up
     FRD -> FLU           the body ("aircraft" becomes "base_link"): forward, right, down becomes forward, left, up

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from skygcs.core.mavlink.modes import CUSTOM_MODE_ENABLED, mode_name
+
 Fields = Mapping[str, Any]
 
 MAV_RESULT = {"accepted": 0, "temporarily_rejected": 1, "denied": 2, "unsupported": 3, "failed": 4, "in_progress": 5}
@@ -104,6 +106,22 @@ def home(request: Fields) -> dict[str, Any]:
     return place
 
 
+def mode_asked(custom_mode: str, autopilot: int, mav_type: int) -> str:
+    """The mode that SetMode's custom_mode names, in capitals: by its name, or by its number as in MAVROS
+    (cmode_find_cmap of its lib/uas_stringify.cpp), decimal or 0x…. Raises RequestError."""
+    text = custom_mode.strip().upper()
+    if not text:
+        raise RequestError("give custom_mode: base_mode alone names no mode of these autopilots")
+    try:
+        number = int(text, 0)
+    except ValueError:
+        return text
+    name = mode_name(autopilot, mav_type, CUSTOM_MODE_ENABLED, number)
+    if number < 0 or name.startswith("UNKNOWN"):
+        raise RequestError(f"{text} is the number of no mode of this vehicle")
+    return name
+
+
 def interval_hz(rate_hz: float) -> float | None:
     """MAVROS' message_rate: negative is off, 0 the autopilot's own rate. None: that."""
     if not math.isfinite(rate_hz):
@@ -130,9 +148,9 @@ def wpl_text(waypoints: Sequence[Fields], home_first: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def waypoint_list(items: Sequence[Fields], current: int | None, home: Fields | None) -> dict[str, Any]:
-    """mavros_msgs' WaypointList of the items that missions.download answers. ``current``: counted from 1. ``home``: of
-    an ArduPilot, whose lists begin with it."""
+def waypoint_messages(items: Sequence[Fields], current: int | None, home: Fields | None) -> list[dict[str, Any]]:
+    """The items that missions.download answers, as mavros_msgs' Waypoints. ``current``: counted from 1. ``home``: of an
+    ArduPilot, whose lists begin with it."""
     made = [] if home is None else [_home_waypoint(home)]
     for item in items:
         params = [math.nan if value is None else value for value in item["params"]]
@@ -146,8 +164,7 @@ def waypoint_list(items: Sequence[Fields], current: int | None, home: Fields | N
                 **dict(zip(("x_lat", "y_long", "z_alt"), params[4:], strict=True)),
             }
         )
-    first = 1 if home is None else 0
-    return {"current_seq": max((current or first) - first, 0), "waypoints": made}
+    return made
 
 
 def _home_waypoint(home: Fields) -> dict[str, Any]:
@@ -156,7 +173,8 @@ def _home_waypoint(home: Fields) -> dict[str, Any]:
 
 
 def parameter_value(fields: Fields, ros1: bool) -> float:
-    """The number in a request to set a parameter. Raises RequestError."""
+    """The number in a request to set a parameter; of ROS 1's pair the integer unless it is 0, else the real number
+    (set_cb of MAVROS 1's plugin param). Raises RequestError."""
     value = fields["value"]
     if ros1:
         number = float(value["integer"]) if value["integer"] else float(value["real"])

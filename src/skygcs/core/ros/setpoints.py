@@ -26,11 +26,16 @@ STRONGEST_MPS2 = 100.0
 FASTEST_TURN_DPS = 360.0
 """Beyond these a number is no setpoint of a vehicle here; the daemon's own limits are far narrower."""
 
-IGNORE_XYZ = (1, 2, 4)
-IGNORE_VXYZ = (8, 16, 32)
-IGNORE_AXYZ = (64, 128, 256)
+IGNORE_XYZ = (2, 1, 4)
+IGNORE_VXYZ = (16, 8, 32)
+IGNORE_AXYZ = (128, 64, 256)
 FORCE, IGNORE_YAW, IGNORE_YAW_RATE = 512, 1024, 2048
-"""POSITION_TARGET_TYPEMASK."""
+"""POSITION_TARGET_TYPEMASK; of vectors the bits of east, north, up. Its bits are of MAVLink's axes, north first: MAVROS
+turns the values of a message into NED and passes the mask on (local_cb of its plugin setpoint_raw), so bit 1 ignores
+the y of a message in ENU."""
+
+IGNORE_BODY_VXY = (8, 16)
+"""The same of a velocity in the body's frame, forward and left: its axes are not exchanged."""
 
 IGNORE_RATES, IGNORE_THRUST, IGNORE_ATTITUDE = 7, 64, 128
 """ATTITUDE_TARGET_TYPEMASK."""
@@ -129,9 +134,7 @@ def raw_local(fields: Fields, frame: LocalFrame) -> Demand:
     if mask & FORCE:
         raise SetpointError("forces (type_mask 512) are not supported")
     if kind == BODY_NED and not has_place and not has_acc:
-        nose = (math.cos(frame.yaw_enu_rad / 2), 0.0, 0.0, math.sin(frame.yaw_enu_rad / 2))
-        velocity = rotated(nose, _bounded(vector_of(fields["velocity"]), FASTEST_MPS, "velocity"))
-        fields = {**fields, "velocity": {"x": velocity[0], "y": velocity[1], "z": velocity[2]}}
+        fields, mask = _of_body(fields, mask, frame)
         if not mask & IGNORE_YAW:
             raise SetpointError("a yaw in the body's frame is not supported: give a yaw rate")
     elif kind != LOCAL_NED:
@@ -147,6 +150,16 @@ def raw_local(fields: Fields, frame: LocalFrame) -> Demand:
         velocity = _of_axes(fields["velocity"], mask, IGNORE_VXYZ, FASTEST_MPS, "velocity")
         params["vel_enu_mps"] = _only(list(frame.turned(velocity)), mask, IGNORE_VXYZ, frame)
     return _with_rest(params, fields, mask, has_acc, frame)._replace(climbs_m=climbs_m)
+
+
+def _of_body(fields: Fields, mask: int, frame: LocalFrame) -> tuple[Fields, int]:
+    """A velocity of the body's frame turned by the vehicle's yaw, and its mask. Of one that gives forward or left
+    alone the other is 0."""
+    velocity = _of_axes(fields["velocity"], mask, (*IGNORE_BODY_VXY, IGNORE_VXYZ[2]), FASTEST_MPS, "velocity")
+    nose = (math.cos(frame.yaw_enu_rad / 2), 0.0, 0.0, math.sin(frame.yaw_enu_rad / 2))
+    if not _ignored(mask, IGNORE_BODY_VXY):
+        mask &= ~sum(IGNORE_BODY_VXY)
+    return {**fields, "velocity": dict(zip("xyz", rotated(nose, velocity), strict=True))}, mask
 
 
 def raw_global(fields: Fields, frame: LocalFrame) -> Demand:
@@ -199,7 +212,8 @@ def raw_attitude(fields: Fields, frame: LocalFrame) -> Demand:
 
 
 def attitude(q: Quaternion, thrust: float, frame: LocalFrame) -> Demand:
-    """An attitude (FLU to ENU) with a thrust of 0 to 1."""
+    """An attitude (FLU to ENU) with a thrust of 0 to 1. Another thrust is refused, where MAVROS scales and clamps it:
+    its parameter thrust_scaling is not known here, and a node that relied on it would send full thrust."""
     half = math.radians(frame.turn_deg) / 2
     w0, z0 = math.cos(half), math.sin(half)  # a turn about up, before the attitude
     w, x, y, z = _unit(q)
@@ -242,8 +256,11 @@ class AttitudePair:
         return attitude(quaternion_of(fields["pose"]["orientation"]), self._fresh(now), frame)
 
     def on_twist(self, fields: Fields, now: float) -> Demand:
-        """setpoint_attitude/cmd_vel. Raises SetpointError."""
-        return body_rates(vector_of(fields["twist"]["angular"]), self._fresh(now))
+        """setpoint_attitude/cmd_vel. Raises SetpointError. Its rates are about right, forward, up: MAVROS turns them as
+        if they were a vector of ENU (send_attitude_ang_velocity of its plugin setpoint_attitude), and nodes that
+        were written for it send them so. Those of setpoint_raw/attitude are about forward, left, up."""
+        x, y, z = vector_of(fields["twist"]["angular"])
+        return body_rates((y, -x, z), self._fresh(now))
 
     def _fresh(self, now: float) -> float:
         if now - self._at > THRUST_FRESH_S:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic
+from skygcs.core.ros.memory import FrameNames
+from skygcs.core.ros.rotations import quaternion_from_rpy, wxyz, xyz
 from skygcs.core.ros.stamps import header
 from skygcs.core.ros.topics import Topic
 
@@ -15,7 +17,7 @@ FLEET_MAP = "map"
 
 SHARED: dict[str, Topic] = {
     "/tf": Topic("tf2_msgs/msg/TFMessage", "default"),
-    "/tf_static": Topic("tf2_msgs/msg/TFMessage", "latched"),
+    "/tf_static": Topic("tf2_msgs/msg/TFMessage", "newest"),
     "/rosout": Topic("rcl_interfaces/msg/Log", "latched"),
     "/diagnostics": Topic("diagnostic_msgs/msg/DiagnosticArray", "default"),
 }
@@ -48,6 +50,20 @@ def map_transform(place: Mapping[str, float], origin: Origin, vehicle_map: str, 
             "rotation": {"w": math.cos(half), "x": 0.0, "y": 0.0, "z": math.sin(half)},
         },
     }
+
+
+def mavlink_frames(frames: FrameNames, now_ns: int) -> list[dict[str, Any]]:
+    """The transforms from a vehicle's frames to those of MAVLink that MAVROS sends as well (setup_static_tf of its
+    lib/uas_tf.cpp): map to map_ned, base_link to base_link_frd."""
+    turns = {(frames.map, "_ned"): (math.pi, 0.0, math.pi / 2), (frames.base_link, "_frd"): (math.pi, 0.0, 0.0)}
+    return [
+        {
+            "header": header(now_ns, frame),
+            "child_frame_id": f"{frame}{suffix}",
+            "transform": {"translation": xyz((0.0, 0.0, 0.0)), "rotation": wxyz(quaternion_from_rpy(*turn))},
+        }
+        for (frame, suffix), turn in turns.items()
+    ]
 
 
 def diagnostic(level: int, name: str, text: str, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 sensor      best effort, the last 5          as rclcpp's SensorDataQoS
 default     reliable, the last 10
 latched     reliable, the last 10, and what was sent before for a reader that comes later (transient local)
-newest      the same with the last one only: states, and the states of an action's goals
+newest      the same with the last one only: the states of an action's goals, and what MAVROS keeps the last one of
 events      the same with the last 100
 px4         best effort, the last one, which a later reader gets: what PX4's uxrce_dds_client writes by
 """
@@ -54,7 +54,7 @@ TELEMETRY: dict[str, Topic] = {
     "global_position/local": Topic("nav_msgs/msg/Odometry"),
     "global_position/rel_alt": Topic("std_msgs/msg/Float64"),
     "global_position/compass_hdg": Topic("std_msgs/msg/Float64"),
-    "global_position/gp_origin": Topic("geographic_msgs/msg/GeoPointStamped", "latched"),
+    "global_position/gp_origin": Topic("geographic_msgs/msg/GeoPointStamped", "newest"),
     "local_position/pose": Topic("geometry_msgs/msg/PoseStamped"),
     "local_position/pose_cov": Topic("geometry_msgs/msg/PoseWithCovarianceStamped"),
     "local_position/velocity_local": Topic("geometry_msgs/msg/TwistStamped"),
@@ -69,7 +69,7 @@ TELEMETRY: dict[str, Topic] = {
     "radio_status": Topic("mavros_msgs/msg/RadioStatus"),
     "time_reference": Topic("sensor_msgs/msg/TimeReference"),
     "vfr_hud": Topic("mavros_msgs/msg/VfrHud", "default"),
-    "mission/reached": Topic("mavros_msgs/msg/WaypointReached", "default"),
+    "mission/reached": Topic("mavros_msgs/msg/WaypointReached", "newest"),
     "setpoint_raw/target_local": Topic("mavros_msgs/msg/PositionTarget"),
     "setpoint_raw/target_global": Topic("mavros_msgs/msg/GlobalPositionTarget"),
     "setpoint_raw/target_attitude": Topic("mavros_msgs/msg/AttitudeTarget"),

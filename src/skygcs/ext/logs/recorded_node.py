@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import Origin
@@ -26,9 +26,9 @@ from skygcs.core.ros.interfaces import InterfaceError, Interfaces
 from skygcs.core.ros.memory import FrameNames, Sample, VehicleMemory
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY, Px4Memory, px4_samples, versioned
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
-from skygcs.core.ros.shared_topics import SHARED, connection_status, map_transform, pose_transform
+from skygcs.core.ros.shared_topics import SHARED, connection_status, map_transform, mavlink_frames, pose_transform
 from skygcs.core.ros.stamps import header
-from skygcs.core.ros.topics import SOURCES, TELEMETRY, Topic, samples
+from skygcs.core.ros.topics import LATCHED, SOURCES, TELEMETRY, Topic, samples
 from skygcs.tlog.format import LogEntry
 from skygcs.tlog.selection import Selection
 
@@ -91,6 +91,7 @@ class RecordedVehicle:
     armed: bool = False
     transform: dict[str, Any] | None = None
     """From the fleet's frame to its own."""
+    mavlink_frames: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def mavros(self) -> str:
@@ -210,15 +211,18 @@ class RecordedNode:
         memory = VehicleMemory(FrameNames(f"{prefix}map", f"{prefix}base_link"), self._naming.geoid_m)
         vehicle = self.vehicles[key] = RecordedVehicle(key, root, memory)
         self._chosen = self._chooses(HEARTBEAT, key)
-        self._publish(vehicle, disconnected(0), unix_ns)
+        self._publish(vehicle, disconnected(unix_ns), unix_ns)
+        if prefix:
+            vehicle.mavlink_frames = mavlink_frames(memory.frames, unix_ns)
+            self._chosen = self._selection.has(*key) and not self._selection.messages  # they are made of no message
+            self._fix_transforms(unix_ns)
         return vehicle
 
     def _lose(self, vehicle: RecordedVehicle) -> None:
         if not vehicle.connected:
             return
         vehicle.connected = False
-        before = vehicle.memory
-        vehicle.memory = VehicleMemory(before.frames, before.geoid_m, before.clock)
+        vehicle.memory = vehicle.memory.after_loss()
         if vehicle.px4 is not None:
             vehicle.px4 = Px4Memory(vehicle.px4.sysid, vehicle.px4.clock)
         lost_ns = vehicle.heard_ns + round(DEFAULT_LOST_S * 1e9)
@@ -238,8 +242,17 @@ class RecordedNode:
         made = map_transform(place, self._origin, vehicle.memory.frames.map, unix_ns)
         if before is None or before["transform"] != made["transform"]:
             vehicle.transform = made
-            known = [one.transform for one in self.vehicles.values() if one.transform and self._selection.has(*one.key)]
-            self._write("/tf_static", SHARED["/tf_static"], unix_ns, {"transforms": known})
+            self._fix_transforms(unix_ns)
+
+    def _fix_transforms(self, unix_ns: int) -> None:
+        """Write all transforms that stay, as the live node does when one is added."""
+        known = [
+            transform
+            for one in self.vehicles.values()
+            if self._selection.has(*one.key)
+            for transform in (*([one.transform] if one.transform else []), *one.mavlink_frames)
+        ]
+        self._write("/tf_static", SHARED["/tf_static"], unix_ns, {"transforms": known})
 
     def _each_second(self, at_s: float, unix_ns: int) -> None:
         """Find lost vehicles, and write the state of all."""
@@ -272,7 +285,12 @@ class RecordedNode:
     def _write(self, name: str, topic: Topic, unix_ns: int, fields: Mapping[str, Any]) -> None:
         if self._chosen and self._timed:
             self._put(name, topic, unix_ns, fields)
-        elif self._chosen and not self._began and topic.quality in ("latched", "px4") and name != "/rosout":
+        elif (
+            self._chosen
+            and not self._began
+            and (topic.quality in LATCHED or topic.quality == "px4")
+            and name != "/rosout"
+        ):
             self._kept[name] = topic, fields
 
 

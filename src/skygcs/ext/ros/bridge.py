@@ -159,7 +159,7 @@ class Bridge:
         place = state.get("ekf_origin")
         if self._origin is not None and place is not None and self.config.frame_prefix:
             frame = vehicle.memory.frames.map
-            self.shared.fix_transform(map_transform(place, self._origin, frame, self._unix_ns()))
+            self.shared.fix_transforms(map_transform(place, self._origin, frame, self._unix_ns()))
 
     def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
         name = state["name"]
@@ -172,7 +172,7 @@ class Bridge:
             root = vehicle_root(self.config.root, name, state["sysid"])
             if root in taken:
                 raise ValueError(f"{root} are the topics of {taken[root]}")
-            vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state)
+            vehicle = self.vehicles[name] = VehicleTopics(self.shared, self.config, state, self._unix_ns())
             if self.config.commands != "none":
                 self.controls[name] = VehicleControl(
                     self.node,

@@ -97,12 +97,14 @@ class SharedTopics:
         if self._tf.wanted:
             self._tf.write({"transforms": [transform]})
 
-    def fix_transform(self, transform: dict[str, Any]) -> None:
-        """One that stays, until it is given again for the same child."""
-        child = transform["child_frame_id"]
-        before = self._fixed.get(child)
-        if before is None or before["transform"] != transform["transform"]:
-            self._fixed[child] = transform
+    def fix_transforms(self, *transforms: dict[str, Any]) -> None:
+        """Some that stay, until they are given again for the same children; each message has all of them."""
+        before = {child: transform["transform"] for child, transform in self._fixed.items()}
+        new = {
+            one["child_frame_id"]: one for one in transforms if before.get(one["child_frame_id"]) != one["transform"]
+        }
+        if new:
+            self._fixed |= new
             self._static.write({"transforms": list(self._fixed.values())})
 
     def log(self, entry: dict[str, Any]) -> None:

@@ -75,6 +75,8 @@ class VehicleControl:
 
     def on_state(self) -> None:
         """A state of the vehicle has come."""
+        if self._services is not None:
+            self._services.on_state()
         if self.actions is not None:
             self.actions.on_state(self._vehicle.state)
         self.step()

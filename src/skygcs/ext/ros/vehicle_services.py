@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from skygcs.core.ros import services
+from skygcs.core.ros.mission_list import MissionList
 from skygcs.core.ros.services import FAILED, RequestError
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.graph import Node
@@ -47,7 +48,8 @@ class VehicleServices:
         self._clock = clock
         self._unix_ns = unix_ns
         self._ros1 = ros1
-        self._waypoints = node.publish(f"{vehicle.mavros}/mission/waypoints", "mavros_msgs/msg/WaypointList", "latched")
+        self._waypoints = node.publish(f"{vehicle.mavros}/mission/waypoints", "mavros_msgs/msg/WaypointList", "newest")
+        self._mission = MissionList()
         self._handlers: dict[str, Callable[[Fields], Awaitable[dict[str, Any]]]] = {
             "cmd/arming": self._arming,
             "cmd/command": self._command,
@@ -78,6 +80,12 @@ class VehicleServices:
         except (RequestError, RpcError, DaemonUnreachable) as error:
             self._log(ERROR, f"{name}: {error}")
         return {"result": FAILED} if name.startswith("cmd/") and name != "cmd/command_int" else {}
+
+    def on_state(self) -> None:
+        """A state of the vehicle has come: another item of its mission may be current."""
+        listed = self._mission.on_current((self._vehicle.state.get("mission") or {}).get("seq"))
+        if listed is not None:
+            self._waypoints.write(listed)
 
     async def _call(self, method: str, **params: Any) -> Any:
         gcs = self._gcs()
@@ -134,9 +142,8 @@ class VehicleServices:
     # -- mode
 
     async def _set_mode(self, request: Fields) -> dict[str, Any]:
-        mode = request["custom_mode"].strip().upper()
-        if not mode:
-            raise RequestError("give custom_mode: base_mode alone names no mode of these autopilots")
+        memory = self._vehicle.memory
+        mode = services.mode_asked(request["custom_mode"], memory.autopilot, memory.mav_type)
         if mode not in OFFBOARD_MODES:
             self._end_offboard()
             return {"mode_sent": bool((await self._order("vehicles.mode", mode=mode))["ok"])}
@@ -214,7 +221,10 @@ class VehicleServices:
             raise RequestError("a part of a mission (start_index) is not supported: push all of it")
         text = services.wpl_text(request["waypoints"], self._home_is_first())
         outcome = await self._order("missions.upload", plan=text, name=f"{self._vehicle.name}.waypoints")
-        return {"success": bool(outcome["ok"]), "wp_transfered": len(request["waypoints"]) if outcome["ok"] else 0}
+        if not outcome["ok"]:
+            return {}
+        self._waypoints.write(self._mission.replaced(request["waypoints"]))
+        return {"success": True, "wp_transfered": len(request["waypoints"])}
 
     async def _mission_pull(self, request: Fields) -> dict[str, Any]:
         answer = await self._call("missions.download", target=self._vehicle.name, lists=["mission"])
@@ -223,12 +233,15 @@ class VehicleServices:
             return {}
         mission = self._vehicle.state.get("mission") or {}
         home = self._vehicle.state.get("home") if self._home_is_first() else None
-        listed = services.waypoint_list(answer["mission"], mission.get("item"), home)
-        self._waypoints.write(listed)
-        return {"success": True, "wp_received": len(listed["waypoints"])}
+        listed = services.waypoint_messages(answer["mission"], mission.get("item"), home)
+        self._waypoints.write(self._mission.replaced(listed))
+        return {"success": True, "wp_received": len(listed)}
 
     async def _mission_clear(self, request: Fields) -> dict[str, Any]:
-        return {"success": bool((await self._order("missions.clear"))["ok"])}
+        ok = bool((await self._order("missions.clear"))["ok"])
+        if ok:
+            self._waypoints.write(self._mission.replaced([]))
+        return {"success": ok}
 
     async def _mission_set_current(self, request: Fields) -> dict[str, Any]:
         item = request["wp_seq"] + (not self._home_is_first())

@@ -8,7 +8,7 @@ from typing import Any
 from skygcs.core.ros.condition import disconnected, log_entry
 from skygcs.core.ros.memory import FrameNames, Sample, VehicleMemory
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
-from skygcs.core.ros.shared_topics import pose_transform
+from skygcs.core.ros.shared_topics import mavlink_frames, pose_transform
 from skygcs.core.ros.topics import SOURCES, TELEMETRY, samples
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import SharedTopics
@@ -18,7 +18,7 @@ from skygcs.ext.ros.px4_topics import Px4Topics
 class VehicleTopics:
     """Topics of one vehicle, from its discovery to the end of the process. ``state``: as the daemon sent it last."""
 
-    def __init__(self, shared: SharedTopics, config: RosConfig, state: Mapping[str, Any]) -> None:
+    def __init__(self, shared: SharedTopics, config: RosConfig, state: Mapping[str, Any], now_ns: int) -> None:
         """Raises ValueError for a name that ROS does not take."""
         self.name: str = state["name"]
         self.sysid: int = state["sysid"]
@@ -39,7 +39,9 @@ class VehicleTopics:
         self._shared = shared
         self._logger = self.mavros.strip("/").replace("/", ".")
         self._sends_tf = bool(prefix)
-        self._publish(disconnected(0))
+        self._publish(disconnected(now_ns))
+        if self._sends_tf:
+            shared.fix_transforms(*mavlink_frames(self.memory.frames, now_ns))
 
     def on_message(self, name: str, fields: Mapping[str, Any], arrival_ns: int) -> None:
         """One MAVLink message of its autopilot, or of the radio. Raises InterfaceError, KeyError, TypeError or
@@ -61,8 +63,7 @@ class VehicleTopics:
         """It is not heard any more."""
         if self.connected:
             self.connected = False
-            before = self.memory
-            self.memory = VehicleMemory(before.frames, before.geoid_m, before.clock)
+            self.memory = self.memory.after_loss()
             self._publish(disconnected(now_ns))
             if self.px4 is not None:
                 self.px4.on_lost()

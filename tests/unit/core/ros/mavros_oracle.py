@@ -1,7 +1,12 @@
 """What MAVROS publishes of a MAVLink message: its plugins' conversions, written a second time with numpy's matrices.
 
+The formulas are those of MAVROS 2.12.0's source: the plugin and the function of each stand beside it ("sys_status" is
+mavros/src/plugins/sys_status.cpp, or a file of mavros_extras). The frames are those of lib/ftf_frame_conversions.cpp
+and lib/ftf_quaternion_utils.cpp.
+
 Messages are those that pymavlink decoded; nothing of skygcs is used. Every field that MAVROS sets is here; what is not
-is zero. Known differences (`docs/howto/ros.md`): stamps, and the geoid, which is the receiver's in place of EGM96.
+is zero. Known differences (`docs/howto/ros.md`): stamps; the geoid, which is the receiver's in place of EGM96; and a
+global_position/local before its origin is known, which is 0.
 """
 
 from __future__ import annotations
@@ -17,21 +22,20 @@ from pymavlink import mavutil
 
 ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 FLU = np.diag([1, -1, -1])
-"""NED to ENU, and FRD to FLU: the rotations of REP 103 as matrices."""
+"""NED to ENU, and FRD to FLU: the rotations of REP 103 as matrices (ftf_frame_conversions: transform_static_frame)."""
 
 G = 9.80665
 NAN = math.nan
 ANGULAR, LINEAR = math.radians(0.02) ** 2, 0.0003**2
 
+_AUTO = ("READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "RTGS", "FOLLOW_TARGET", "PRECLAND")
+
 PX4_MODES = {
     **{1 << 16: "MANUAL", 2 << 16: "ALTCTL", 3 << 16: "POSCTL", 5 << 16: "ACRO", 6 << 16: "OFFBOARD"},
     **{7 << 16: "STABILIZED", 8 << 16: "RATTITUDE"},
-    **{
-        4 << 16 | sub << 24: f"AUTO.{name}"
-        for sub, name in enumerate(("READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "RTGS"), 1)
-    },
+    **{4 << 16 | sub << 24: f"AUTO.{name}" for sub, name in enumerate(_AUTO, 1)},
 }
-"""MAVROS' lib/uas_stringify.cpp."""
+"""lib/uas_stringify.cpp, `px4_cmode_map`; numbers of px4_custom_mode.hpp."""
 
 TECHNOLOGIES = {0: 0, 1: 3, 2: 4, 3: 2, 4: 1}
 """MAV_BATTERY_TYPE to sensor_msgs' BatteryState."""
@@ -117,7 +121,11 @@ class Mavros:
         self.has_accel = False
         self.battery0 = False
         self.geoid_m = 0.0
-        self.fix: dict[str, Any] = {"status": {"status": 0, "service": 0}, "position_covariance": [0.0] * 9}
+        self.fix: dict[str, Any] = {  # lib/uas_data.cpp, `Data::Data`
+            "status": {"status": -1, "service": 1},
+            "position_covariance": [-1.0, *[0.0] * 8],
+            "position_covariance_type": 0,
+        }
         self.home: tuple[float, float, float] | None = None
         self.rc_in: list[int] = []
         self.rc_out: list[int] = []
@@ -131,18 +139,28 @@ class Mavros:
 
     # -- sys_status, rc_io, 3dr_radio, sys_time, waypoint, vfr_hud
 
-    def heartbeat(self, m: Any) -> dict[str, Any]:
-        self.autopilot = m.autopilot
+    def mode(self, m: Any) -> str:
+        """lib/uas_stringify.cpp: `str_mode_v10`, `str_mode_px4`. ArduPilot's names: those of a copter."""
+        if not m.base_mode & 1:
+            return f"MODE(0x{m.base_mode:2X})"
+        number = m.custom_mode
+        if m.autopilot == 12:
+            main, sub = number >> 16 & 255, number >> 24
+            number = main << 16 | (sub << 24 if main == 4 else 0)
         modes = {3: mavutil.mode_mapping_acm, 12: PX4_MODES}.get(m.autopilot, {})
-        mode = modes.get(m.custom_mode, f"CMODE({m.custom_mode})")
+        return str(modes.get(number, f"CMODE({number})"))
+
+    def heartbeat(self, m: Any) -> dict[str, Any]:  # sys_status: handle_heartbeat
+        self.autopilot = m.autopilot
+        mode = self.mode(m)
         flags = {"armed": m.base_mode & 128, "guided": m.base_mode & 8, "manual_input": m.base_mode & 64}
         state = {"connected": True, "mode": mode, "system_status": m.system_status}
         return {"state": state | {name: bool(flag) for name, flag in flags.items()}}
 
-    def extended_sys_state(self, m: Any) -> dict[str, Any]:
+    def extended_sys_state(self, m: Any) -> dict[str, Any]:  # sys_status: handle_extended_sys_state
         return {"extended_state": {"vtol_state": m.vtol_state, "landed_state": m.landed_state}}
 
-    def sys_status(self, m: Any) -> dict[str, Any]:
+    def sys_status(self, m: Any) -> dict[str, Any]:  # sys_status: handle_sys_status
         own = {
             f"sensors_{part}": getattr(m, f"onboard_control_sensors_{part}")
             for part in ("present", "enabled", "health")
@@ -154,11 +172,11 @@ class Mavros:
             made["battery"] = self.battery(m.voltage_battery / 1000, m)
         return made
 
-    def battery_status(self, m: Any) -> dict[str, Any]:
+    def battery_status(self, m: Any) -> dict[str, Any]:  # sys_status: handle_battery_status
         self.battery0 |= m.id == 0
         cells: list[float] = []
+        above = 0.0  # goes on from the first array into the second
         for values, ends in ((m.voltages, {65535}), (m.voltages_ext, {0, 65535})):
-            above = 0.0
             for value in values:
                 if value in ends:
                     break
@@ -181,61 +199,61 @@ class Mavros:
             }
         )
 
-    def estimator_status(self, m: Any) -> dict[str, Any]:
+    def estimator_status(self, m: Any) -> dict[str, Any]:  # sys_status: handle_estimator_status
         return {"estimator_status": {f"{flag}_status_flag": bool(m.flags & 1 << n) for n, flag in enumerate(FLAGS)}}
 
-    def statustext(self, m: Any) -> dict[str, Any]:
+    def statustext(self, m: Any) -> dict[str, Any]:  # sys_status: handle_statustext
         return {"statustext/recv": {"severity": m.severity, "text": m.text}}
 
-    def event(self, m: Any) -> dict[str, Any]:
+    def event(self, m: Any) -> dict[str, Any]:  # sys_status: handle_event
         plain = {"arguments": list(m.arguments), "sequence": m.sequence, "t": 1000 * m.event_time_boot_ms}
         return {"status_event": {"severity": m.log_levels % 16, "px4_id": m.id % 2**24, **plain}}
 
-    def rc_channels(self, m: Any) -> dict[str, Any]:
+    def rc_channels(self, m: Any) -> dict[str, Any]:  # rc_io: handle_rc_channels
         self.rc_in = [getattr(m, f"chan{n}_raw") for n in range(1, m.chancount + 1)]
         return {"rc/in": {"rssi": m.rssi, "channels": list(self.rc_in), "t": 1000 * m.time_boot_ms}}
 
-    def rc_channels_raw(self, m: Any) -> dict[str, Any]:
+    def rc_channels_raw(self, m: Any) -> dict[str, Any]:  # rc_io: handle_rc_channels_raw
         if "RC_CHANNELS" in self.seen:
             return {}
         self.rc_in += [0] * (8 * m.port + 8 - len(self.rc_in))
         self.rc_in[8 * m.port : 8 * m.port + 8] = [getattr(m, f"chan{n}_raw") for n in range(1, 9)]
         return {"rc/in": {"rssi": m.rssi, "channels": list(self.rc_in), "t": 1000 * m.time_boot_ms}}
 
-    def servo_output_raw(self, m: Any) -> dict[str, Any]:
+    def servo_output_raw(self, m: Any) -> dict[str, Any]:  # rc_io: handle_servo_output_raw, of MAVLink 2
         self.rc_out += [0] * (16 * m.port + 16 - len(self.rc_out))
         self.rc_out[16 * m.port : 16 * m.port + 16] = [getattr(m, f"servo{n}_raw") for n in range(1, 17)]
         return {"rc/out": {"channels": list(self.rc_out), "t": m.time_usec}}
 
-    def radio_status(self, m: Any) -> dict[str, Any]:
+    def radio_status(self, m: Any) -> dict[str, Any]:  # 3dr_radio: handle_message
         plain = ("rssi", "remrssi", "txbuf", "noise", "remnoise", "rxerrors", "fixed")
         dbm = {f"{name}_dbm": getattr(m, name) / 1.9 - 127 for name in ("rssi", "remrssi")}
         return {"radio_status": dbm | {name: getattr(m, name) for name in plain}}
 
-    def system_time(self, m: Any) -> dict[str, Any]:
+    def system_time(self, m: Any) -> dict[str, Any]:  # sys_time: handle_system_time
         s, us = divmod(m.time_unix_usec, 10**6)
         if m.time_unix_usec <= 1234567890 * 10**6:
             return {}
         return {"time_reference": {"time_ref": {"sec": s, "nanosec": 1000 * us}, "source": "fcu"}}
 
-    def mission_item_reached(self, m: Any) -> dict[str, Any]:
+    def mission_item_reached(self, m: Any) -> dict[str, Any]:  # waypoint: publish_reached
         return {"mission/reached": {"wp_seq": m.seq}}
 
-    def vfr_hud(self, m: Any) -> dict[str, Any]:
+    def vfr_hud(self, m: Any) -> dict[str, Any]:  # vfr_hud: handle_vfr_hud
         plain = {name: getattr(m, name) for name in ("airspeed", "groundspeed", "heading", "climb")}
         return {"vfr_hud": plain | {"throttle": m.throttle / 100, "altitude": m.alt}}
 
     # -- imu
 
-    def attitude(self, m: Any) -> dict[str, Any]:
+    def attitude(self, m: Any) -> dict[str, Any]:  # imu: handle_attitude
         if "ATTITUDE_QUATERNION" in self.seen:
             return {}
         return self.imu(m, of_angles(m.roll, m.pitch, m.yaw))
 
-    def attitude_quaternion(self, m: Any) -> dict[str, Any]:
+    def attitude_quaternion(self, m: Any) -> dict[str, Any]:  # imu: handle_attitude_quaternion
         return self.imu(m, of_quaternion(m.q1, m.q2, m.q3, m.q4))
 
-    def imu(self, m: Any, ned: Any) -> dict[str, Any]:
+    def imu(self, m: Any, ned: Any) -> dict[str, Any]:  # imu: publish_imu_data
         self.body = ENU @ ned @ FLU
         self.rates = FLU @ [m.rollspeed, m.pitchspeed, m.yawspeed]
         linear = diagonal(LINEAR, LINEAR, LINEAR)
@@ -249,7 +267,7 @@ class Mavros:
         }
         return {"imu/data": data | {"@": "base_link", "t": 1000 * m.time_boot_ms}}
 
-    def highres_imu(self, m: Any) -> dict[str, Any]:
+    def highres_imu(self, m: Any) -> dict[str, Any]:  # imu: handle_highres_imu
         made = self.raw(m, m.time_usec, 1.0, 1.0, 1e-4)
         plain = {"imu/static_pressure": m.abs_pressure, "imu/diff_pressure": m.diff_pressure}
         made |= {topic: {"fluid_pressure": value} for topic, value in plain.items()}
@@ -259,7 +277,7 @@ class Mavros:
         where = {"@": "base_link", "t": m.time_usec}
         return {topic: message | where for topic, message in made.items() if m.fields_updated & bits[topic]}
 
-    def raw_imu(self, m: Any) -> dict[str, Any]:
+    def raw_imu(self, m: Any) -> dict[str, Any]:  # imu: handle_raw_imu
         if self.seen & {"HIGHRES_IMU", "SCALED_IMU"}:
             return {}
         made = self.raw(m, m.time_usec, 1e-3, {3: G / 1000, 12: 1e-3}.get(self.autopilot, 1.0), 1000.0)
@@ -267,10 +285,11 @@ class Mavros:
             self.accel = np.zeros(3)
         return made
 
-    def scaled_imu(self, m: Any) -> dict[str, Any]:
+    def scaled_imu(self, m: Any) -> dict[str, Any]:  # imu: handle_scaled_imu
         return {} if "HIGHRES_IMU" in self.seen else self.raw(m, 1000 * m.time_boot_ms, 1e-3, G / 1000, 1000.0)
 
     def raw(self, m: Any, t: int, gyro: float, accel: float, mag: float) -> dict[str, Any]:
+        """imu: publish_imu_data_raw, publish_mag."""
         self.accel, self.has_accel = FLU @ np.array([m.xacc, m.yacc, m.zacc]) * accel, True
         unknown = [-1.0, *[0.0] * 8]
         data = {
@@ -284,7 +303,7 @@ class Mavros:
         where = {"@": "base_link", "t": t}
         return {"imu/data_raw": data | where, "imu/mag": field | {"magnetic_field_covariance": unknown} | where}
 
-    def scaled_pressure(self, m: Any) -> dict[str, Any]:
+    def scaled_pressure(self, m: Any) -> dict[str, Any]:  # imu: handle_scaled_pressure
         if "HIGHRES_IMU" in self.seen:
             return {}
         where = {"@": "base_link", "t": 1000 * m.time_boot_ms}
@@ -296,7 +315,7 @@ class Mavros:
 
     # -- local_position
 
-    def local_position_ned(self, m: Any) -> dict[str, Any]:
+    def local_position_ned(self, m: Any) -> dict[str, Any]:  # local_position: handle_local_position_ned
         velocity = ENU @ [m.vx, m.vy, m.vz]
         where = {"t": 1000 * m.time_boot_ms}
         pose, twist = self.local(m)
@@ -310,7 +329,7 @@ class Mavros:
             made["local_position/odom"] = self.odom({"pose": pose}, {"twist": twist})
         return {topic: message | where for topic, message in made.items()}
 
-    def local_position_ned_cov(self, m: Any) -> dict[str, Any]:
+    def local_position_ned_cov(self, m: Any) -> dict[str, Any]:  # local_position: handle_local_position_ned_cov
         pose, twist = self.local(m)
         at = [m.covariance[upper(n, n)] for n in range(9)]
         blocks = [self.block(*at[n : n + 3]) for n in (0, 3, 6)]
@@ -340,7 +359,7 @@ class Mavros:
 
     # -- global_position, home_position, altitude
 
-    def gps_raw_int(self, m: Any) -> dict[str, Any]:
+    def gps_raw_int(self, m: Any) -> dict[str, Any]:  # global_position: handle_gps_raw_int
         has_fix = m.fix_type > 2
         if has_fix and m.alt_ellipsoid:
             self.geoid_m = (m.alt_ellipsoid - m.alt) / 1000
@@ -361,11 +380,11 @@ class Mavros:
             made["global_position/raw/gps_vel"] = {"twist": {"linear": linear}, "@": "map", "t": m.time_usec}
         return made | {"global_position/raw/satellites": {"data": m.satellites_visible}}
 
-    def place(self, m: Any) -> dict[str, Any]:
+    def place(self, m: Any) -> dict[str, Any]:  # global_position: fill_lla
         place = {"latitude": m.lat / 1e7, "longitude": m.lon / 1e7, "altitude": m.alt / 1000 + self.geoid_m}
         return self.fix | place
 
-    def global_position_int(self, m: Any) -> dict[str, Any]:
+    def global_position_int(self, m: Any) -> dict[str, Any]:  # global_position: handle_global_position_int
         place = self.place(m)
         where = place["latitude"], place["longitude"], place["altitude"]
         if self.home is None and self.fix["status"]["status"] >= 0:
@@ -385,12 +404,12 @@ class Mavros:
             "global_position/compass_hdg": {"data": NAN if m.hdg == 65535 else m.hdg / 100},
         }
 
-    def gps_global_origin(self, m: Any) -> dict[str, Any]:
+    def gps_global_origin(self, m: Any) -> dict[str, Any]:  # global_position: handle_gps_global_origin
         position = {"latitude": m.latitude / 1e7, "longitude": m.longitude / 1e7}
         position["altitude"] = m.altitude / 1000 + self.geoid_m
         return {"global_position/gp_origin": {"position": position, "@": "earth", "t": m.time_usec or None}}
 
-    def home_position(self, m: Any) -> dict[str, Any]:
+    def home_position(self, m: Any) -> dict[str, Any]:  # home_position: handle_home_position
         geo = {
             "latitude": m.latitude / 1e7,
             "longitude": m.longitude / 1e7,
@@ -405,17 +424,17 @@ class Mavros:
         }
         return {"home_position/home": home | {"t": m.time_usec or None}}
 
-    def altitude(self, m: Any) -> dict[str, Any]:
+    def altitude(self, m: Any) -> dict[str, Any]:  # altitude: handle_altitude
         names = ("monotonic", "amsl", "local", "relative", "terrain")
         heights = {name: getattr(m, f"altitude_{name}") for name in names} | {"bottom_clearance": m.bottom_clearance}
         return {"altitude": heights | {"@": "map", "t": m.time_usec}}
 
     # -- setpoint_raw
 
-    def position_target_local_ned(self, m: Any) -> dict[str, Any]:
+    def position_target_local_ned(self, m: Any) -> dict[str, Any]:  # setpoint_raw: handle_position_target_local_ned
         return {"setpoint_raw/target_local": self.target(m) | {"position": xyz(ENU @ [m.x, m.y, m.z])}}
 
-    def position_target_global_int(self, m: Any) -> dict[str, Any]:
+    def position_target_global_int(self, m: Any) -> dict[str, Any]:  # setpoint_raw: handle_position_target_global_int
         place = {"latitude": m.lat_int / 1e7, "longitude": m.lon_int / 1e7, "altitude": m.alt}
         return {"setpoint_raw/target_global": self.target(m) | place}
 
@@ -430,7 +449,7 @@ class Mavros:
             "t": 1000 * m.time_boot_ms,
         }
 
-    def attitude_target(self, m: Any) -> dict[str, Any]:
+    def attitude_target(self, m: Any) -> dict[str, Any]:  # setpoint_raw: handle_attitude_target
         target = {
             "type_mask": m.type_mask,
             "orientation": turned(ENU @ of_quaternion(*m.q) @ FLU),

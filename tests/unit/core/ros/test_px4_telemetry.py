@@ -1,4 +1,6 @@
-"""Converters of PX4's own topics against textbook formulas, and the definitions against their layout."""
+"""Converters of PX4's own topics against the streams that a PX4 makes its messages by, and textbook formulas; the
+definitions against their layout. Streams: src/modules/mavlink/streams of PX4 1.16, and `EKF2::Publish…` for what they
+are made of."""
 
 from __future__ import annotations
 
@@ -103,13 +105,13 @@ def test_a_local_position_stays_ned_and_what_is_not_carried_is_unknown() -> None
     assert (odometry["pose_frame"], odometry["velocity_frame"]) == (1, 1)
     origin = {"latitude": 437806000, "longitude": -794653000, "altitude": 180000, "time_usec": 77}
     px4_samples("GPS_GLOBAL_ORIGIN", origin, NOW, memory)
-    estimator = {"flags": 1 << 5, "pos_horiz_accuracy": 0.5, "pos_vert_accuracy": 0.75}
+    estimator = {"flags": 1 << 1, "pos_horiz_accuracy": 0.5, "pos_vert_accuracy": 0.75}
     px4_samples("ESTIMATOR_STATUS", estimator, NOW, memory)
-    px4_samples("ALTITUDE", {"altitude_terrain": 170.5, "bottom_clearance": 2.5}, NOW, memory)
+    px4_samples("ALTITUDE", {"altitude_amsl": 183.0, "bottom_clearance": 2.5}, NOW, memory)
     local = made("LOCAL_POSITION_NED", LOCAL, memory)["vehicle_local_position"]
     assert (local["ref_lat"], local["ref_lon"], local["ref_alt"]) == pytest.approx((43.7806, -79.4653, 180.0))
     assert local["xy_global"] and local["z_global"] and local["ref_timestamp"] == 77
-    assert local["z_valid"] and not local["v_z_valid"]
+    assert local["xy_valid"] and local["v_xy_valid"] and not local["z_valid"] and not local["v_z_valid"]
     assert (local["eph"], local["epv"], local["dist_bottom"]) == (0.5, 0.75, 2.5) and local["dist_bottom_valid"]
     later = made("LOCAL_POSITION_NED", LOCAL | {"time_boot_ms": 10_000}, memory, NOW + 5 * 10**9)
     assert math.isnan(later["vehicle_local_position"]["eph"]) and later["vehicle_local_position"]["xy_global"]
@@ -132,16 +134,45 @@ def test_an_odometry_passes_with_its_frames_and_variances_and_takes_the_place_of
     assert math.isnan(made("ODOMETRY", unknown, memory)["vehicle_odometry"]["position_variance"][0])
 
 
+def altitude_of(z: float, ref_alt: float, dist_bottom: float | None) -> dict[str, float | None]:
+    """ALTITUDE as its stream fills it of a vehicle_local_position."""
+    bottom = {"bottom_clearance": dist_bottom, "altitude_terrain": None if dist_bottom is None else -z - dist_bottom}
+    return {"altitude_amsl": -z + ref_alt, "altitude_local": -z, **bottom}
+
+
+@pytest.mark.parametrize("flags", [0, *(1 << bit for bit in range(12)), 0xFFF])
+def test_what_is_valid_is_what_the_estimator_says(flags: int) -> None:
+    """get_ekf_soln_status: bit 1 is isLocalHorizontalPositionValid, bit 2 is that of the vertical position or velocity,
+    bit 4 isGlobalHorizontalPositionValid, bit 6 isTerrainEstimateValid."""
+    memory = Px4Memory(1)
+    px4_samples("ESTIMATOR_STATUS", {"flags": flags, "pos_horiz_accuracy": 1, "pos_vert_accuracy": 1}, NOW, memory)
+    px4_samples("ALTITUDE", altitude_of(-4.5, 180.0, 3.0), NOW, memory)
+    local = made("LOCAL_POSITION_NED", LOCAL, memory)["vehicle_local_position"]
+    assert local["xy_valid"] == local["v_xy_valid"] == bool(flags & 2)
+    assert local["z_valid"] == local["v_z_valid"] == bool(flags & 4)
+    place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
+    assert (place["lat_lon_valid"], place["alt_valid"]) == (bool(flags & 16), bool(flags & 4))
+    assert place["terrain_alt_valid"] == bool(flags & 64)
+    for later_s, valid in ((9, bool(flags & 2)), (11, True)):  # a lost message changes nothing, a stream that ends does
+        later = LOCAL | {"time_boot_ms": 5000 + 1000 * later_s}
+        local = made("LOCAL_POSITION_NED", later, memory, NOW + later_s * 10**9)["vehicle_local_position"]
+        assert local["xy_valid"] == valid
+
+
 def test_a_global_position_has_the_geoid_of_the_receiver_and_the_terrain() -> None:
     memory = Px4Memory(1)
     place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
     assert (place["lat"], place["lon"], place["alt"]) == (43.7806, -79.4653, 184.5)
     assert place["lat_lon_valid"] and math.isnan(place["alt_ellipsoid"]) and not place["terrain_alt_valid"]
     px4_samples("GPS_RAW_INT", {"alt": 183000, "alt_ellipsoid": 146700}, NOW, memory)
-    px4_samples("ALTITUDE", {"altitude_terrain": 170.5, "bottom_clearance": None}, NOW, memory)
+    px4_samples("ALTITUDE", altitude_of(z=-4.5, ref_alt=180.0, dist_bottom=None), NOW, memory)
     place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
     assert place["alt_ellipsoid"] == pytest.approx(184.5 - 36.3, abs=1e-4)
-    assert place["terrain_alt"] == 170.5 and place["terrain_alt_valid"]
+    assert math.isnan(place["terrain_alt"]) and not place["terrain_alt_valid"]
+    px4_samples("ALTITUDE", altitude_of(z=-4.5, ref_alt=180.0, dist_bottom=3.0), NOW, memory)
+    place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
+    # PublishGlobalPosition: the origin's altitude less the terrain's place below it
+    assert place["terrain_alt"] == pytest.approx(180.0 - (-4.5 + 3.0)) and place["terrain_alt_valid"]
     assert not made("GLOBAL_POSITION_INT", GLOBAL | {"lat": 0, "lon": 0}, memory)["vehicle_global_position"][
         "alt_valid"
     ]
@@ -166,6 +197,33 @@ def test_a_battery_by_cells_by_the_whole_and_by_sys_status() -> None:
     battery = made("BATTERY_STATUS", whole, memory)["battery_status"]
     assert battery["voltage_v"] == pytest.approx(68.534) and battery["cell_count"] == 0
     assert math.isnan(battery["temperature"]) and battery["current_a"] == -1
+
+
+def test_a_battery_that_is_not_connected_is_not() -> None:
+    """BATTERY_STATUS.hpp and SYS_STATUS.hpp: all that is known of it is that it is not."""
+    none = {"voltages": [0xFFFF] * 10, "voltages_ext": [0] * 4, "current_battery": -1, "current_consumed": -1}
+    none |= {"id": 255, "battery_remaining": -1, "temperature": 0x7FFF, "charge_state": 1}
+    battery = made("BATTERY_STATUS", none, Px4Memory(1))["battery_status"]
+    assert not battery["connected"] and battery["voltage_v"] == 0 and battery["id"] == 0  # the stream sends id - 1
+    assert (battery["current_a"], battery["discharged_mah"], battery["remaining"]) == (-1, -1, -1)
+    system = {"voltage_battery": 0xFFFF, "current_battery": -1, "battery_remaining": -1}
+    assert not made("SYS_STATUS", system, Px4Memory(1))["battery_status"]["connected"]
+
+
+@pytest.mark.parametrize(
+    ("armed", "system_status", "health", "passed"),
+    [
+        *((False, 3, 0, True), (False, 0, 1 << 28, False), (False, 2, 1 << 28, True), (False, 2, 0, False)),
+        *((True, 4, 1 << 28, True), (True, 4, 0, False)),
+    ],
+)
+def test_the_checks_before_arming(armed: bool, system_status: int, health: int, passed: bool) -> None:
+    """HEARTBEAT.hpp: a disarmed vehicle is STANDBY (3) once pre_flight_checks_pass, else UNINIT (0), or calibrating."""
+    memory = Px4Memory(1)
+    system = {"voltage_battery": 0, "current_battery": 0, "battery_remaining": 0}
+    px4_samples("SYS_STATUS", system | {"onboard_control_sensors_health": health}, NOW, memory)
+    heartbeat = HEARTBEAT | {"base_mode": 0x91 if armed else 0x11, "system_status": system_status}
+    assert made("HEARTBEAT", heartbeat, memory)["vehicle_status"]["pre_flight_checks_pass"] is passed
 
 
 @pytest.mark.parametrize(

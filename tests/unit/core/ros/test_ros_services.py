@@ -11,6 +11,7 @@ from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.wpl import read_wpl
 from skygcs.core.ros import services
 from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
+from skygcs.core.ros.mission_list import MissionList
 from skygcs.core.ros.services import RequestError
 
 
@@ -43,10 +44,34 @@ def test_a_mission_that_was_read_is_a_list() -> None:
     items = [{**item, "autocontinue": True}]
     home = {"lat_deg": 43.5, "lon_deg": -79.5, "alt_amsl_m": 180.0}
     for first, current in ((None, 0), (home, 1)):
-        listed = services.waypoint_list(items, 1, first)
+        mission = MissionList()
+        assert mission.on_current(current) is None  # no list is known yet
+        listed = mission.replaced(services.waypoint_messages(items, 1, first))
         ros2_interfaces().encode("mavros_msgs/msg/WaypointList", listed)
         assert listed["current_seq"] == current and listed["waypoints"][-1]["is_current"]
         assert len(listed["waypoints"]) == 1 + current
+
+
+def test_a_list_is_shown_again_when_another_item_is_current() -> None:
+    """mission_protocol_base: handle_mission_current."""
+    mission = MissionList()
+    assert mission.on_current(None) is None and mission.on_current(0) is None
+    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10), waypoint(16, 3, 43.2, -79.1, 10)])
+    listed = mission.on_current(1)
+    assert listed is not None and listed["current_seq"] == 1
+    assert [item["is_current"] for item in listed["waypoints"]] == [False, True]
+    assert mission.on_current(1) is None
+    assert mission.replaced([]) == {"current_seq": 1, "waypoints": []}
+
+
+def test_a_mode_by_name_or_by_number() -> None:
+    """lib/uas_stringify.cpp: cmode_from_str takes names in any case, else a number."""
+    assert services.mode_asked(" auto.land ", 12, 2) == "AUTO.LAND"
+    assert services.mode_asked("4", 3, 2) == "GUIDED" and services.mode_asked("15", 3, 1) == "GUIDED"
+    assert services.mode_asked("0x60000", 12, 2) == services.mode_asked(str(6 << 16), 12, 2) == "OFFBOARD"
+    for text in ("", "77", "-4"):
+        with pytest.raises(RequestError):
+            services.mode_asked(text, 3, 2)
 
 
 def test_commands() -> None:
@@ -72,7 +97,8 @@ def test_commands() -> None:
 
 def test_parameters() -> None:
     assert services.parameter_value({"value": {"type": 3, "double_value": 0.5}}, ros1=False) == 0.5
-    assert services.parameter_value({"value": {"integer": 0, "real": 0.5}}, ros1=True) == 0.5
+    for integer, real, number in ((0, 0.5, 0.5), (3, 0.5, 3), (-2, 0.0, -2), (-2, 0.5, -2), (0, 0.0, 0)):
+        assert services.parameter_value({"value": {"integer": integer, "real": real}}, ros1=True) == number
     for value in ({"type": 4, "string_value": "x"}, {"type": 3, "double_value": math.nan}):
         with pytest.raises(RequestError):
             services.parameter_value({"value": value}, ros1=False)

@@ -91,6 +91,45 @@ def test_masks() -> None:
     assert above.params["pos_enu_m"] == pytest.approx(in_fleet((0, 0, 9)), abs=0.01)
 
 
+NED_OF_ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+
+
+@pytest.mark.parametrize("ignored", range(7))
+@pytest.mark.parametrize(("part", "shift"), [("velocity", 3), ("acceleration_or_force", 6)])
+def test_a_mask_is_of_mavlinks_axes(part: str, shift: int, ignored: int) -> None:
+    """MAVROS (setpoint_raw: local_cb) turns the values into NED and passes the mask on, whose first bit is north's."""
+    plain = LocalFrame(Origin(*EKF), EKF, None, 0.0)
+    mask = 0xDFF & ~(7 << shift) | ignored << shift
+    vector = {"velocity": [1, 2, 0.5], "acceleration_or_force": [0.1, 0.2, 0.3]}[part]
+    north, east, down = (math.nan if ignored & 1 << axis else value for axis, value in enumerate(NED_OF_ENU @ vector))
+    got = demand("setpoint_raw/local", plain, coordinate_frame=1, type_mask=mask, **{part: xyz(*vector)})
+    enu = [east, north, -down]
+    if part == "velocity":
+        found = [math.nan if value is None else value for value in got.params["vel_enu_mps"]]
+        assert found == pytest.approx(enu, rel=1e-6, nan_ok=True)
+    else:  # an axis that is left out is not accelerated
+        assert got.params["acc_enu_mps2"] == pytest.approx(np.nan_to_num(enu), rel=1e-6)
+
+
+def test_a_mask_in_the_bodys_frame_is_of_its_axes() -> None:
+    forward = demand("setpoint_raw/local", coordinate_frame=8, type_mask=0x5D7, velocity=xyz(1, 9, 0))  # not left
+    nose = TURN @ [math.cos(math.radians(30)), math.sin(math.radians(30)), 0]
+    assert forward.params["vel_enu_mps"] == pytest.approx(nose)
+    level = demand("setpoint_raw/local", coordinate_frame=8, type_mask=0x5E7, velocity=xyz(1, 0, 9))  # not up
+    assert level.params["vel_enu_mps"][:2] == pytest.approx(nose[:2]) and level.params["vel_enu_mps"][2] is None
+
+
+def test_rates_of_setpoint_attitude_are_about_right_forward_up() -> None:
+    """setpoint_attitude: send_attitude_ang_velocity sends transform_frame_ned_enu(angular) as SET_ATTITUDE_TARGET's
+    rates about forward, right, down."""
+    pair = AttitudePair()
+    pair.on_thrust({"thrust": 0.5}, 10.0)
+    angular = [0.1, 0.2, 0.3]
+    roll, pitch, yaw_right = np.degrees(NED_OF_ENU @ angular)
+    got = pair.on_twist({"twist": {"angular": xyz(*angular)}}, 10.0)
+    assert got.params["body_rates_deg_s"] == pytest.approx([roll, pitch, -yaw_right])
+
+
 def test_attitudes_and_rates() -> None:
     q = np.array([0.9, 0.1, -0.2, 0.3])
     q /= np.linalg.norm(q)

@@ -44,6 +44,45 @@ def test_quaternions_replace_angles_and_highres_replaces_raw() -> None:
     assert samples("RAW_IMU", {"time_usec": 1} | axes, 10**9, memory) == []
 
 
+PLACE = {"time_boot_ms": 5000, "lat": 437806000, "lon": -794653000, "alt": 184500, "relative_alt": 4500, "hdg": 0}
+PLACE |= {"vx": 0, "vy": 0, "vz": 0}
+
+
+def test_before_the_receiver_is_heard_there_is_no_fix() -> None:
+    """lib/uas_data.cpp: Data::Data; global_position: handle_global_position_int takes an origin of a fix alone."""
+    memory = VehicleMemory()
+    made = dict(samples("GLOBAL_POSITION_INT", PLACE, 10**9, memory))
+    fix = made["global_position/global"]
+    assert fix["status"] == {"status": -1, "service": 1} and fix["position_covariance_type"] == 0
+    assert list(fix["position_covariance"]) == [-1.0, *[0.0] * 8]
+    assert memory.map_frame is None
+
+
+def test_a_pause_of_the_radio_moves_no_origin() -> None:
+    """connection_cb of imu, sys_status and rc_io: these forget; global_position and lib/uas_data do not."""
+    memory = VehicleMemory()
+    gps = {"time_usec": 5_000_000, "fix_type": 3, "lat": PLACE["lat"], "lon": PLACE["lon"], "alt": 184500}
+    gps |= {"eph": 100, "epv": 100, "vel": 0, "cog": 0, "satellites_visible": 9}
+    samples("GPS_RAW_INT", gps, 10**9, memory)
+    samples("GLOBAL_POSITION_INT", PLACE, 10**9, memory)
+    memory.has_attitude_quaternion = memory.has_battery0 = memory.has_rc_channels = memory.has_highres_imu = True
+    memory.rc_in.append(1500)
+    later = memory.after_loss()
+    assert not (later.has_attitude_quaternion or later.has_battery0 or later.has_rc_channels or later.has_highres_imu)
+    assert later.rc_in == [] and later.clock is memory.clock
+    moved = PLACE | {"lat": PLACE["lat"] + 9000}  # 100 m to the north
+    local = dict(samples("GLOBAL_POSITION_INT", moved, 2 * 10**9, later))["global_position/local"]
+    assert local["pose"]["pose"]["position"]["y"] == pytest.approx(100, abs=0.2)
+
+
+def test_a_cell_goes_on_in_the_second_array() -> None:
+    """sys_status: handle_battery_status adds 65.534 V up over both arrays."""
+    fields = {"id": 0, "type": 1, "current_battery": 0, "battery_remaining": 50}
+    fields |= {"voltages": [4000] * 9 + [0xFFFE], "voltages_ext": [3000, 0, 0, 0]}  # type: ignore[dict-item]
+    (battery,) = samples("BATTERY_STATUS", fields, 10**9, VehicleMemory())
+    assert battery.fields["cell_voltage"] == pytest.approx([4.0] * 9 + [68.534])
+
+
 def test_every_message_has_its_topics_and_hostile_values_stay_inside() -> None:
     """Fields at their limits, as a hostile vehicle sends them: an error of one message, or messages that ROS takes."""
     known = ros2_interfaces()

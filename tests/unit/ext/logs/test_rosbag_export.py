@@ -171,6 +171,9 @@ def compare_with_the_live_node(log: Path, tmp_path: Path) -> None:
     found = read(bag)
     node = live(log, px4_msgs="1.16")
     expected = {name: made.messages for name, made in node.publications.items() if made.messages}
+    static = expected.pop("/tf_static")  # a bag has the origins of local frames as well, which the daemon reports
+    children = {transform["child_frame_id"] for transform in static[-1]["transforms"]}
+    assert children <= {transform["child_frame_id"] for transform in found["/tf_static"][-1][1]["transforms"]}
     assert found.keys() - {"/diagnostics", "/tf_static"} == expected.keys()
     for topic, messages in expected.items():
         sent = Counter(map(repr, map(without_nan, messages)))
@@ -190,7 +193,7 @@ def test_qualities_of_service_are_those_of_the_live_node(capture_bag: Path) -> N
             (profile,) = connection.ext.offered_qos_profiles  # type: ignore[union-attr]
             best_effort = profile.reliability is QosReliability.BEST_EFFORT
             lasting = profile.durability is QosDurability.TRANSIENT_LOCAL
-            assert (best_effort, lasting) == (quality in ("sensor", "px4"), quality in ("latched", "px4"))
+            assert (best_effort, lasting) == (quality in ("sensor", "px4"), quality in ("latched", "newest", "px4"))
             assert profile.depth == DEPTHS[quality]
     assert px4_topics == 12
 
@@ -269,13 +272,15 @@ def test_the_origin_that_is_given_is_the_frame_map(tmp_path: Path) -> None:
         (0.5, 1, "GPS_GLOBAL_ORIGIN", {**PLACE, "latitude": 0, "longitude": 0}),
     )
     messages = [message for _, message in read(exported(tmp_path, log))["/tf_static"]]
-    assert [[t["child_frame_id"] for t in m["transforms"]] for m in messages] == [["v1/map"], ["v1/map", "v2/map"]]
-    first, second = messages[1]["transforms"]
+    one, other = ([f"v{n}/{frame}" for frame in ("map", "map_ned", "base_link_frd")] for n in (1, 2))
+    children = [one[1:], one[1:] + other[1:], one + other[1:], one + other]
+    assert [[t["child_frame_id"] for t in m["transforms"]] for m in messages] == children
+    first, second = messages[-1]["transforms"][::3]
     assert first["header"]["frame_id"] == "map" and first["transform"]["translation"] == {"x": 0.0, "y": 0.0, "z": 0.0}
     assert second["transform"]["translation"]["y"] == pytest.approx(10.0, abs=0.05)  # 9e-5 degrees to the north
     (tmp_path / "other").mkdir()
     north = Origin(43.7806, -79.4653, 170.0, x_heading_deg=0.0)
-    given = read(exported(tmp_path / "other", log, origin=north))["/tf_static"][-1][1]["transforms"][1]["transform"]
+    given = read(exported(tmp_path / "other", log, origin=north))["/tf_static"][-1][1]["transforms"][3]["transform"]
     assert given["translation"]["x"] == pytest.approx(10.0, abs=0.05)
     assert given["translation"]["z"] == pytest.approx(10.0, abs=0.01)
     (tmp_path / "plain").mkdir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from skygcs.ext.ros.bridge import Bridge
@@ -41,7 +42,8 @@ def test_each_vehicle_has_its_own_topics() -> None:
     rig = Rig()
     rig.state("alpha", 1)
     rig.state("bravo", 2)
-    assert rig.node.last("/alpha/mavros/state")["connected"] is False
+    state = rig.node.last("/alpha/mavros/state")
+    assert state["connected"] is False and state["header"]["stamp"]["sec"] == NOW_NS // 10**9
     rig.heartbeat("alpha")
     rig.heartbeat("alpha", compid=191, base_mode=0)  # a companion's says nothing of the vehicle
     rig.heartbeat("nobody")
@@ -60,7 +62,24 @@ def test_each_vehicle_has_its_own_topics() -> None:
     assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("alpha/map", "alpha/base_link")
 
 
-def test_a_vehicle_that_is_not_heard_is_disconnected_once_and_its_memory_is_new() -> None:
+def test_mavlinks_frames_are_turned_as_in_mavros() -> None:
+    """uas_tf.cpp, setup_static_tf: map_ned has the axes north, east, down; base_link_frd forward, right, down."""
+    rig = Rig()
+    rig.state("alpha", 1)
+    found = {t["child_frame_id"]: t for t in rig.node.last("/tf_static")["transforms"]}
+    axes = {
+        "alpha/map_ned": ("alpha/map", [[0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+        "alpha/base_link_frd": ("alpha/base_link", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
+    }
+    for child, (parent, vectors) in axes.items():
+        assert found[child]["header"]["frame_id"] == parent
+        w, x, y, z = (found[child]["transform"]["rotation"][name] for name in "wxyz")
+        v = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = np.eye(3) + 2 * w * v + 2 * v @ v
+        assert np.abs(turn.T - vectors).max() < 1e-12  # columns are the child's axes in the parent
+
+
+def test_a_vehicle_that_is_not_heard_is_disconnected_once_and_forgets_what_mavros_does() -> None:
     rig = Rig()
     rig.state("alpha", 1)
     rig.heartbeat("alpha")
@@ -89,7 +108,7 @@ def test_texts_are_logged_and_bad_messages_counted() -> None:
     rig.state("alpha", 1)
     rig.message("alpha", "STATUSTEXT", severity=2, text="low battery")
     entry = rig.node.last("/rosout")
-    assert (entry["level"], entry["name"], entry["msg"]) == (50, "alpha.mavros", "FCU: low battery")
+    assert (entry["level"], entry["name"], entry["msg"]) == (40, "alpha.mavros", "FCU: low battery")
     rig.node.read("/alpha/mavros/local_position/pose", "/tf")
     rig.message("alpha", "LOCAL_POSITION_NED", x=1.0)
     rig.message("alpha", "LOCAL_POSITION_NED", **local(x="one"))  # type: ignore[arg-type]

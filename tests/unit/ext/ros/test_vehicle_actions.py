@@ -49,7 +49,7 @@ class Rig:
     def __init__(self) -> None:
         self.node, self.orders, self.now = KeptNode(), 0, 100.0
         self.daemon: Daemon | None = Daemon()
-        self.vehicle = VehicleTopics(SharedTopics(self.node), RosConfig(), self.state())
+        self.vehicle = VehicleTopics(SharedTopics(self.node), RosConfig(), self.state(), 0)
         self.actions = VehicleActions(
             self.node,
             self.vehicle,
