@@ -10,16 +10,17 @@ import functools
 import importlib
 import inspect
 import json
+import math
 import re
 import sys
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeGuard, TypeVar
 
 import structlog
 from pydantic import ValidationError
-from pydantic_core import PydanticSerializationError, from_json, to_json
+from pydantic_core import PydanticSerializationError, from_json, to_json, to_jsonable_python
 
 from skygcs.cancellation import end_if_cancelled
 from skygcs.errors import (
@@ -51,6 +52,11 @@ MAX_ECHO_CHARS = 80
 
 _STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
 """A string without escapes, and the colon after it if it is a key."""
+
+RequestId = str | int | float
+
+_MAYBE_INFINITE = re.compile(rb"[0-9][eE]\+?[0-9]{3}|(?<![0-9])[0-9]{200}")
+"""In each line with a number beyond the range of a float: with fewer digits and a shorter exponent it is within."""
 
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
@@ -242,7 +248,7 @@ class Dispatcher(Generic[C]):
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
         request_id = request.get("id")
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        if request_id is not None and not is_request_id(request_id):
             return error_reply(None, INVALID_REQUEST, "id must be a string or a number")
         name = request.get("method")
         if request.get("jsonrpc") != "2.0" or type(name) is not str:
@@ -327,8 +333,37 @@ class _MethodNotFound(SkygcsError):
 
 
 def parse(line: bytes) -> Any:
-    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN and too deep nesting)."""
-    return from_json(line, allow_inf_nan=False, cache_strings="keys")
+    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN, too deep nesting, and a
+    number that no float can hold, as 1e999, which would be read as infinity)."""
+    value = from_json(line, allow_inf_nan=False, cache_strings="keys")
+    if _MAYBE_INFINITE.search(line) is not None:
+        json.loads(line, parse_float=_finite, parse_int=str)  # str: int() refuses numbers that `from_json` accepts
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:20]} is too large")
+    return value
+
+
+def encode(value: object, *, serialize_unknown: bool = False) -> bytes:
+    """JSON in UTF-8. NaN and Infinity, which JSON lacks, become null; what is no valid Unicode, as in the name of a
+    file, becomes a question mark.
+
+    ``serialize_unknown``: a value without a form in JSON becomes text; else PydanticSerializationError is raised.
+    """
+    try:
+        return to_json(value, inf_nan_mode="null", serialize_unknown=serialize_unknown)
+    except PydanticSerializationError:
+        plain = to_jsonable_python(value, inf_nan_mode="null", serialize_unknown=serialize_unknown)
+        return json.dumps(plain, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
+
+
+def is_request_id(value: object) -> TypeGuard[RequestId]:
+    """True for text or a number."""
+    return isinstance(value, str | int | float) and not isinstance(value, bool)
 
 
 def key_twice(line: bytes) -> str | None:
@@ -357,7 +392,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
     """
     deadline_s = request["deadline_s"]
     request_id = request.get("id")
-    if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+    if not is_request_id(request_id):
         request_id = None
     if not is_number(deadline_s):
         return error_reply(request_id, INVALID_REQUEST, "deadline_s must be a number: seconds of daemon.info's now_s")
@@ -370,7 +405,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
 def result_reply(request_id: object, name: str, result: object) -> bytes:
     """NaN and Infinity, which JSON lacks, become null."""
     try:
-        body = result.body if isinstance(result, Encoded) else to_json(result, inf_nan_mode="null")
+        body = result.body if isinstance(result, Encoded) else encode(result)
     except PydanticSerializationError as error:
         return failure_reply(request_id, name, error)
     return b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode_id(request_id), body)
@@ -380,8 +415,7 @@ def error_reply(request_id: object, code: int, message: str, data: object = None
     error: dict[str, object] = {"code": code, "message": message}
     if data is not None:
         error["data"] = data
-    # json escapes what is no valid Unicode (file names in error texts), where to_json gives up
-    body = json.dumps(error, default=str, separators=(",", ":")).encode()
+    body = encode(error, serialize_unknown=True)
     return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode_id(request_id), body)
 
 
@@ -471,7 +505,7 @@ def _problems(error: ValidationError) -> list[tuple[str, str]]:
 
 
 def _encode_id(request_id: object) -> bytes:
-    return b"null" if request_id is None else json.dumps(request_id).encode()
+    return encode(request_id)
 
 
 def _clip(text: str) -> str:

@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Protocol
 
+from skygcs.rpc.dispatch import is_request_id
+
 JsonObject = dict[str, Any]
 
 REPORT = "report"
@@ -59,6 +61,4 @@ class OrderReports:
 def wants_reports(request: dict[str, Any]) -> str | float | None:
     """The id under which a request asks for reports; None: it does not, or has no id to report under."""
     request_id = request.get("id")
-    if request.get(REPORT) is not True or isinstance(request_id, bool) or not isinstance(request_id, str | int | float):
-        return None
-    return request_id
+    return request_id if request.get(REPORT) is True and is_request_id(request_id) else None

@@ -14,7 +14,6 @@ import asyncio
 import contextlib
 import functools
 import hmac
-import json
 import os
 import socket
 import struct
@@ -28,7 +27,7 @@ from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, encode, error_reply, is_request_id, parse
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
@@ -243,8 +242,7 @@ class Session(asyncio.Protocol):
     def notify(self, method: str, params: JsonObject) -> None:
         """Send a notification that may be lost: nothing to a client that does not read."""
         if self.writable:
-            line = {"jsonrpc": "2.0", "method": method, "params": params}
-            self.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+            self.write(encode({"jsonrpc": "2.0", "method": method, "params": params}) + b"\n")
 
     def close(self) -> None:
         """Close; what was written still goes out, unless the client does not read."""
@@ -403,7 +401,7 @@ class Session(asyncio.Protocol):
             return False
         self._hub.counters["requests_refused"] += 1
         request_id = request.get("id") if isinstance(request, dict) else None
-        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        if not is_request_id(request_id):
             request_id = None
         answered = ", ".join(sorted(self._hub.dispatcher.always))
         text = f"too many clients: {self._hub.why_restricted()}; one request for {answered}"

@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 import structlog
-from pydantic_core import to_json
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
 from skygcs.rpc.context import Services, resolve, state_of
-from skygcs.rpc.dispatch import InvalidParams
+from skygcs.rpc.dispatch import InvalidParams, encode
 from skygcs.rpc.messages import find_message
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.slices import Slices
@@ -218,7 +217,7 @@ class TelemetryFeed:
         if body is None:
             try:
                 state = state_of(self._services, vehicle, names | ALWAYS if names else None)
-                body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + to_json(state, inf_nan_mode="null")
+                body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + encode(state)
                 self._failed.discard(key)
             except Exception as error:  # one vehicle's fault is not the others'
                 body = b""
@@ -331,7 +330,7 @@ class EventFeed:
             if not subscription.wants(event):
                 continue
             if not body:
-                encoded = to_json(dict(event), inf_nan_mode="null", serialize_unknown=True)
+                encoded = encode(dict(event), serialize_unknown=True)
                 body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + encoded
             subscription.offer(body, self._loop.time())
 
@@ -409,7 +408,7 @@ class MessageFeed:
             "name": frame.name,
             "fields": frame.fields(),
         }
-        encoded = to_json(message, inf_nan_mode="null")
+        encoded = encode(message)
         body = b'{"jsonrpc":"2.0","method":"message","params":{"message":' + encoded[:-1]
         self._last = (frame, body)
         return body
@@ -453,7 +452,7 @@ class PlanSubscription:
         self._due = False
         if self._timer is not None:
             self._timer.cancel()
-        body = to_json(self._plans.status(), inf_nan_mode="null")
+        body = encode(self._plans.status())
         self._sink.write(b'{"jsonrpc":"2.0","method":"plan","params":{"plan":' + body + self._tail)
         self._timer = self._loop.call_later(self._period_s, self._tick)
 

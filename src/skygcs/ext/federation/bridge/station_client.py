@@ -38,7 +38,6 @@ from typing import Any, Protocol, cast
 
 import structlog
 from pydantic import ValidationError
-from pydantic_core import to_json
 
 from skygcs.errors import RefusedError, RpcError, SkygcsError, TargetError
 from skygcs.ext.federation.bridge.relayed_daemon import RelayedDaemon
@@ -48,7 +47,16 @@ from skygcs.ext.federation.protocol.order_messages import ENDS_FLIGHT, STOP
 from skygcs.ext.federation.protocol.site_names import SiteTargets, split_by_site
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.address import tcp_address
-from skygcs.rpc.dispatch import Dispatcher, Method, error_reply, failure_reply, parse, result_reply
+from skygcs.rpc.dispatch import (
+    Dispatcher,
+    Method,
+    encode,
+    error_reply,
+    failure_reply,
+    is_request_id,
+    parse,
+    result_reply,
+)
 from skygcs.rpc.openrpc import document
 from skygcs.rpc.order_reports import OrderReports, wants_reports
 from skygcs.rpc.unix_socket import still_reads
@@ -232,7 +240,7 @@ class StationClient(asyncio.Protocol):
     def notify(self, method: str, params: dict[str, Any]) -> None:
         """Send a notification that may be lost: nothing to a client that does not read."""
         if self.writable:
-            self.write(to_json({"jsonrpc": "2.0", "method": method, "params": params}) + b"\n")
+            self.write(encode({"jsonrpc": "2.0", "method": method, "params": params}) + b"\n")
 
     # -- the daemon
 
@@ -384,7 +392,7 @@ class StationClient(asyncio.Protocol):
     def _own(self, request: dict[str, Any], line: bytes | None, method: str) -> None:
         """Pass a request to the daemon, or answer it here while the daemon is away. ``line``: the request as received;
         None: it was changed."""
-        if self.daemon.write(to_json(request) + b"\n" if line is None else line):
+        if self.daemon.write(encode(request) + b"\n" if line is None else line):
             return
         result = self._result_without_daemon(method, request.get("params"))
         if "id" not in request:
@@ -489,7 +497,7 @@ class StationClient(asyncio.Protocol):
 
     async def _list(self, targets: SiteTargets) -> dispatch.Encoded:
         others = self.services.states(targets.others)
-        parts = [to_json(others, inf_nan_mode="null")[1:-1]]
+        parts = [encode(others)[1:-1]]
         if targets.own and self.daemon.connected:
             parts.insert(0, (await self.daemon.ask("vehicles.list", {"targets": _plain(targets.own)}))[1:-1])
         return dispatch.Encoded(b"[" + b",".join(part for part in parts if part) + b"]")
@@ -592,7 +600,7 @@ class StationClient(asyncio.Protocol):
                 own["names"] = [name for name in names if name not in ONLY_OTHERS] or ["connected"]
             self.daemon.start_asking("subscribe", own, {}, begin)
         else:
-            self.write(begin(to_json({"subscription": self._new_number()})))
+            self.write(begin(encode({"subscription": self._new_number()})))
 
     def _begin_feed(self, subscription: RemoteSubscription) -> None:
         if self._subscriptions.get(subscription.number) is subscription:
@@ -644,7 +652,7 @@ class StationClient(asyncio.Protocol):
 
 def _id(request: object) -> object:
     request_id = request.get("id") if isinstance(request, dict) else None
-    return None if isinstance(request_id, bool) or not isinstance(request_id, str | int | float) else request_id
+    return request_id if is_request_id(request_id) else None
 
 
 def _plain(parts: Sequence[str]) -> str | list[str]:
