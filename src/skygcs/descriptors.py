@@ -8,6 +8,7 @@ client of the Unix socket in, which may be the one that orders a stop.
 from __future__ import annotations
 
 import contextlib
+import os
 import resource
 
 WANTED = 4096
@@ -30,3 +31,16 @@ def is_of_the_last(descriptor: int) -> bool:
     """True if a file with this number is one of those that are kept."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return soft != resource.RLIM_INFINITY and descriptor >= soft - DESCRIPTORS_KEPT
+
+
+def hold_standard() -> None:
+    """Open /dev/null as each of the descriptors 0 to 2 that this process was begun without.
+
+    Else the next socket or file becomes stdin, stdout or stderr: what is printed goes into it, and libuv ends the
+    process when it closes it (uv__close: fd > STDERR_FILENO).
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the system gives the lowest number that is free: this one

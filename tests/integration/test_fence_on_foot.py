@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,18 @@ def held(gcs: Flown, name: str) -> dict[str, float]:
 
 def recorded(file: str | Path) -> dict[str, Any]:
     return dict(json.loads(Path(file).read_text()))
+
+
+async def test_a_fence_parameter_that_is_no_number_is_an_outcome_in_words(tmp_path: Path) -> None:
+    name = "FENCE_RADIUS"
+    async with on_the_ground(tmp_path) as gcs:
+        found = gcs.sim("v2").params.find(name)
+        assert found is not None
+        found[1].value = math.nan
+        for method, params in (("fence.status", {}), ("fence.set", {"height_m": 20})):
+            outcome = (await gcs(method, targets="v2", **params))["outcomes"]["v2"]
+            assert not outcome["ok"] and f"{name} cannot be read: it says nan" in outcome["message"]
+        assert held(gcs, "v2")["FENCE_ALT_MAX"] != 20
 
 
 async def test_a_fence_is_set_by_parameters_and_read_back(tmp_path: Path) -> None:

@@ -25,3 +25,16 @@ assert not is_of_the_last(os.open(os.devnull, os.O_RDONLY)) or hard < 256 + DESC
 
 def test_the_last_descriptors_are_known_and_the_limit_is_raised() -> None:
     subprocess.run([sys.executable, "-c", PROGRAM], check=True, timeout=60)
+
+
+def test_no_file_of_ours_becomes_a_standard_stream() -> None:
+    code = """
+import os
+for number in (0, 2):
+    os.close(number)
+from skygcs.descriptors import hold_standard
+hold_standard()
+print(os.open(os.devnull, os.O_RDONLY))
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(ran.stdout) > 2

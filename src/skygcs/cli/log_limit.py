@@ -10,7 +10,7 @@ import logging
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TextIO
 
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.terminal_text import visible
@@ -74,8 +74,8 @@ def readable(logger: Any, method: str, record: Any) -> Any:
 class LibraryLog(logging.StreamHandler[Any]):
     """Writes what libraries log (aiohttp, asyncio, nats), within the same bounds."""
 
-    def __init__(self, limit: LogLimit) -> None:
-        super().__init__()
+    def __init__(self, limit: LogLimit, stream: TextIO) -> None:
+        super().__init__(stream)
         self._limit = limit
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import gc
 import logging
@@ -17,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.cli.journal import JournalLogger, goes_to_journal
 from skygcs.cli.log_limit import LibraryLog, LogLimit, bounded, readable
-from skygcs.descriptors import raise_limit
+from skygcs.cli.log_stream import LogStream
+from skygcs.descriptors import hold_standard, raise_limit
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
@@ -192,13 +194,17 @@ def without_collections() -> Iterator[None]:
 
 
 def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
-    """Log one line per change of state to stderr: coloured on a terminal, else key=value."""
+    """Log one line per change of state to stderr: coloured on a terminal, else key=value. No log call waits for stderr
+    or raises what is wrong with it."""
+    hold_standard()
     structlog = import_structlog()
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
-    tty = sys.stderr.isatty()
+    tty = sys.stderr is not None and sys.stderr.isatty()
+    stream = LogStream(sys.stderr)
+    atexit.register(stream.drain)
     limit = LogLimit()
     within = [bounded(limit, structlog.DropEvent), readable]
-    logging.basicConfig(level=logging.WARNING, handlers=[LibraryLog(limit)], force=True)
+    logging.basicConfig(level=logging.WARNING, handlers=[LibraryLog(limit, stream)], force=True)
     # plain: a traceback with the values of local variables could print a signing key or a token
     if goes_to_journal():
         journal = JournalLogger()
@@ -219,7 +225,7 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+        logger_factory=structlog.WriteLoggerFactory(file=stream),
         cache_logger_on_first_use=False,
     )
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import socket
 import struct
@@ -22,7 +21,7 @@ from typing import Any, NamedTuple, cast
 import structlog
 
 from skygcs.rpc.error_codes import INVALID_REQUEST
-from skygcs.rpc.json_lines import LineBuffer, LineTooLong, error_reply, notification
+from skygcs.rpc.json_lines import LineBuffer, LineTooLong, encode, error_reply, notification
 from skygcs.rpc.unix_socket import still_reads
 
 HIGH_WATER_BYTES = 256 * 1024
@@ -111,7 +110,7 @@ class ClientPeer(asyncio.Protocol):
     def notify(self, method: str, params: dict[str, Any]) -> None:
         """Send a notification that may be lost: nothing to a client that does not read."""
         if self.writable:
-            self.write(notification(method, json.dumps(params, separators=(",", ":")).encode()) + b"\n")
+            self.write(notification(method, encode(params)) + b"\n")
 
     # -- the other end
 

@@ -10,6 +10,7 @@ import functools
 import importlib
 import inspect
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping
@@ -19,7 +20,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import structlog
 from pydantic import ValidationError
-from pydantic_core import PydanticSerializationError, from_json, to_json
+from pydantic_core import PydanticSerializationError, from_json
 
 from skygcs.cancellation import end_if_cancelled
 from skygcs.errors import (
@@ -43,7 +44,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TARGET_ERROR,
 )
-from skygcs.rpc.json_lines import error_reply, id_of, is_id, reply_of
+from skygcs.rpc.json_lines import encode, error_reply, id_of, is_id, reply_of
 from skygcs.rpc.models import MethodParams
 from skygcs.spelling import near_names
 
@@ -52,6 +53,9 @@ MAX_ECHO_CHARS = 80
 
 _STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
 """A string without escapes, and the colon after it if it is a key."""
+
+_MAYBE_INFINITE = re.compile(rb"[0-9][eE]\+?[0-9]{3}|(?<![0-9])[0-9]{200}")
+"""In each line with a number beyond the range of a float: with fewer digits and a shorter exponent it is within."""
 
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
@@ -313,8 +317,19 @@ class _MethodNotFound(SkygcsError):
 
 
 def parse(line: bytes) -> Any:
-    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN and too deep nesting)."""
-    return from_json(line, allow_inf_nan=False, cache_strings="keys")
+    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN, too deep nesting, and a
+    number that no float can hold, as 1e999, which would be read as infinity)."""
+    value = from_json(line, allow_inf_nan=False, cache_strings="keys")
+    if _MAYBE_INFINITE.search(line) is not None:
+        json.loads(line, parse_float=_finite, parse_int=str)  # str: int() refuses numbers that `from_json` accepts
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:20]} is too large")
+    return value
 
 
 def key_twice(line: bytes) -> str | None:
@@ -353,7 +368,7 @@ def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
 def result_reply(request_id: object, name: str, result: object) -> bytes:
     """NaN and Infinity, which JSON lacks, become null."""
     try:
-        body = result.body if isinstance(result, Encoded) else to_json(result, inf_nan_mode="null")
+        body = result.body if isinstance(result, Encoded) else encode(result)
     except PydanticSerializationError as error:
         return failure_reply(request_id, name, error)
     return reply_of(request_id, body)

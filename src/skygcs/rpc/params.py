@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
-from pydantic_core import to_json
 
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, Value, is_name, value_text
 from skygcs.core.params.metadata import ParamMetadata
@@ -20,6 +19,7 @@ from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Encoded, Method
+from skygcs.rpc.json_lines import encode
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -256,7 +256,7 @@ async def params_list(context: Context, params: ParamListParams) -> Encoded:
             f"{len(vehicles)} vehicles' values are too much for one answer; ask for at most {MAX_WITH_VALUES} at once"
         )
         raise dispatch.InvalidParams(("targets", text))
-    lists = [to_json(vehicle.name) + b":" + await _list(context, vehicle, params) for vehicle in vehicles]
+    lists = [encode(vehicle.name) + b":" + await _list(context, vehicle, params) for vehicle in vehicles]
     return Encoded(b'{"lists":{' + b",".join(lists) + b"}}")
 
 
@@ -279,7 +279,7 @@ async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams
         "compid": vehicle.compid,
         "autopilot": vehicle.state(context.services.now(), frozenset({"autopilot"}))["autopilot"],
     }
-    return to_json(head)[:-1] + b',"params":' + entries + b"}"
+    return encode(head)[:-1] + b',"params":' + entries + b"}"
 
 
 def _entry(param: Param) -> JsonObject:

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
-from pydantic_core import to_json
-
+from skygcs.rpc.json_lines import encode
 from skygcs.runtime.loop_clock import exact_clock
 
 SLICE_S = 0.0006
@@ -86,7 +85,7 @@ class Slices:
             pieces: list[bytes] = []
             following = iter(values)
             while some := list(islice(following, at_once)):
-                pieces.append(to_json(some, inf_nan_mode="null")[1:-1])
+                pieces.append(encode(some)[1:-1])
                 if self.over(deadline):
                     await asyncio.sleep(self.pause_s())
                     deadline = await self._turn()

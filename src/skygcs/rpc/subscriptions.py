@@ -13,14 +13,13 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 import structlog
-from pydantic_core import to_json
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
 from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.rpc.json_lines import EVENT_START, MESSAGE_START, PLAN_START, TELEMETRY_START
+from skygcs.rpc.json_lines import EVENT_START, MESSAGE_START, PLAN_START, TELEMETRY_START, encode
 from skygcs.rpc.messages import find_message
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.slices import Slices
@@ -219,7 +218,7 @@ class TelemetryFeed:
         if body is None:
             try:
                 state = state_of(self._services, vehicle, names | ALWAYS if names else None)
-                body = TELEMETRY_START + to_json(state, inf_nan_mode="null")
+                body = TELEMETRY_START + encode(state)
                 self._failed.discard(key)
             except Exception as error:  # one vehicle's fault is not the others'
                 body = b""
@@ -332,7 +331,7 @@ class EventFeed:
             if not subscription.wants(event):
                 continue
             if not body:
-                encoded = to_json(dict(event), inf_nan_mode="null", serialize_unknown=True)
+                encoded = encode(dict(event), serialize_unknown=True)
                 body = EVENT_START + encoded
             subscription.offer(body, self._loop.time())
 
@@ -410,7 +409,7 @@ class MessageFeed:
             "name": frame.name,
             "fields": frame.fields(),
         }
-        encoded = to_json(message, inf_nan_mode="null")
+        encoded = encode(message)
         body = MESSAGE_START + encoded[:-1]
         self._last = (frame, body)
         return body
@@ -454,7 +453,7 @@ class PlanSubscription:
         self._due = False
         if self._timer is not None:
             self._timer.cancel()
-        body = to_json(self._plans.status(), inf_nan_mode="null")
+        body = encode(self._plans.status())
         self._sink.write(PLAN_START + body + self._tail)
         self._timer = self._loop.call_later(self._period_s, self._tick)
 

@@ -380,10 +380,10 @@ class VehicleFence:
         held: dict[str, float] = {}
         for name in names:
             read = await self._params.get(name)
-            if read.param is None:
+            if read.number is None:
                 result = read.result if read.result in ("timeout", "lost", "cancelled", "refused") else "failed"
-                return Outcome(False, result, f"{name} cannot be read: {read.message}")
-            held[name] = float(read.param.value)
+                return Outcome(False, result, f"{name} cannot be read: {read.why_no_number}")
+            held[name] = float(read.number)
         return held
 
     async def _put(self, values: Mapping[str, float], *, checked: bool = False) -> Outcome | None:

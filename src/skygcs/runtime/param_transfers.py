@@ -563,7 +563,7 @@ class VehicleParams:
             return None
         outcome = await self._one(HASH_NAME)
         self._hashless = outcome.result == "unknown"
-        return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
+        return int(outcome.number) if outcome.ok and outcome.number is not None else None
 
     def _keep_quiet(self, name: str, until: float) -> None:
         """Wait before another request with this name: answers to the last one may still come."""

@@ -348,6 +348,6 @@ async def _param(actor: VehicleActor, param: HeightParam) -> float | None:
     """The first of these parameters that the vehicle has, in metres; None: it has none, or does not answer."""
     for name, per_metre in param:
         outcome = await actor.params.get(name)
-        if outcome.ok and outcome.param is not None:
-            return float(outcome.param.value) / per_metre
+        if outcome.ok and outcome.number is not None:
+            return float(outcome.number) / per_metre
     return None

@@ -98,7 +98,7 @@ class UndoOrders:
             held = await actor.params.get(name)
             if held.param is None:
                 return Outcome(False, held.result, f"{name} cannot be read: {held.message}")
-            value = float(held.param.value)
+            value = held.param.value  # compared and shown only: NaN is what nobody set
             if _same(value, before):
                 continue
             if not force and not _same(value, change.changed.get(name, before)):

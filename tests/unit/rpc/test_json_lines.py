@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skygcs.rpc.json_lines import (
     LineBuffer,
     LineTooLong,
-    encoded_id,
+    encode,
     error_reply,
     id_of,
     notification,
@@ -101,7 +101,7 @@ def test_a_long_line_in_small_pieces_is_searched_once(whole: bool) -> None:
     assert counted.searched == 1000
 
 
-@each("value", [None, 0, -1, 2**53, 1.5, "", "a", 'quote " and \ud800'])
+@each("value", [None, 0, -1, 2**53, 1.5, "", "a", 'quote " and \u00e9'])
 def test_an_id_comes_back_as_it_was_sent(value: Any) -> None:
     assert id_of({"id": value}) == value
     assert json.loads(error_reply(value, -32600, "no"))["id"] == value
@@ -119,15 +119,14 @@ def test_what_is_no_request_has_no_id() -> None:
 
 @each("value", [float("inf"), float("nan")])
 def test_an_id_that_json_cannot_carry_is_answered_as_null(value: float) -> None:
-    """1e999 is read as infinite."""
-    assert encoded_id(value) == b"null"
+    assert encode(value) == b"null"
 
 
 def test_messages_are_json() -> None:
     assert json.loads(error_reply(1, -32000, "a \udcff name", {"why": {1, 2}.__class__})) == {
         "jsonrpc": "2.0",
         "id": 1,
-        "error": {"code": -32000, "message": "a \udcff name", "data": {"why": "<class 'set'>"}},
+        "error": {"code": -32000, "message": "a ? name", "data": {"why": "<class 'set'>"}},
     }
     assert "data" not in json.loads(error_reply(1, -32000, "no"))["error"]
     assert json.loads(notification("web.plan", b"[1]")) == {"jsonrpc": "2.0", "method": "web.plan", "params": [1]}

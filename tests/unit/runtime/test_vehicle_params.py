@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import random
+import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -125,6 +126,9 @@ class Rig:
         self.line.carry("up", len(raw), lambda: self._hears(info.name, values))
         return True
 
+    odd_hash: Param | None = None
+    """What it says in place of its hash."""
+
     @property
     def hash(self) -> int:
         return zlib.crc32(repr(sorted(self.board.params.items())).encode())
@@ -132,15 +136,16 @@ class Rig:
     def _hears(self, name: str, values: Mapping[str, Any]) -> None:
         if self.px4 and values.get("param_id") == HASH_NAME:
             if name == "PARAM_REQUEST_READ":
-                self._says(Param(HASH_NAME, self.hash, ParamType.UINT32), None)
+                self._says(self.odd_hash or Param(HASH_NAME, self.hash, ParamType.UINT32), None)
             return
         for value in self.board.hear(name, values):
             self._says(value.param, value.index)
 
     def _says(self, param: Param, index: int | None) -> None:
+        bits = struct.pack("<f", param.value) if isinstance(param.value, float) else None
         fields = {
             "param_id": param.name,
-            "param_value": to_bits(param.value, param.type, self.encoding),
+            "param_value": int.from_bytes(bits, "little") if bits else to_bits(param.value, param.type, self.encoding),
             "param_type": int(param.type),
             "param_count": len(self.board.params),
             "param_index": INDEX_UNKNOWN if index is None else index,
@@ -200,6 +205,17 @@ async def test_a_changed_value_is_noticed_by_the_hash(tmp_path: Path) -> None:
     assert loaded.source == "vehicle" and loaded.params[0].value == 99.0
     for rig in (first, again):
         rig.params.close()
+
+
+@pytest.mark.parametrize("said", [math.nan, math.inf, -math.inf])
+async def test_a_hash_that_is_no_number_vouches_for_nothing(said: float, tmp_path: Path) -> None:
+    first = Rig(big_set(5), tmp_path)
+    first.odd_hash = Param(HASH_NAME, said, ParamType.REAL32)
+    for _ in range(2):
+        loaded = await first.params.load(refresh=True)
+        assert loaded.ok and loaded.source == "vehicle" and len(loaded.params) == 5
+    assert (await first.params.get(HASH_NAME)).as_dict()["value"] is None
+    first.params.close()
 
 
 async def test_another_firmware_makes_the_cache_worthless(tmp_path: Path) -> None:

@@ -84,6 +84,12 @@ class Param:
     value: Value
     type: ParamType = ParamType.REAL32
 
+    @property
+    def number(self) -> Value | None:
+        """The value to reckon with; None for the NaN or infinity that a vehicle may send as any parameter, a whole one
+        too (`from_bits`)."""
+        return self.value if math.isfinite(self.value) else None
+
 
 @dataclass(frozen=True, slots=True)
 class ParamValue:

@@ -83,6 +83,19 @@ class ParamOutcome:
     attempts: int = 0
     elapsed_s: float = 0.0
 
+    @property
+    def number(self) -> Value | None:
+        """The vehicle's value to reckon with; None where it did not say, or said what is no finite number.
+
+        What decides something by a parameter reads it here: NaN passes every comparison, and is no whole number.
+        """
+        return None if self.param is None else self.param.number
+
+    @property
+    def why_no_number(self) -> str:
+        """Why `number` is None."""
+        return self.message if self.param is None else f"it says {value_text(self.param.value)}"
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able; a value that is no finite number is null."""
         return {
@@ -319,4 +332,4 @@ class ParameterProtocol(ProtocolMachine):
 
 
 def _json_value(param: Param | None) -> Value | None:
-    return param.value if param is not None and math.isfinite(param.value) else None
+    return None if param is None else param.number

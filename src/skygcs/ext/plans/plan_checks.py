@@ -370,8 +370,8 @@ async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeig
         async with slots:
             for name, per_metre in itertools.chain(*actor.vehicle.abilities.return_heights):  # a copter has one
                 outcome = await actor.params.get(name)
-                if outcome.ok and outcome.param is not None:
-                    return ReturnHeight(outcome.param.name, per_metre, float(outcome.param.value) / per_metre)
+                if outcome.ok and outcome.param is not None and outcome.number is not None:
+                    return ReturnHeight(outcome.param.name, per_metre, float(outcome.number) / per_metre)
         return None
 
     async with asyncio.TaskGroup() as group:

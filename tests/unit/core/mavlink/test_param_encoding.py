@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.param_encoding import (
     Encoding,
+    Param,
     ParamType,
     bits_message,
     encoding_of,
@@ -24,6 +27,8 @@ from skygcs.core.mavlink.param_encoding import (
 )
 from support.table import each
 from support.vehicles import Voice, flight_dialect
+
+SOURCES = Path(__file__).parents[4] / "src" / "skygcs"
 
 RANGES = {
     ParamType.UINT8: (0, 255),
@@ -111,3 +116,21 @@ def test_the_capability_decides_and_else_the_autopilot(
     autopilot: int, capabilities: int | None, expected: Encoding
 ) -> None:
     assert encoding_of(autopilot, capabilities) is expected
+
+
+@pytest.mark.parametrize("bits", [0x7FC00000, 0x7F800000, 0xFF800000], ids=["nan", "inf", "-inf"])
+@pytest.mark.parametrize("type_", [ParamType.REAL32, ParamType.INT32, ParamType.UINT8])
+def test_what_is_no_number_is_none_to_reckon_with(bits: int, type_: ParamType) -> None:
+    assert Param("P", from_bits(bits, type_, Encoding.C_CAST), type_).number is None
+
+
+def test_nothing_is_decided_by_a_parameter_that_may_be_no_number() -> None:
+    """`Param.number` is the one way from what a vehicle says to a number that code reckons with."""
+    reckons = re.compile(r"\b(?:int|float|round|abs|ReturnHeight)\([^()]*\bparam\.value\b")
+    found = [
+        f"{path.name}: {match.group()}"
+        for path in sorted(SOURCES.rglob("*.py"))
+        if path.parent.name != "sim"  # the vehicle's own side
+        for match in reckons.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert not found, found

@@ -11,13 +11,11 @@ import secrets
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, cast
 
-from pydantic_core import to_json
-
 from skygcs.errors import RpcError
 from skygcs.rpc import error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.dispatch import parse
-from skygcs.rpc.json_lines import ANSWER, MAX_REPLY_BYTES, LineBuffer, notification_start
+from skygcs.rpc.json_lines import ANSWER, MAX_REPLY_BYTES, LineBuffer, encode, notification_start
 from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
 
 REACH_WITHIN_S = 2.0
@@ -141,7 +139,7 @@ class RelayedDaemon(asyncio.Protocol):
         key = self.start_asking(method, params, members, on_answer)
         if report_as is None:
             return await future
-        self._reported[key] = to_json(report_as)
+        self._reported[key] = encode(report_as)
         try:
             return await future
         finally:
@@ -157,7 +155,7 @@ class RelayedDaemon(asyncio.Protocol):
         key = self._prefix + f'{self._last_id}"'.encode()
         self._asked[key] = on_answer
         request = {"jsonrpc": "2.0", "id": key[1:-1].decode(), "method": method, "params": params, **members}
-        self._transport.write(to_json(request) + b"\n")
+        self._transport.write(encode(request) + b"\n")
         return key
 
     def pause_answers(self) -> None:

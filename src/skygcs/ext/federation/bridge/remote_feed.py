@@ -14,13 +14,11 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from pydantic_core import to_json
-
 from skygcs.core.geo import Origin
 from skygcs.errors import TargetError
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SiteTargets, qualified, select_at
-from skygcs.rpc.json_lines import EVENT_START, TELEMETRY_START
+from skygcs.rpc.json_lines import EVENT_START, TELEMETRY_START, encode
 from skygcs.rpc.models import SubscribeParams
 
 DEFAULT_RATE_HZ = 2.0
@@ -138,7 +136,7 @@ class RemoteFeed:
             if not subscription.reader.writable:
                 subscription.dropped += 1
                 continue
-            body = body or EVENT_START + to_json(named, inf_nan_mode="null")
+            body = body or EVENT_START + encode(named)
             dropped, subscription.dropped = subscription.dropped, 0
             lost = b',"dropped":%d' % dropped if dropped else b""
             subscription.reader.write(b'%b,"subscription":%d%b}}\n' % (body, subscription.number, lost))
@@ -185,7 +183,7 @@ class RemoteFeed:
         states = self._sites.states(site, now, self._ours())
         for row, state in zip(self._sites.rows(site), states, strict=True):
             shown = {key: value for key, value in state.items() if key in wanted} if names else state
-            made[row.name] = TELEMETRY_START + to_json(shown)
+            made[row.name] = TELEMETRY_START + encode(shown)
         if len(self._encoded) >= MAX_ENCODED:
             self._encoded.clear()
         self._encoded[site, names] = (now, made)

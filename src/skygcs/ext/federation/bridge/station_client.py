@@ -34,7 +34,6 @@ from typing import Any, Protocol
 
 import structlog
 from pydantic import ValidationError
-from pydantic_core import to_json
 
 from skygcs.errors import RefusedError, RpcError, SkygcsError, TargetError
 from skygcs.ext.federation.bridge.relayed_daemon import RelayedDaemon
@@ -46,7 +45,7 @@ from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.dispatch import Dispatcher, Method, failure_reply, parse, result_reply
-from skygcs.rpc.json_lines import MAX_LINE_BYTES, error_reply, id_of
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, encode, error_reply, id_of
 from skygcs.rpc.openrpc import document
 from skygcs.rpc.order_reports import OrderReports, wants_reports
 
@@ -320,7 +319,7 @@ class StationClient(ClientPeer):
     def _own(self, request: dict[str, Any], line: bytes | None, method: str) -> None:
         """Pass a request to the daemon, or answer it here while the daemon is away. ``line``: the request as received;
         None: it was changed."""
-        if self.daemon.write(to_json(request) if line is None else line):
+        if self.daemon.write(encode(request) if line is None else line):
             return
         result = self._result_without_daemon(method, request.get("params"))
         if "id" not in request:
@@ -425,7 +424,7 @@ class StationClient(ClientPeer):
 
     async def _list(self, targets: SiteTargets) -> dispatch.Encoded:
         others = self.services.states(targets.others)
-        parts = [to_json(others, inf_nan_mode="null")[1:-1]]
+        parts = [encode(others)[1:-1]]
         if targets.own and self.daemon.connected:
             parts.insert(0, (await self.daemon.ask("vehicles.list", {"targets": _plain(targets.own)}))[1:-1])
         return dispatch.Encoded(b"[" + b",".join(part for part in parts if part) + b"]")
@@ -528,7 +527,7 @@ class StationClient(ClientPeer):
                 own["names"] = [name for name in names if name not in ONLY_OTHERS] or ["connected"]
             self.daemon.start_asking("subscribe", own, {}, begin)
         else:
-            self.write(begin(to_json({"subscription": self._new_number()})))
+            self.write(begin(encode({"subscription": self._new_number()})))
 
     def _begin_feed(self, subscription: RemoteSubscription) -> None:
         if self._subscriptions.get(subscription.number) is subscription:

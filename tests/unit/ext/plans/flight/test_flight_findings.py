@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skygcs.core.mavlink.param_encoding import Param
+from skygcs.core.mavlink.vehicle_class import TABLE, VehicleClass
 from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
+from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.vehicle.flight_note import FlightRecord
+from skygcs.ext.plans import plan_checks
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.flight_findings import (
     Finding,
@@ -18,6 +26,7 @@ from skygcs.ext.plans.flight.flight_findings import (
     refused,
     return_height_findings,
 )
+from skygcs.runtime import returns
 from support.table import each
 
 MEASURED = FlightTime(600.0, "measured in flight")
@@ -32,6 +41,21 @@ def test_the_charge_covers_plan_landing_and_reserve(percent: float | None, plan_
     assert found.level is level and found.check == "battery"
     assert level is Level.OK or found.insist
     assert percent is None or "measured in flight" in found.text
+
+
+@pytest.mark.parametrize("said", [math.nan, math.inf])
+async def test_a_return_height_that_is_no_number_is_not_known(said: float) -> None:
+    """Else it is near no other, and no way home would ever cross another."""
+
+    class Params:
+        async def get(self, name: str) -> ParamOutcome:
+            return ParamOutcome(True, "accepted", "", name, Param(name, said))
+
+    actor: Any = SimpleNamespace(
+        name="alpha", vehicle=SimpleNamespace(abilities=TABLE["px4", VehicleClass.COPTER]), params=Params()
+    )
+    assert await plan_checks.return_heights([actor]) == {"alpha": None}
+    assert await returns._param(actor, (("RTL_ALT", 100.0),)) is None
 
 
 def test_return_heights_that_are_too_near_name_both_and_what_to_set() -> None:
