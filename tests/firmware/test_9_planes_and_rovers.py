@@ -186,13 +186,13 @@ def test_a_quadplane_returns_as_its_parameters_say(field: Field, figures: dict[s
     name = field.one
     report = field.daemon.call("preflight.run", targets=name)["vehicles"][name]
     (found,) = [finding["text"] for finding in report["findings"] if finding["check"] == "return"]
-    assert "it circles at its return height (Q_RTL_MODE 0, RTL_AUTOLAND 0)" in found, found
+    assert "it circles above its home (Q_RTL_MODE 0, RTL_AUTOLAND 0)" in found, found
     field.order("vehicles.takeoff", name, height_m=30, wait_s=120.0)
     field.wait(lambda: field.truth(name).alt_rel_m > 27, 60, "it is up")
     field.order("vehicles.goto", name, enu_m=[0, AWAY_M, 60], force=True)  # in GUIDED it flies on as a plane
     field.wait(lambda: field.truth(name).speed_mps > 15 and away_m(field, 0, 0) > 200, 90, "it is on its wing")
     message = field.order("vehicles.rtl", name)[name]["message"]
-    assert message == "returning to launch; it circles at its return height", message
+    assert message == "returning to launch; it circles above its home", message
     for value in (0, 1):
         field.order("params.set", name, params={"Q_RTL_MODE": value}, force=True)
         field.wait(lambda: field.truth(name).speed_mps > 10, 10, "it flies on")

@@ -117,7 +117,8 @@ def test_its_return_is_the_one_that_departures_plans() -> None:
 def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
     circling = returning(ReturnHeight(0.0, 30.0), ReturnEnd.CIRCLES)
     assert meets(circling, (60.0, 0.0), 30.0) and circling.legs[-1].end == pytest.approx((0.0, 0.0), abs=0.02)
-    assert not meets(returning(UNKNOWN, ReturnEnd.STANDS), (0.0, 50.0), 30.0)
+    for end in (ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED):
+        assert not meets(returning(UNKNOWN, end), (0.0, 50.0), 30.0)
 
 
 def test_one_that_lands_on_its_rotors_flies_home_as_a_plane_and_comes_down_there() -> None:

@@ -23,8 +23,8 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
     hovers      yes      no             on its rotors       no            no      yes     no        no
     circles     no       always         on its wing         no            no      no      no        taken to
     setpoints   yes      no             no                  no            no      no      no        no
-    return      lands    circles, or    circles, or on      stands        -       stands  -         taken to
-    ends                 by its         its rotors (PX4                                             land
+    return      lands    circles, or    circles, or on      stands (PX4   -       stands  -         taken to
+    ends                 by its         its rotors (PX4     disarms)                                land
                          mission        lands)
 
 What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
@@ -194,9 +194,12 @@ class ReturnEnd(StrEnum):
 
     LANDS = "it lands and disarms"
     LANDS_ON_ROTORS = "it flies home as a plane, and lands there on its rotors"
-    BY_MISSION = "it lands by the landing of its mission (DO_LAND_START); without one it circles at its return height"
-    CIRCLES = "it circles at its return height"
+    BY_MISSION = "it lands by the landing of its mission (DO_LAND_START); without one it circles above its home"
+    CIRCLES = "it circles above its home"
     STANDS = "it stops and stays armed"
+    STANDS_DISARMED = "it stops at its home and disarms"
+    """A PX4 that drives counts as landed there (RoverLandDetector::_get_landed_state), and Commander disarms it after
+    COM_DISARM_LAND. Known from the source only."""
 
 
 HeightParam = tuple[tuple[str, float], ...]
@@ -329,7 +332,7 @@ _C = VehicleClass
 _ON_THE_GROUND = Abilities(flies=False, return_end=ReturnEnd.STANDS)
 
 _PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_PX4_RETURN)
-_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS, return_heights=())
+_PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS_DISARMED, return_heights=())
 
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),

@@ -125,7 +125,7 @@ def landing_distance_m(way: Way, place: Point, home: Point) -> float:
 
 def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vector:
     """Add the legs of a return from a place; returns where it ends."""
-    if run.return_end is ReturnEnd.STANDS:
+    if run.return_end in (ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED):
         at = _level(legs, at, base)
         legs.append(column(at, base[2]))
         return base

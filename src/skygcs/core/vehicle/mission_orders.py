@@ -476,14 +476,15 @@ def last_moving(items: Sequence[MissionItem]) -> int | None:
 
 
 def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
-    """True if the last item that moves the vehicle brings it to the ground. ``return_end``: how its returns end."""
+    """True if the last item that moves the vehicle leaves it on the ground and disarmed. ``return_end``: how its
+    returns end."""
     last = last_moving(items)
     if last is None:
         return False
     if ends_with_return(items):
         if return_end is ReturnEnd.BY_MISSION:
             return any(item.command == mav_cmd.DO_LAND_START for item in items)
-        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS)
+        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.STANDS_DISARMED)
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

@@ -361,7 +361,7 @@ def test_planes_of_one_fleet_are_offered_return_heights_by_their_own_parameters(
 @each(
     ("able", "answers", "verdict", "text"),
     [
-        (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "at home it circles at its return height (RTL_AUTOLAND 0)"),
+        (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "at home it circles above its home (RTL_AUTOLAND 0)"),
         (PLANE, {"RTL_AUTOLAND": 1}, Verdict.PASS, "the landing of its mission"),
         (
             QUADPLANE,

@@ -82,7 +82,7 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
         ("px4", "vtol", True),
         ("ardupilot", "vtol", False),
         ("ardupilot", "rover", False),
-        ("px4", "rover", False),
+        ("px4", "rover", True),  # it disarms at home
     ],
 )
 def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:

@@ -213,7 +213,7 @@ def test_a_quadplanes_return_ends_as_its_parameters_say(rotors: int, landing: in
 def test_what_a_return_does_is_in_the_answer_of_what_does_not_land() -> None:
     assert orders.rtl(Shown(ARDUPILOT, QUADROTOR, 5).vehicle, NOW).done == "returning to launch"
     assert orders.rtl(Shown(PX4, VTOL, 4 << 16).vehicle, NOW).done == "returning to launch"
-    assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; it circles at its return height")
+    assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; it circles above its home")
     assert orders.rtl(Shown(ARDUPILOT, ROVER, 15).vehicle, NOW).done.endswith("; it stops and stays armed")
     landing = Shown(ARDUPILOT, PLANE, 12, Q_ENABLE=0.0, RTL_AUTOLAND=2.0).vehicle
     assert "it lands by the landing of its mission" in orders.rtl(landing, NOW).done
