@@ -69,11 +69,12 @@ test-package: $(STAMP)
 test-container: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m container
 
-# The page and the documentation in a real browser: the system's Chromium. Pictures: build/web-screens
+# The page and the documentation in a real browser: the system's Chromium. Pictures: build/web-screens. Most of it is
+# waiting; a file's tests share their stations, so each file stays in one worker
 test-web: $(STAMP)
 	$(BIN)/python build_page.py --check
 	$(MAKE) docs
-	$(BIN)/pytest tests/web
+	$(BIN)/pytest -n auto --dist loadfile tests/web
 
 # The pictures of README and docs, from the real page with simulated vehicles: docs/images/web-*.png
 pictures: $(STAMP)

@@ -51,10 +51,10 @@ dialects.load_dialect = _dialect_once
 
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
 from skygcs.rpc.methods import METHODS  # noqa: E402
-from support import virtual_asyncio  # noqa: E402
 from support.examples import examples, flown_cases, is_deep, searches  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
 from support.passed_before import PassedBefore, left_to_run  # noqa: E402
+from support.virtual_asyncio import VirtualAsyncio  # noqa: E402
 from support.virtual_uvloop import VirtualUvloop  # noqa: E402
 
 settings.register_profile(
@@ -83,14 +83,6 @@ in any file would change the examples of every test, and each worker spends time
 COLLECTION_SHIFT_S = 7.0
 """Between the clocks by which two workers collect: above the second in which a gzip header is stamped, too little for a
 certificate or a lease that a module makes for its tests."""
-
-NOOP_CYCLES = 0
-"""Turns of the event loop with nothing to do before virtual time moves on, beside the one that finds nothing to do.
-looptime's own 42 were half of what the suite costs. Whatever is ready to run, is read from a socket or waits for a
-thread runs first all the same."""
-
-
-virtual_asyncio.install()
 
 tuple(METHODS.values())
 """Imports them all: a daemon imports its methods in a thread, which virtual time would not wait for."""
@@ -130,10 +122,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
-    """Tests in virtual time are in virtual time on uvloop as well."""
+    """Whole daemons live in virtual time, and what is marked ``looptime``, on either loop."""
+    virtual = item.path.is_relative_to(WHOLE_DAEMONS) or item.get_closest_marker("looptime") is not None
     if not item.path.is_relative_to(ON_UVLOOP) or config.getoption("--deep"):
-        return {"asyncio": asyncio.SelectorEventLoop}
-    virtual = item.get_closest_marker("looptime") is not None
+        return {"asyncio": VirtualAsyncio if virtual else asyncio.SelectorEventLoop}
     return {"uvloop": VirtualUvloop if virtual else uvloop.new_event_loop}
 
 
@@ -158,12 +150,6 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         config.stash[_cache].cleanup()
 
 
-def pytest_sessionstart() -> None:
-    """No implicit event loop: looptime's plugin asks for the current loop before every test, which on Python 3.11
-    makes one that nobody closes, and its warning then fails whatever test happens to run next."""
-    asyncio.set_event_loop(None)
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """Each worker collects by a wall clock of its own, some seconds from the others': a case whose name holds the time
@@ -183,12 +169,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Whole daemons live in virtual time; a test's own marker wins over this one. Tests marked ``deep``, and most cases
-    of flights, are left to the deep run."""
-    for item in items:
-        daemon = item.path.is_relative_to(WHOLE_DAEMONS)
-        if daemon or item.get_closest_marker("looptime") is not None:
-            item.add_marker(pytest.mark.looptime(noop_cycles=NOOP_CYCLES), append=False)
+    """Tests marked ``deep``, and most cases of flights, are left to the deep run."""
     if not config.getoption("--deep"):
         left_out = {id(item) for item in items if item.get_closest_marker("deep")} | _cases_left_out(items)
         _keep(config, items, [item for item in items if id(item) not in left_out])

@@ -9,13 +9,13 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import looptime
 import structlog
 
 from skygcs.daemon import Daemon
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
+from support.virtual_asyncio import VirtualAsyncio
 
 Column = Literal["plain", "skygcs"]
 
@@ -81,7 +81,7 @@ def percentile(values: list[float], share: float) -> float | None:
 
 def in_virtual_time(work: Coroutine[Any, Any, Measured]) -> Measured:
     """On a loop whose clock jumps to the next thing to do."""
-    loop = looptime.patch_event_loop(asyncio.new_event_loop())
+    loop = VirtualAsyncio()
     asyncio.set_event_loop(loop)
     try:
         return loop.run_until_complete(work)

@@ -10,7 +10,6 @@ from collections.abc import AsyncIterator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import looptime
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
@@ -23,6 +22,7 @@ from skygcs.rpc.methods import METHODS
 from skygcs.rpc.sessions import Session, Sessions
 from support.hosts import until
 from support.pymav import PymavPeer
+from support.virtual_asyncio import VirtualAsyncio
 
 
 class _Transport(asyncio.Transport):
@@ -144,7 +144,7 @@ async def asked(folder: Path, **tables: Mapping[str, Any]) -> AsyncIterator[Aske
 
 def virtual_loop() -> asyncio.AbstractEventLoop:
     """For asyncio.Runner: of virtual time."""
-    return looptime.new_event_loop(noop_cycles=2)
+    return VirtualAsyncio()
 
 
 def resolved(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> Mapping[str, Any]:

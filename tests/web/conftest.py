@@ -24,18 +24,24 @@ SCREENS = ROOT / "build" / "web-screens"
 WAIT_MS = 30_000
 """For what the page shows soon; a busy machine takes longer."""
 
+CHEAP = ["--in-process-gpu"]
+"""A page draws without a graphics card anyway: without a process for it a page costs a fifth less to open."""
+
 Theme = Literal["light", "dark"]
+
+
+def pytest_sessionstart() -> None:
+    """Say what is missing before the workers start, of which each would say it."""
+    if chromium() is None:
+        pytest.exit("make test-web needs Chromium: install the package chromium of this system", returncode=2)
+    if not (ROOT / "src/skygcs/web/static/index.html").exists():
+        pytest.exit("make test-web needs the built page: make web", returncode=2)
 
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    path = chromium()
-    if path is None:
-        pytest.exit("make test-web needs Chromium: install the package chromium of this system", returncode=2)
-    if not (ROOT / "src/skygcs/web/static/index.html").exists():
-        pytest.exit("make test-web needs the built page: make web", returncode=2)
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=path, args=chromium_options())
+        running = playwright.chromium.launch(executable_path=chromium(), args=[*chromium_options(), *CHEAP])
         yield running
         running.close()
 

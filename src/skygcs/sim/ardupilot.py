@@ -29,7 +29,7 @@ from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
-from skygcs.sim.kinematics import Home, Limits
+from skygcs.sim.kinematics import Home, Limits, bounded_limits
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_control import ControlGains
@@ -158,14 +158,14 @@ class CopterVehicle(SimVehicle):
         p = self.params
         braking, _, _ = self.firmware.brake.simulated
         accel, unit_mps2 = self.firmware.climb_accel.simulated
-        return Limits(
+        return bounded_limits(
             speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
             accel_mps2=braking if self.mode == CopterMode.BRAKE else p["WPNAV_ACCEL"] / 100,
             climb_mps=p["WPNAV_SPEED_UP"] / 100,
             descent_mps=copter_sticks.descent_mps(self.mode) or p["WPNAV_SPEED_DN"] / 100,
             yaw_rate_radps=radians(60),
             climb_accel_mps2=p[accel] * unit_mps2,
-        ).bounded()
+        )
 
     def arming_refusal(self) -> str | None:
         """Why it would not arm now, None if it would. A missing position is no check that ARMING_CHECK turns off."""

@@ -55,6 +55,10 @@ def _watch_battery(v: VehicleState, now: float) -> None:
     """The worst level that was newly reached counts."""
     firmware, alarms = v.firmware, v.failsafes
     low, critical, emergency = v.battery_levels()
+    if not (low or alarms.battery_low.raised or critical or alarms.battery_critical.raised) and not (
+        emergency or alarms.battery_emergency.raised
+    ):
+        return  # nearly always
     for alarm, reached, facts, name in (
         (alarms.battery_low, low, firmware.battery_low, "low battery"),
         (alarms.battery_critical, critical, firmware.battery_critical, "critical battery"),
@@ -68,12 +72,15 @@ def _watch_battery(v: VehicleState, now: float) -> None:
 
 def _watch_gcs(v: VehicleState, now: float) -> None:
     firmware, alarms = v.firmware, v.failsafes
+    heard_at, timeout_s = alarms.gcs_heard_at, v.params[firmware.gcs_timeout.simulated]
+    if not alarms.gcs.raised and (heard_at is None or now - heard_at <= timeout_s):
+        return  # nearly always
     reactions = firmware.gcs.simulated
     reaction = reactions.of(v.params[reactions.param])
     before, rule, options = alarms.gcs.raised, v.mode_rule, v.params.get("FS_OPTIONS")
     px4 = v.autopilot == m.MAV_AUTOPILOT_PX4
     ignored = px4 and int(v.params["COM_DLL_EXCEPT"]) & PX4_GOES_ON.get(Px4Mode(rule.number), 0) != 0
-    lost = alarms.gcs_lost(now, inf if ignored else v.params[firmware.gcs_timeout.simulated])
+    lost = alarms.gcs_lost(now, inf if ignored else timeout_s)
     if lost and reaction is not Reaction.NONE and v.armed:
         if options is None:
             if not rule.lands:

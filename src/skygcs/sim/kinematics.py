@@ -7,6 +7,7 @@ autopilot makes them move. ENU metres about the point where the vehicle was firs
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import atan2, copysign, cos, hypot, inf, pi, radians, remainder, sin, sqrt
 
 from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, Vector, wrap_pi
@@ -67,7 +68,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits that the vehicle's parameters set, as far as the airframe does (`bounded`)."""
+    """Limits that the vehicle's parameters set, as far as the airframe does (`bounded_limits`)."""
 
     speed_mps: float
     accel_mps2: float
@@ -78,17 +79,28 @@ class Limits:
     jerk_mps3: float = inf
     """Change of the acceleration with which it slows down towards a position; infinite: at once."""
 
-    def bounded(self) -> Limits:
-        """No parameter makes it faster than the airframe, nor unable to move."""
-        return Limits(
-            min(max(self.speed_mps, SLOWEST), TOP_SPEED_MPS),
-            min(max(self.accel_mps2, SLOWEST), GRAVITY_MPS2),
-            min(max(self.climb_mps, SLOWEST), TOP_SPEED_MPS),
-            min(max(self.descent_mps, SLOWEST), TOP_SPEED_MPS),
-            min(max(self.yaw_rate_radps, SLOWEST), pi),
-            min(max(self.climb_accel_mps2, SLOWEST), GRAVITY_MPS2),
-            max(self.jerk_mps3, SLOWEST),
-        )
+
+@lru_cache(maxsize=256)
+def bounded_limits(
+    speed_mps: float,
+    accel_mps2: float,
+    climb_mps: float,
+    descent_mps: float,
+    yaw_rate_radps: float = radians(60),
+    climb_accel_mps2: float = 2.5,
+    jerk_mps3: float = inf,
+) -> Limits:
+    """No parameter makes it faster than the airframe, nor unable to move. A vehicle asks with each tick, for minutes
+    with the same values."""
+    return Limits(
+        min(max(speed_mps, SLOWEST), TOP_SPEED_MPS),
+        min(max(accel_mps2, SLOWEST), GRAVITY_MPS2),
+        min(max(climb_mps, SLOWEST), TOP_SPEED_MPS),
+        min(max(descent_mps, SLOWEST), TOP_SPEED_MPS),
+        min(max(yaw_rate_radps, SLOWEST), pi),
+        min(max(climb_accel_mps2, SLOWEST), GRAVITY_MPS2),
+        max(jerk_mps3, SLOWEST),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,8 +39,12 @@ class Params:
 
     def __init__(self, params: Iterable[Param], *, bytewise: bool) -> None:
         self._all = sorted(params, key=lambda p: p.name)
-        self._index = {p.name: i for i, p in enumerate(self._all)}
         self._bytewise = bytewise
+        self._number()
+
+    def _number(self) -> None:
+        self._index = {p.name: i for i, p in enumerate(self._all)}
+        self._by_name = {p.name: p for p in self._all}
 
     def __len__(self) -> int:
         return len(self._all)
@@ -49,12 +53,12 @@ class Params:
         return iter(self._all)
 
     def __getitem__(self, name: str) -> float:
-        return self._all[self._index[name]].value
+        return self._by_name[name].value
 
     def get(self, name: str) -> float | None:
         """None: it has no such parameter."""
-        found = self.find(name)
-        return None if found is None else found[1].value
+        param = self._by_name.get(name)
+        return None if param is None else param.value
 
     def find(self, name: str) -> tuple[int, Param] | None:
         index = self._index.get(name)
@@ -84,7 +88,7 @@ class Params:
             if not whole:
                 own.type = param.type
         self._all.sort(key=lambda p: p.name)
-        self._index = {p.name: i for i, p in enumerate(self._all)}
+        self._number()
 
     def encode(self, param: Param) -> float:
         """Return what goes into PARAM_VALUE.param_value."""

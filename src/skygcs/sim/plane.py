@@ -23,7 +23,7 @@ from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.courses import CoursePlan, Turning
 from skygcs.sim.firmware_modes import ModeRule
 from skygcs.sim.firmware_params import plane_params
-from skygcs.sim.kinematics import Limits
+from skygcs.sim.kinematics import Limits, bounded_limits
 from skygcs.sim.legs import ClimbOut, GoTo
 from skygcs.sim.mission_run import MissionVehicle
 from skygcs.sim.param_table import Params
@@ -171,7 +171,7 @@ class PlaneVehicle(CourseVehicle):
         p = self.params
         speed = min(max(self.speed_mps or p["AIRSPEED_CRUISE"], p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         bank = radians(p["ROLL_LIMIT_DEG"])
-        return Limits(speed, 2.0, p["TECS_CLMB_MAX"], p["TECS_SINK_MAX"], turn_limit_radps(speed, bank)).bounded()
+        return bounded_limits(speed, 2.0, p["TECS_CLMB_MAX"], p["TECS_SINK_MAX"], turn_limit_radps(speed, bank))
 
     def on_tick(self, now: float) -> None:
         climbed = isinstance(self.plan.leg, ClimbOut) and self.plan.arrived

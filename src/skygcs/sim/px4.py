@@ -20,7 +20,7 @@ from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
 from skygcs.sim.firmware_modes import Px4Mode, px4_mode
 from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
-from skygcs.sim.kinematics import Home, Limits
+from skygcs.sim.kinematics import Home, Limits, bounded_limits
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_control import ControlGains, PositionTarget
@@ -135,15 +135,15 @@ class Px4Vehicle(SimVehicle):
         p = self.params
         accel, unit_mps2 = self.firmware.climb_accel.simulated
         if self.mode == Px4Mode.OFFBOARD:
-            return Limits(
+            return bounded_limits(
                 speed_mps=p["MPC_XY_VEL_MAX"],
                 accel_mps2=p["MPC_ACC_HOR"],
                 climb_mps=p["MPC_Z_VEL_MAX_UP"],
                 descent_mps=p["MPC_Z_VEL_MAX_DN"],
                 yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
                 climb_accel_mps2=p[accel] * unit_mps2,
-            ).bounded()
-        return Limits(
+            )
+        return bounded_limits(
             speed_mps=self.cruise_mps or p["MPC_XY_CRUISE"],
             accel_mps2=p["MPC_ACC_HOR"],
             climb_mps=p["MPC_Z_V_AUTO_UP"],
@@ -151,7 +151,7 @@ class Px4Vehicle(SimVehicle):
             yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
             climb_accel_mps2=p[accel] * unit_mps2,
             jerk_mps3=p[self.firmware.jerk.simulated],
-        ).bounded()
+        )
 
     @property
     def by_vision(self) -> bool:

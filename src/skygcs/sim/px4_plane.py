@@ -19,7 +19,7 @@ from skygcs.sim.conditions import Conditions
 from skygcs.sim.courses import CoursePlan, Turning
 from skygcs.sim.firmware_modes import Px4Mode
 from skygcs.sim.firmware_params import px4_plane_params
-from skygcs.sim.kinematics import Home, Limits
+from skygcs.sim.kinematics import Home, Limits, bounded_limits
 from skygcs.sim.legs import ClimbOut, GoTo, Land
 from skygcs.sim.param_table import Params
 from skygcs.sim.px4 import Px4Vehicle
@@ -62,7 +62,7 @@ class Px4PlaneVehicle(Px4Vehicle):
         p = self.params
         speed = min(max(self.cruise_mps or p["FW_AIRSPD_TRIM"], p["FW_AIRSPD_MIN"]), p["FW_AIRSPD_MAX"])
         turn = turn_limit_radps(speed, radians(p["FW_R_LIM"]))
-        return Limits(speed, 2.0, p["FW_T_CLMB_R_SP"], p["FW_T_SINK_R_SP"], turn).bounded()
+        return bounded_limits(speed, 2.0, p["FW_T_CLMB_R_SP"], p["FW_T_SINK_R_SP"], turn)
 
     def on_tick(self, now: float) -> None:
         climbed = isinstance(self.plan.leg, ClimbOut) and self.plan.arrived

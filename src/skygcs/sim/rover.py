@@ -20,7 +20,7 @@ from skygcs.sim.conditions import Conditions
 from skygcs.sim.courses import CoursePlan, Turning
 from skygcs.sim.firmware_modes import ModeRule
 from skygcs.sim.firmware_params import rover_params
-from skygcs.sim.kinematics import Limits
+from skygcs.sim.kinematics import Limits, bounded_limits
 from skygcs.sim.legs import GoTo
 from skygcs.sim.param_table import Params
 from skygcs.sim.wings_and_wheels import SIDE_MPS2, Rover
@@ -150,7 +150,7 @@ class RoverVehicle(CourseVehicle):
     def limits(self) -> Limits:
         p = self.params
         fastest = self.speed_mps or p["WP_SPEED"]
-        return Limits(fastest, p["ATC_ACCEL_MAX"], 1.0, 1.0, SIDE_MPS2 / max(1.0, fastest)).bounded()
+        return bounded_limits(fastest, p["ATC_ACCEL_MAX"], 1.0, 1.0, SIDE_MPS2 / max(1.0, fastest))
 
     def begin(self, mode: IntEnum, now: float) -> None:
         if mode == RoverMode.RTL and self.armed and self.home is not None:

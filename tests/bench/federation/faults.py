@@ -14,7 +14,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import looptime
 import structlog
 
 from skygcs.rpc.client import Client
@@ -24,6 +23,7 @@ from support.hub import Hub
 from support.hub_proxy import HubProxy
 from support.order_schedules import memory_schedule
 from support.order_schedules_real import real_schedules
+from support.virtual_asyncio import VirtualAsyncio
 
 MEMORY_SCHEDULES = 180
 REAL_SCHEDULES = 24
@@ -45,7 +45,7 @@ def measure_faults(_: float) -> Found:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
     with tempfile.TemporaryDirectory(prefix="skygcs-faults-") as name:
         folder = Path(name)
-        with asyncio.Runner(loop_factory=lambda: looptime.new_event_loop(noop_cycles=2)) as runner:
+        with asyncio.Runner(loop_factory=VirtualAsyncio) as runner:
             memory = runner.run(_memory(folder))
         real = asyncio.run(_real(folder))
         times = asyncio.run(_times(folder))

@@ -7,11 +7,11 @@ import logging
 from collections.abc import Coroutine
 from typing import Any, TypeVar
 
-import looptime
 import structlog
 
 import skygcs.rpc.methods
 import skygcs.rpc.sessions  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
+from support.virtual_asyncio import VirtualAsyncio
 
 T = TypeVar("T")
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 def in_virtual_time(work: Coroutine[Any, Any, T]) -> T:
     """On a loop whose clock jumps to the next thing to do."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
-    loop = looptime.patch_event_loop(asyncio.new_event_loop(), noop_cycles=2)
+    loop = VirtualAsyncio()
     asyncio.set_event_loop(loop)
     try:
         return loop.run_until_complete(work)

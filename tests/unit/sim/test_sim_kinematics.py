@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.sim.kinematics import TERMINAL_MPS, Limits, LocalFrame, Motion, Setpoint, wrap_pi
+from skygcs.sim.kinematics import TERMINAL_MPS, Limits, LocalFrame, Motion, Setpoint, bounded_limits, wrap_pi
 from support.table import each
 
 LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
@@ -101,7 +101,7 @@ def test_it_leans_into_its_acceleration() -> None:
 
 
 def test_parameters_out_of_reason_leave_it_flyable() -> None:
-    wild = Limits(speed_mps=0.0, accel_mps2=-3.0, climb_mps=1e30, descent_mps=float("inf"), yaw_rate_radps=0).bounded()
+    wild = bounded_limits(speed_mps=0.0, accel_mps2=-3.0, climb_mps=1e30, descent_mps=float("inf"), yaw_rate_radps=0)
     motion = in_air()
     for _ in range(5000):
         motion.step(DT, Setpoint((5.0, 0.0, 1e12), (None, None, None), yaw_rad=1.0), wild)

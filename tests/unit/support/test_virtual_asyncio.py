@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import time
 
@@ -40,6 +41,29 @@ async def test_the_clock_of_asyncio_stands_still() -> None:
 def test_the_clock_of_uvloop_stands_still() -> None:
     with asyncio.Runner(loop_factory=VirtualUvloop) as runner:
         assert runner.run(timers_during_a_thread()) == (0.0, 0)
+
+
+@pytest.mark.looptime
+async def test_its_time_begins_at_0_and_goes_on_exactly_and_always() -> None:
+    loop = asyncio.get_running_loop()
+    assert loop.time() == 0.0
+    for _ in range(3):
+        await asyncio.sleep(0.1)
+    assert loop.time() == 0.3
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1e-7):  # shorter than its microseconds: it passes all the same
+            await asyncio.sleep(86_400.0)
+    assert loop.time() < 0.31
+
+
+@pytest.mark.looptime
+async def test_what_is_read_comes_before_the_next_timer() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        ours.setblocking(False)
+        theirs.sendall(b"here")
+        async with asyncio.timeout(0.001):
+            assert await asyncio.get_running_loop().sock_recv(ours, 9) == b"here"
 
 
 @pytest.mark.looptime
