@@ -52,7 +52,7 @@ class _Transport(asyncio.Transport):
         self.lines += [json.loads(line) for line in lines]
 
 
-ALL_METHODS = METHODS.extended(PLAN_METHODS)
+ALL_METHODS = dict(METHODS) | {method.name: method for method in PLAN_METHODS}
 """Those of a daemon whose fleet file has no extension's table."""
 
 
