@@ -127,22 +127,22 @@ async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], chan
 async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
-        before = gcs.actor().gains()
+        before = gcs.actor().offboard.gains()
         outcome = await gcs.outcome("control.gains", xy={"pos_p_per_s": 4.0, "vel_p": 0.9})
         assert outcome["result"] == "refused" and "force" in outcome["message"], outcome
-        assert gcs.actor().gains() == before
+        assert gcs.actor().offboard.gains() == before
         wrong = await gcs.outcome("control.gains", hover_thrust=0.95)
         assert wrong["result"] == "refused", wrong
-        assert gcs.actor().gains() == before
+        assert gcs.actor().offboard.gains() == before
         forced = await gcs.outcome("control.gains", xy={"pos_p_per_s": 1.5, "vel_p": 0.35}, force=True)
-        assert forced["ok"] and gcs.actor().gains() != before
+        assert forced["ok"] and gcs.actor().offboard.gains() != before
 
 
 async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp_path: Path) -> None:
     async with aloft(tmp_path, params={"MPC_THR_HOVER": 0.47}) as gcs:
         await gcs.done("control.gains", xy={"pos_p_per_s": 0.9})
         await gcs.fly("attitude")
-        gains = gcs.actor().gains()
+        gains = gcs.actor().offboard.gains()
         assert gains["hover_thrust"] == pytest.approx(0.47, abs=1e-6) and gains["xy"]["pos_p_per_s"] == 0.9
 
 
