@@ -16,7 +16,7 @@ import sys
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeGuard, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import structlog
 from pydantic import ValidationError
@@ -45,6 +45,7 @@ from skygcs.rpc.error_codes import (
     TARGET_ERROR,
 )
 from skygcs.rpc.models import MethodParams
+from skygcs.rpc.order_reports import is_request_id
 from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80
@@ -52,8 +53,6 @@ MAX_ECHO_CHARS = 80
 
 _STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
 """A string without escapes, and the colon after it if it is a key."""
-
-RequestId = str | int | float
 
 _MAYBE_INFINITE = re.compile(rb"[0-9][eE]\+?[0-9]{3}|(?<![0-9])[0-9]{200}")
 """In each line with a number beyond the range of a float: with fewer digits and a shorter exponent it is within."""
@@ -359,11 +358,6 @@ def encode(value: object, *, serialize_unknown: bool = False) -> bytes:
     except PydanticSerializationError:
         plain = to_jsonable_python(value, inf_nan_mode="null", serialize_unknown=serialize_unknown)
         return json.dumps(plain, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
-
-
-def is_request_id(value: object) -> TypeGuard[RequestId]:
-    """True for text or a number."""
-    return isinstance(value, str | int | float) and not isinstance(value, bool)
 
 
 def key_twice(line: bytes) -> str | None:

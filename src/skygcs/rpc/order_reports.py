@@ -13,11 +13,10 @@ read. A request without the member gets no notification.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Protocol
-
-from skygcs.rpc.dispatch import is_request_id
+from typing import Any, Protocol, TypeGuard
 
 JsonObject = dict[str, Any]
+RequestId = str | int | float
 
 REPORT = "report"
 """The member of a request that asks for the outcomes as they come."""
@@ -56,6 +55,11 @@ class OrderReports:
     def ended_with(self, vehicle: str, outcome: JsonObject) -> None:
         """`ended` with an outcome as the reply has it."""
         self._client.notify(OUTCOME, {"request": self.request_id, "vehicle": vehicle, "outcome": outcome})
+
+
+def is_request_id(value: object) -> TypeGuard[RequestId]:
+    """True for text or a number."""
+    return isinstance(value, str | int | float) and not isinstance(value, bool)
 
 
 def wants_reports(request: dict[str, Any]) -> str | float | None:

@@ -27,10 +27,10 @@ from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, encode, error_reply, is_request_id, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, encode, error_reply, parse
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
-from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
+from skygcs.rpc.order_reports import REPORT, OrderReports, is_request_id, wants_reports
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 from skygcs.rpc.unix_socket import still_reads

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import skygcs.rpc
-from skygcs.rpc.dispatch import encode, is_request_id, parse
+from skygcs.rpc.dispatch import encode, parse
+from skygcs.rpc.order_reports import is_request_id
 from support.asked import asked
 from support.loops import on_every_loop
 

@@ -53,12 +53,11 @@ from skygcs.rpc.dispatch import (
     encode,
     error_reply,
     failure_reply,
-    is_request_id,
     parse,
     result_reply,
 )
 from skygcs.rpc.openrpc import document
-from skygcs.rpc.order_reports import OrderReports, wants_reports
+from skygcs.rpc.order_reports import OrderReports, is_request_id, wants_reports
 from skygcs.rpc.unix_socket import still_reads
 
 MAX_LINE_BYTES = 1 << 20
