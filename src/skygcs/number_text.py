@@ -1,9 +1,17 @@
-"""Numbers as they come from files and other programs, and as they are shown to people."""
+"""Text of files and other programs: numbers, as they come and as they are shown to people, and TOML."""
 
 from __future__ import annotations
 
 import math
-from typing import TypeGuard
+import re
+import tomllib
+from typing import Any, TypeGuard
+
+MAX_DOTS = 32
+"""Dots in one key; tables of ours are four deep."""
+
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DOTS}}}")
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
@@ -24,3 +32,15 @@ def rounded(value: float, decimals: int = 1) -> str:
     if value != 0.0 and float(text) == 0.0:
         return f"{value:.2g}"
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text of ours. Raises ValueError for what is none or cannot be: it is nested too deeply, a
+    number has more than 4300 digits, or a key more than `MAX_DOTS` dots (tomllib needs 1.6 GB for 20,000)."""
+    if (long := _LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, long.start()) + 1
+        raise ValueError(f"line {line}: a key has more than {MAX_DOTS} dots")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None

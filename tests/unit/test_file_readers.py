@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import random
 import re
 import tomllib
@@ -22,6 +23,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skygcs.cli import fleet_files, missions, params
+from skygcs.config import files
 from skygcs.config.loader import load_fleet
 from skygcs.config.router_import import import_router
 from skygcs.core.geo import Origin
@@ -36,6 +39,7 @@ from skygcs.core.trajectory import Piece as _Piece
 from skygcs.errors import SkygcsError
 from skygcs.ext.federation.hub_inventory import load_inventory
 from skygcs.ext.plans.position_table import parse_table
+from skygcs.number_text import parse_toml
 
 ORIGIN = Origin(47.4, 8.5, 400.0)
 
@@ -344,3 +348,53 @@ def test_a_show_that_unpacks_without_bound_is_refused_before_it_is_unpacked(pack
         archive.writestr("show.json", b" " * 100_000_000, packing)
     with pytest.raises(SkygcsError, match="zip it anew without bzip2 or lzma"):
         _of_plan("skyc")(file.getvalue(), Path())
+
+
+LONG_KEY = ".".join(["a"] * 20_000) + " = 1\n"
+
+
+@pytest.mark.parametrize("reader", [reader for reader in READERS if reader.kind == "toml"], ids=lambda r: r.name)
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (LONG_KEY, "line 1: a key has more than 32 dots"),
+        (f'\n["x".{".".join("abc" * 20)}]\n', "line 2: a key has more than 32 dots"),
+        ("a = " + "[" * 20_000 + "]" * 20_000, "nested too deeply"),
+        ("a = " + "9" * 6000, "digits"),
+    ],
+)
+def test_toml_that_costs_gigabytes_or_the_stack_is_a_problem(
+    reader: Reader, text: str, problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SkygcsError, match=problem):
+        reader.read(text.encode(), tmp_path)
+
+
+def test_dots_in_numbers_and_names_are_no_long_key() -> None:
+    text = "a = [" + ", ".join(["1.5"] * 500) + ']\nb."c.d" = "' + "x" * 100_000 + '"\n'
+    assert parse_toml(text)["b"]["c.d"] == "x" * 100_000
+
+
+ENDLESS: dict[str, Callable[[Path], object]] = {
+    "fleet file": load_fleet,
+    "hub's inventory": load_inventory,
+    "mission": missions.load_plan,
+    "parameters": params.read_file,
+    "mavlink-router's file": lambda path: fleet_files.import_router_file(path, None, force=False),
+}
+
+
+@pytest.mark.parametrize("read", ENDLESS.values(), ids=ENDLESS)
+def test_a_file_without_end_is_a_problem(read: Callable[[Path], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_NAMED_BYTES", 1 << 20)
+    with pytest.raises(SkygcsError, match="is larger than 1 MiB"):
+        read(Path("/dev/zero"))
+
+
+def test_a_plan_is_read_once_as_a_pipe_can_be() -> None:
+    reader, writer = os.pipe()
+    os.write(writer, PLAN)
+    os.close(writer)
+    imported, text = missions.load_plan(Path(f"/dev/fd/{reader}"))
+    os.close(reader)
+    assert imported.format == "plan" and text.encode() == PLAN

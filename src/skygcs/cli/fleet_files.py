@@ -14,6 +14,7 @@ from skygcs.cli.render import table
 from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
 from skygcs.config.extension_tables import TableOwner, find_owners
+from skygcs.config.files import read_named
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
@@ -146,7 +147,7 @@ def import_router_file(file: Path, output: Path | None, *, force: bool) -> int:
     be in one fleet file.
     """
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        text = read_named(file).decode("utf-8-sig")
     except OSError as error:
         raise ConfigError(str(file), [f"cannot be read: {error.strerror}"]) from None
     except UnicodeDecodeError as error:

@@ -22,7 +22,6 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import util
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -55,11 +54,16 @@ _NUMBERS = {"SSL_ERROR_WANT_READ": 2, "SSL_ERROR_WANT_WRITE": 3, "SSL_ERROR_SYSC
 """Values of OpenSSL's ssl.h; uvloop keeps them as C integers."""
 
 
+MAX_FLEET_BYTES = 4 << 20
+MAX_DOTS_OF_A_LINE = 2000
+"""A fleet of 250 vehicles has 40 kB; a list of numbers in one line may have some hundred dots."""
+
+
 def needs_tls(arguments: list[str]) -> bool:
     """True if one of these files has one of `TABLES_WITH_TLS`, or corrections from a caster over TLS."""
     for argument in arguments:
         try:
-            text = Path(argument).read_bytes() if argument.endswith(".toml") else b""
+            text = _beginning(argument) if argument.endswith(".toml") else b""
         except OSError:
             continue  # what is wrong with it is reported when it is read
         if any(name.encode() in text for name in (*TABLES_WITH_TLS, TLS_IN_AN_ADDRESS)) and _speaks_tls(text):
@@ -67,7 +71,15 @@ def needs_tls(arguments: list[str]) -> bool:
     return False
 
 
+def _beginning(file: str) -> bytes:
+    """The whole of a fleet file; of /dev/zero and the like not more than one can have. Raises OSError."""
+    with open(file, "rb") as opened:
+        return opened.read(MAX_FLEET_BYTES)
+
+
 def _speaks_tls(text: bytes) -> bool:
+    if any(line.count(b".") > MAX_DOTS_OF_A_LINE for line in text.splitlines()):
+        return False  # tomllib would need gigabytes; it is refused when it is read
     try:
         table = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):

@@ -10,8 +10,9 @@ import logging
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any, TextIO
+from typing import Any
 
+from skygcs.cli.log_stream import LogStream
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.terminal_text import visible
 
@@ -74,7 +75,7 @@ def readable(logger: Any, method: str, record: Any) -> Any:
 class LibraryLog(logging.StreamHandler[Any]):
     """Writes what libraries log (aiohttp, asyncio, nats), within the same bounds."""
 
-    def __init__(self, limit: LogLimit, stream: TextIO) -> None:
+    def __init__(self, limit: LogLimit, stream: LogStream) -> None:
         super().__init__(stream)
         self._limit = limit
 

@@ -34,6 +34,7 @@ from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Tar
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import finite, parse_number
 from skygcs.cli.render import event_line, plural, print_json
+from skygcs.config.files import read_named
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Change, Family, for_firmware, grouped
@@ -172,13 +173,14 @@ def _place(option: str, text: str) -> tuple[float, float]:
     return lat, lon
 
 
-def load_plan(file: Path) -> Imported:
-    """Raises PlanFileError, also if the file cannot be read."""
+def load_plan(file: Path) -> tuple[Imported, str]:
+    """The plan, and the text that it was read from: a pipe can be read but once. Raises PlanFileError, also if the file
+    cannot be read."""
     try:
-        content = file.read_bytes()
+        content = read_named(file)
     except OSError as error:
         raise PlanFileError(str(file), "", f"cannot be read: {error.strerror}") from None
-    return read_plan(content, str(file))
+    return read_plan(content, str(file)), content.decode("utf-8-sig")
 
 
 def _check_file(file: Path, request: _CheckRequest, json_output: bool) -> int:
@@ -190,7 +192,7 @@ def _check_file(file: Path, request: _CheckRequest, json_output: bool) -> int:
     from skygcs.config.models import FleetConfig
 
     try:
-        imported = load_plan(file)
+        imported, _ = load_plan(file)
     except PlanFileError as error:
         if not json_output:
             raise
@@ -208,7 +210,7 @@ def _check_file(file: Path, request: _CheckRequest, json_output: bool) -> int:
 
 def _convert_file(file: Path, out: Path, only: MissionType | None, family: Family | None, *, force: bool) -> int:
     """Write the plan to ``out``, changed for ``family``. Raises PlanFileError, DialectError, OSError."""
-    imported = load_plan(file)
+    imported, _ = load_plan(file)
     changes: tuple[Change, ...] = ()
     if family is not None:
         from skygcs.config.dialects import load_dialect
@@ -531,10 +533,10 @@ def upload(
         return exit_code(outcomes)
 
     def command() -> int:
-        imported = load_plan(file)
+        imported, text = load_plan(file)
         for note in imported.notes:
             typer.echo(f"note: {note}", err=True)
-        return asyncio.run(sent(file.read_text(encoding="utf-8-sig"), imported.plan))
+        return asyncio.run(sent(text, imported.plan))
 
     run_offline(command)
 

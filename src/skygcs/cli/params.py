@@ -19,7 +19,7 @@ from skygcs.cli.options import Json, OneVehicle, OrderJson, Targets
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.cli.render import plural, print_json, print_lines
-from skygcs.config.files import write_whole
+from skygcs.config.files import read_named, write_whole
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float, value_text
 from skygcs.core.params.compare import ApplyPlan, Change, Difference, diff, plan
 from skygcs.core.params.metadata import ParamMetadata
@@ -517,9 +517,10 @@ def include_of(text: str) -> frozenset[Sort]:
 def read_file(path: Path) -> ParamFile:
     """Raises ConfigError with line and reason."""
     try:
-        if path.stat().st_size > 4 * MAX_CHARS:
+        content = read_named(path)
+        if len(content) > 4 * MAX_CHARS:
             raise ConfigError(str(path), ["is too long for a parameter file"])
-        text = path.read_text(encoding="utf-8")
+        text = content.decode("utf-8")
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except UnicodeDecodeError as error:

@@ -26,6 +26,7 @@ from typing import IO, Any
 from skygcs.child_process import start_process
 from skygcs.cli.process import EXIT_FAILED, EXIT_OK, run_loop
 from skygcs.config.dialects import load_dialect
+from skygcs.config.files import read_named
 from skygcs.config.firmware import PROGRAMS, ArduPilot, Px4, find_ardupilot, find_px4
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
@@ -148,7 +149,7 @@ def _params(options: SitlOptions) -> dict[Autopilot, dict[str, str]]:
 def _params_of_file(path: Path) -> dict[Autopilot, dict[str, str]]:
     """A .params file with types is PX4's or ArduPilot's as its header says, a plain one is ArduPilot's."""
     try:
-        file = parse(path.read_text(encoding="utf-8-sig"), str(path))
+        file = parse(read_named(path).decode("utf-8-sig"), str(path))
     except OSError as error:
         raise ConfigError(str(path), [error.strerror or str(error)]) from None
     except UnicodeDecodeError:

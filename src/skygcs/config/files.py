@@ -36,6 +36,22 @@ def open_regular(path: Path) -> BinaryIO:
         raise
 
 
+MAX_NAMED_BYTES = 32 << 20
+"""No file that a person names for a command is larger: the largest plans are 25 MB."""
+
+
+def read_named(path: Path) -> bytes:
+    """Return what a file holds that a person names for a command; a pipe, as of the shell's <(…), is read to its end.
+
+    Raises OSError, also for more than `MAX_NAMED_BYTES`: a device such as /dev/zero has no end.
+    """
+    with path.open("rb") as file:
+        content = file.read(MAX_NAMED_BYTES + 1)
+    if len(content) > MAX_NAMED_BYTES:
+        raise OSError(errno.EFBIG, f"is larger than {MAX_NAMED_BYTES >> 20} MiB")
+    return content
+
+
 LOG_MODE = 0o640
 """Mode of a file that the daemon writes into a log folder: its owner's, and its group may read it. A umask takes more
 away, never gives more."""

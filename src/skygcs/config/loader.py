@@ -24,10 +24,12 @@ from skygcs.config.checks import (
 )
 from skygcs.config.dialects import load_dialect, located
 from skygcs.config.extension_tables import TableOwner, find_owners, installed, places_of_control
+from skygcs.config.files import read_named
 from skygcs.config.models import NO_TABLES, AnyLink, FleetConfig, LinkCommon, LinkConfig
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of, model_at, with_absolute_paths
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
+from skygcs.number_text import parse_toml
 from skygcs.spelling import near_names
 
 _CORE_TABLES = set(FleetConfig.model_fields) - NO_TABLES
@@ -135,7 +137,7 @@ def _listed(dialect: str | tuple[str, ...]) -> list[str]:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        return read_named(path).decode("utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
     except IsADirectoryError:
@@ -148,16 +150,14 @@ def _read(path: Path) -> str:
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         what, _, where = str(error).partition(" (at ")
         where = where.rstrip(")")
         if where == "end of document":
             where = f"line {max(len(text.splitlines()), 1)}, the end of the file"
         raise ConfigError(str(path), [f"{where}: not TOML: {what}"]) from None
-    except RecursionError:
-        raise ConfigError(str(path), ["not a fleet file: nested too deeply"]) from None
-    except ValueError as error:  # Python's own limit: a number of more than 4300 digits
+    except ValueError as error:
         raise ConfigError(str(path), [f"not a fleet file: {str(error).partition(';')[0].lower()}"]) from None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +14,7 @@ from skygcs.core.radio_link.capacity import AirTiming
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.stream_rates import rate_problem
 from skygcs.errors import ConfigError
+from skygcs.number_text import parse_toml
 
 Profile = Literal["monitor", "nav", "control", "full", "custom"]
 Nodes = Annotated[int, Field(ge=2, le=64)]
@@ -160,8 +160,8 @@ def read_timing_document(file: Path) -> dict[str, Any]:
     if len(content) > MAX_TIMING_BYTES:
         raise ConfigError(str(file), [f"is longer than {MAX_TIMING_BYTES} bytes: this is no timing file"])
     try:
-        document = tomllib.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested without end
+        document = parse_toml(content.decode("utf-8"))
+    except ValueError as error:  # not TOML, or not UTF-8
         raise ConfigError(str(file), [f"not a timing file: {error}"]) from None
     if document.get("kind") != TIMING_KIND or document.get("version") != TIMING_VERSION:
         text = f'kind must be "{TIMING_KIND}" and version {TIMING_VERSION}; is it written by skygcs-cli radio measure?'

@@ -11,6 +11,10 @@ SOCKET_VARIABLE = "SKYGCS_SOCKET"
 TOKEN_FILE_VARIABLE = "SKYGCS_TOKEN_FILE"
 
 
+MAX_TOKEN_CHARS = 4096
+"""A device such as /dev/zero has no end."""
+
+
 def default_socket_path() -> Path:
     """$XDG_RUNTIME_DIR/skygcs.sock, else /tmp/skygcs-UID/skygcs.sock: private to the user either way."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
@@ -47,6 +51,7 @@ def client_token() -> str | None:
     if not token_file:
         return None
     try:
-        return Path(token_file).read_text(encoding="utf-8").strip()
+        with open(token_file, encoding="utf-8") as file:
+            return file.read(MAX_TOKEN_CHARS).strip()
     except (OSError, UnicodeError) as error:
         raise SkygcsError(f"cannot read the token file {token_file}: {error}") from None

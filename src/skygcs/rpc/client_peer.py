@@ -21,7 +21,8 @@ from typing import Any, NamedTuple, cast
 import structlog
 
 from skygcs.rpc.error_codes import INVALID_REQUEST
-from skygcs.rpc.json_lines import LineBuffer, LineTooLong, encode, error_reply, notification
+from skygcs.rpc.json_lines import LineBuffer, LineTooLong, notification
+from skygcs.rpc.replies import encode, error_reply
 from skygcs.rpc.unix_socket import still_reads
 
 HIGH_WATER_BYTES = 256 * 1024

@@ -44,8 +44,9 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TARGET_ERROR,
 )
-from skygcs.rpc.json_lines import encode, error_reply, id_of, is_id, reply_of
+from skygcs.rpc.json_lines import id_of, is_id
 from skygcs.rpc.models import MethodParams
+from skygcs.rpc.replies import encode, error_reply, reply_of
 from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80

@@ -1,4 +1,5 @@
-"""JSON-RPC 2.0 as lines of bytes, for both sides of every socket: lines within a limit, and messages. No I/O.
+"""JSON-RPC 2.0 as lines of bytes, for both sides of every socket: lines within a limit, and how messages begin. No I/O,
+and no pydantic, for which a command of the shell would wait.
 
 A line ends with a newline. Blank lines are none, and a line beyond the limit is skipped to its end.
 https://www.jsonrpc.org/specification
@@ -7,8 +8,6 @@ https://www.jsonrpc.org/specification
 from __future__ import annotations
 
 import json
-
-from pydantic_core import PydanticSerializationError, to_json, to_jsonable_python
 
 MAX_LINE_BYTES = 1 << 20
 """Longest line that a daemon or a station takes. A request is a few hundred bytes, a full batch of the largest messages
@@ -90,19 +89,6 @@ class LineBuffer:
         return lines
 
 
-def encode(value: object, *, serialize_unknown: bool = False) -> bytes:
-    """JSON in UTF-8. NaN and Infinity, which JSON lacks, become null; what is no valid Unicode, as in the name of a
-    file, becomes a question mark.
-
-    ``serialize_unknown``: a value without a form in JSON becomes text; else PydanticSerializationError is raised.
-    """
-    try:
-        return to_json(value, inf_nan_mode="null", serialize_unknown=serialize_unknown)
-    except PydanticSerializationError:
-        plain = to_jsonable_python(value, inf_nan_mode="null", serialize_unknown=serialize_unknown)
-        return json.dumps(plain, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
-
-
 def is_id(value: object) -> bool:
     """True if a request may have this id."""
     return value is None or (isinstance(value, str | int | float) and not isinstance(value, bool))
@@ -114,22 +100,9 @@ def id_of(request: object) -> Id:
     return value if is_id(value) else None
 
 
-def reply_of(request_id: object, result: bytes) -> bytes:
-    """The reply with a result, which is JSON."""
-    return b'%b%b,"result":%b}' % (ANSWER, encode(request_id), result)
-
-
-def error_reply(request_id: object, code: int, message: str, data: object = None) -> bytes:
-    """The reply with an error (`skygcs.rpc.error_codes`)."""
-    error: dict[str, object] = {"code": code, "message": message}
-    if data is not None:
-        error["data"] = data
-    return b'%b%b,"error":%b}' % (ANSWER, encode(request_id), encode(error, serialize_unknown=True))
-
-
 def notification(method: str, params: bytes) -> bytes:
     """A notification, whose parameters are JSON."""
-    return b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (encode(method), params)
+    return b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (json.dumps(method).encode(), params)
 
 
 def notification_start(method: str, member: str) -> bytes:

@@ -19,8 +19,8 @@ from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Encoded, Method
-from skygcs.rpc.json_lines import encode
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
+from skygcs.rpc.replies import encode
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000

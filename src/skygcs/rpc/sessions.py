@@ -26,10 +26,11 @@ from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, parse
-from skygcs.rpc.json_lines import MAX_LINE_BYTES, error_reply, id_of
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
+from skygcs.rpc.replies import error_reply
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 

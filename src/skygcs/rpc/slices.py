@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
-from skygcs.rpc.json_lines import encode
+from skygcs.rpc.replies import encode
 from skygcs.runtime.loop_clock import exact_clock
 
 SLICE_S = 0.0006

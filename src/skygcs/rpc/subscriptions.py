@@ -19,9 +19,10 @@ from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import TargetError
 from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.rpc.json_lines import EVENT_START, MESSAGE_START, PLAN_START, TELEMETRY_START, encode
+from skygcs.rpc.json_lines import EVENT_START, MESSAGE_START, PLAN_START, TELEMETRY_START
 from skygcs.rpc.messages import find_message
 from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.replies import encode
 from skygcs.rpc.slices import Slices
 from skygcs.runtime.vehicle_actor import VehicleActor
 

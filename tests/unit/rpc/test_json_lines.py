@@ -9,16 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.rpc.json_lines import (
-    LineBuffer,
-    LineTooLong,
-    encode,
-    error_reply,
-    id_of,
-    notification,
-    notification_start,
-    reply_of,
-)
+from skygcs.rpc.json_lines import LineBuffer, LineTooLong, id_of, notification, notification_start
+from skygcs.rpc.replies import encode, error_reply, reply_of
 from support.table import each
 
 LIMIT = 8

@@ -12,9 +12,9 @@ import pytest
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
 from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Method, MethodTable, Reply
-from skygcs.rpc.json_lines import error_reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
+from skygcs.rpc.replies import error_reply
 
 
 def add_one(calls: list[str], _: NoParams) -> int:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -24,9 +23,11 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from skygcs.config.addresses import HostAndPort, host_and_port
+from skygcs.config.files import read_named
 from skygcs.config.tables import KeyPath, Model, key_lines, line_of
 from skygcs.errors import ConfigError
 from skygcs.ext.federation.config import ANY_SITE, SITE_PATTERN, ServerAddress, is_loopback
+from skygcs.number_text import parse_toml
 
 MAX_USERS = 1000
 MAX_INVENTORY_BYTES = 4 << 20
@@ -134,7 +135,7 @@ class HubInventory(Model):
 def load_inventory(path: Path) -> HubInventory:
     """The inventory, its relative paths resolved against its folder. Raises ConfigError with every problem."""
     try:
-        raw = path.read_bytes()
+        raw = read_named(path)
         text = raw.decode("utf-8-sig") if len(raw) <= MAX_INVENTORY_BYTES else ""
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
@@ -143,8 +144,8 @@ def load_inventory(path: Path) -> HubInventory:
     if len(raw) > MAX_INVENTORY_BYTES:
         raise ConfigError(str(path), [f"is longer than {MAX_INVENTORY_BYTES >> 20} MiB: not an inventory"])
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = parse_toml(text)
+    except ValueError as error:
         raise ConfigError(str(path), [f"not TOML: {error}"]) from None
     if "federation" in table or "links" in table:
         raise ConfigError(

@@ -20,12 +20,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from skygcs.errors import ConfigError
+from skygcs.number_text import parse_toml
 
 Which = Literal["initial", "final"]
 WHICH: tuple[Which, Which] = ("initial", "final")
@@ -118,8 +118,8 @@ def _csv_places(cells: Mapping[str, str]) -> dict[str, Any]:
 
 def _from_toml(text: str, problems: list[str]) -> Table:
     try:
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        document = parse_toml(text)
+    except ValueError as error:
         problems.append(str(error))
         return {}
     vehicles = document.pop("vehicles", {})

@@ -12,12 +12,12 @@ from __future__ import annotations
 import difflib
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 from skygcs.errors import ConfigError
+from skygcs.number_text import parse_toml
 
 SERIAL_BAUD: Mapping[int, int] = {
     1: 1200,
@@ -279,8 +279,8 @@ def from_toml(text: str, source: str) -> RadioState:
     if len(text) > MAX_BYTES:
         raise ConfigError(source, [f"longer than {MAX_BYTES} bytes: this is no backup of a radio"])
     try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        document = parse_toml(text)
+    except ValueError as error:
         raise ConfigError(source, [str(error)]) from None
     problems = []
     radio, registers = document.get("radio"), document.get("registers")

@@ -18,8 +18,9 @@ from skygcs.core.geo import Origin
 from skygcs.errors import TargetError
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SiteTargets, qualified, select_at
-from skygcs.rpc.json_lines import EVENT_START, TELEMETRY_START, encode
+from skygcs.rpc.json_lines import EVENT_START, TELEMETRY_START
 from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.replies import encode
 
 DEFAULT_RATE_HZ = 2.0
 """Default rate, the same as the daemon's."""

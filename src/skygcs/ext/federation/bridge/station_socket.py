@@ -19,7 +19,7 @@ from skygcs.ext.federation.bridge.station_client import StationClient
 from skygcs.ext.federation.bridge.station_services import StationServices
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Dispatcher, Method
-from skygcs.rpc.json_lines import error_reply
+from skygcs.rpc.replies import error_reply
 from skygcs.rpc.unix_socket import UnixSocket
 
 IN_USE = "another process of skygcs federation listens on {path}; stop it, or give this one another --socket"
