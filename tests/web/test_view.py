@@ -183,6 +183,7 @@ def test_nothing_is_drawn_while_nothing_changes(
     station.stop_daemon()
     expect(page.locator(".banner.danger")).to_contain_text("No daemon")
     expect(page.locator("tr.row[data-heard=false]")).to_have_count(1)
+    until(page, "skygcs.view.scene.bodies.every(body => !body.heard)")  # on the canvas, too, and then it rests
     page.wait_for_timeout(1500)
     before = page.evaluate("skygcs.view.figures.frames")
     page.wait_for_timeout(2000)

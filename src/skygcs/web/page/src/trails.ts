@@ -61,8 +61,6 @@ export class Trail {
 
 export class Trails {
   readonly byName = new Map<string, Trail>();
-  /** Rises with each change. */
-  version = 0;
   private originGeneration: number | null = null;
 
   /** Takes a batch of states. A new origin begins all trails anew: their metres were counted from another place. */
@@ -83,12 +81,11 @@ export class Trails {
         trail = new Trail();
         this.byName.set(name, trail);
       }
-      if (trail.add(enu[0], enu[1], enu[2])) this.version += 1;
+      trail.add(enu[0], enu[1], enu[2]);
     }
   }
 
   clear(): void {
     this.byName.clear();
-    this.version += 1;
   }
 }

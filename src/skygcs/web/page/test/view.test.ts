@@ -170,7 +170,7 @@ test("a moving vehicle is carried on between two reports, not through a silence"
   const silent = scene([moving], 60_000).scene;
   assert.equal(silent.bodies[0]?.heard, false);
   assert.equal(silent.bodies[0].x, 0);
-  assert.equal(silent.moving, false);
+  assert.equal(silent.acrossMps, 0);
 });
 
 test("the label of a vehicle that is not heard says so instead of its last height", () => {

@@ -1,4 +1,4 @@
-// Drawing on the canvas. Everything of one colour is one path: with two hundred vehicles the number of strokes is what costs.
+// Drawing on the canvas. Everything of one colour is one path.
 
 import type { Camera } from "./camera.ts";
 import { lengthText, niceLengthM, toScreenX, toScreenY, toWorld } from "./camera.ts";
@@ -8,11 +8,10 @@ import type { Frame } from "./frame.ts";
 import { leaderOf, type Box, type Placement } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
+import { Paths } from "./paths.ts";
 import type { Body, Meeting } from "./scene.ts";
-import { angleOf, directionOf, type Sprites } from "./sprites.ts";
+import { angleOf, directionOf, type Drawing, type Pen, type Sprites } from "./sprites.ts";
 import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
-
-export type Pen = CanvasRenderingContext2D;
 
 const GRID_PX = 96;
 /** The scale bar is as long at most. */
@@ -37,38 +36,26 @@ export function drawGrid(pen: Pen, camera: Camera, palette: Palette): void {
   const minor = niceLengthM(camera.pxPerM, GRID_PX / 2);
   gridLines(pen, camera, minor, palette.gridMinor);
   gridLines(pen, camera, major, palette.gridMajor);
-  pen.strokeStyle = palette.axis;
-  pen.beginPath();
-  const x = crisp(toScreenX(camera, 0));
-  const y = crisp(toScreenY(camera, 0));
-  pen.moveTo(x, 0);
-  pen.lineTo(x, camera.heightPx);
-  pen.moveTo(0, y);
-  pen.lineTo(camera.widthPx, y);
-  pen.stroke();
+  pen.fillStyle = palette.axis;
+  lineDown(pen, toScreenX(camera, 0), 0, camera.heightPx);
+  lineAcross(pen, camera, toScreenY(camera, 0));
 }
 
 function gridLines(pen: Pen, camera: Camera, step: number, colour: string): void {
   const { x: left, y: top } = toWorld(camera, 0, 0);
   const { x: right, y: bottom } = toWorld(camera, camera.widthPx, camera.heightPx);
-  pen.strokeStyle = colour;
-  pen.lineWidth = 1;
-  pen.beginPath();
-  for (let i = Math.ceil(left / step); i * step <= right; i++) {
-    const x = crisp(toScreenX(camera, i * step));
-    pen.moveTo(x, 0);
-    pen.lineTo(x, camera.heightPx);
-  }
-  for (let i = Math.ceil(bottom / step); i * step <= top; i++) {
-    const y = crisp(toScreenY(camera, i * step));
-    pen.moveTo(0, y);
-    pen.lineTo(camera.widthPx, y);
-  }
-  pen.stroke();
+  pen.fillStyle = colour;
+  for (let i = Math.ceil(left / step); i * step <= right; i++) lineDown(pen, toScreenX(camera, i * step), 0, camera.heightPx);
+  for (let i = Math.ceil(bottom / step); i * step <= top; i++) lineAcross(pen, camera, toScreenY(camera, i * step));
 }
 
-function crisp(px: number): number {
-  return Math.round(px) + 0.5;
+/** Thin upright and level lines are filled: a stroke of them is smoothed over all of the canvas, which costs a millisecond. */
+export function lineDown(pen: Pen, xPx: number, fromPx: number, toPx: number): void {
+  pen.fillRect(Math.round(xPx), fromPx, 1, toPx - fromPx);
+}
+
+export function lineAcross(pen: Pen, camera: Camera, yPx: number): void {
+  pen.fillRect(0, Math.round(yPx), camera.widthPx, 1);
 }
 
 /** Where `drawScale` draws: no label is put there. */
@@ -87,6 +74,12 @@ export function attributionBox(camera: Camera, text: string): Box[] {
   return text === "" ? [] : [{ left: widthPx - 16 - 6 * text.length, top: heightPx - 22, right: widthPx, bottom: heightPx }];
 }
 
+/** Begins a path through these points. */
+function trace(pen: Pen, points: readonly (readonly [number, number])[]): void {
+  pen.beginPath();
+  for (const [x, y] of points) pen.lineTo(x, y);
+}
+
 /** Scale bar, north, and where the axes point, on the lower left; above the side view if there is one. */
 export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Frame | null): void {
   const length = niceLengthM(camera.pxPerM, SCALE_PX);
@@ -96,11 +89,7 @@ export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Fra
   pen.lineWidth = 2;
   pen.strokeStyle = palette.text;
   pen.lineCap = "butt";
-  pen.beginPath();
-  pen.moveTo(x, y - 5);
-  pen.lineTo(x, y);
-  pen.lineTo(x + widthPx, y);
-  pen.lineTo(x + widthPx, y - 5);
+  trace(pen, [[x, y - 5], [x, y], [x + widthPx, y], [x + widthPx, y - 5]]);
   pen.stroke();
   pen.font = `12px ${palette.font}`;
   pen.textAlign = "left";
@@ -139,20 +128,12 @@ function drawNorth(pen: Pen, x: number, y: number, palette: Palette, frame: Fram
   pen.save();
   pen.translate(x, y);
   pen.rotate(-turn);
-  pen.beginPath();
-  pen.moveTo(0, -18);
-  pen.lineTo(6, 4);
-  pen.lineTo(0, 0);
-  pen.closePath();
-  pen.fillStyle = palette.text;
-  pen.fill();
-  pen.beginPath();
-  pen.moveTo(0, -18);
-  pen.lineTo(-6, 4);
-  pen.lineTo(0, 0);
-  pen.closePath();
-  pen.fillStyle = palette.muted;
-  pen.fill();
+  for (const [side, colour] of [[6, palette.text], [-6, palette.muted]] as const) {
+    trace(pen, [[0, -18], [side, 4], [0, 0]]);
+    pen.closePath();
+    pen.fillStyle = colour;
+    pen.fill();
+  }
   pen.restore();
   pen.font = `600 11px ${palette.font}`;
   pen.textAlign = "center";
@@ -169,51 +150,27 @@ export function haloText(pen: Pen, text: string, x: number, y: number, colour: s
   pen.fillText(text, x, y);
 }
 
+const TRAIL_PX = 1.5;
+const TRAIL_ALPHA = 0.75;
+
 /** All trails on a layer of their own. The older half is fainter. */
-export function drawTrails(
-  pen: Pen,
-  camera: Camera,
-  trails: Trails,
-  colours: ReadonlyMap<string, string>,
-  lost: string,
-): void {
-  const byColour = new Map<string, { old: Path2D; recent: Path2D }>();
+export function drawTrails(pen: Pen, camera: Camera, trails: Trails, colours: Colours, lost: string): void {
+  const [old, recent] = [new Paths(), new Paths()];
   for (const [name, trail] of trails.byName) {
     const colour = colours.get(name) ?? lost;
-    let paths = byColour.get(colour);
-    if (paths === undefined) {
-      paths = { old: new Path2D(), recent: new Path2D() };
-      byColour.set(colour, paths);
-    }
-    tracePoints(camera, trail, paths);
+    tracePoints(camera, trail, { old: old.of(colour), recent: recent.of(colour) });
     trail.drawn = trail.added;
   }
-  pen.lineWidth = 1.5;
-  pen.lineJoin = "round";
-  for (const [colour, { old, recent }] of byColour) {
-    pen.strokeStyle = colour;
-    pen.globalAlpha = 0.3;
-    pen.stroke(old);
-    pen.globalAlpha = 0.75;
-    pen.stroke(recent);
-  }
-  pen.globalAlpha = 1;
+  old.stroke(pen, TRAIL_PX, 0.3);
+  recent.stroke(pen, TRAIL_PX, TRAIL_ALPHA);
 }
 
 /** Adds what has come since to the layer that `drawTrails` has drawn. */
-export function extendTrails(
-  pen: Pen,
-  camera: Camera,
-  trails: Trails,
-  colours: ReadonlyMap<string, string>,
-  lost: string,
-): void {
-  const byColour = new Map<string, Path2D>();
+export function extendTrails(pen: Pen, camera: Camera, trails: Trails, colours: Colours, lost: string): void {
+  const paths = new Paths();
   for (const [name, trail] of trails.byName) {
     if (trail.drawn === trail.added) continue;
-    const colour = colours.get(name) ?? lost;
-    const path = byColour.get(colour) ?? new Path2D();
-    byColour.set(colour, path);
+    const path = paths.of(colours.get(name) ?? lost);
     if (trail.drawnEnd !== null) path.moveTo(toScreenX(camera, trail.drawnEnd[0]), toScreenY(camera, trail.drawnEnd[1]));
     trail.each((x, y, _z, joined) => {
       if (joined) path.lineTo(toScreenX(camera, x), toScreenY(camera, y));
@@ -222,14 +179,7 @@ export function extendTrails(
     }, trail.added - trail.drawn);
     trail.drawn = trail.added;
   }
-  pen.lineWidth = 1.5;
-  pen.lineJoin = "round";
-  pen.globalAlpha = 0.75;
-  for (const [colour, path] of byColour) {
-    pen.strokeStyle = colour;
-    pen.stroke(path);
-  }
-  pen.globalAlpha = 1;
+  paths.stroke(pen, TRAIL_PX, TRAIL_ALPHA);
 }
 
 function tracePoints(camera: Camera, trail: Trail, paths: { old: Path2D; recent: Path2D }): void {
@@ -405,34 +355,17 @@ export function drawOrigin(pen: Pen, camera: Camera, palette: Palette): void {
 }
 
 /** From the end of each trail to where its vehicle is now: the trails' layer is some tenths of a second old. */
-export function drawTrailEnds(
-  pen: Pen,
-  camera: Camera,
-  trails: Trails,
-  bodies: readonly Body[],
-  colourOf: (body: Body) => string,
-): void {
-  const byColour = new Map<string, Path2D>();
+export function drawTrailEnds(pen: Pen, camera: Camera, trails: Trails, bodies: readonly Body[], colourOf: (body: Body) => string): void {
+  const paths = new Paths();
   for (const body of bodies) {
     const from = trails.byName.get(body.name)?.drawnEnd;
     if (from === undefined || from === null || !body.heard) continue;
     if (Math.hypot(body.x - from[0], body.y - from[1]) > TRAIL_JUMP_M) continue;
-    const colour = colourOf(body);
-    let path = byColour.get(colour);
-    if (path === undefined) {
-      path = new Path2D();
-      byColour.set(colour, path);
-    }
+    const path = paths.of(colourOf(body));
     path.moveTo(toScreenX(camera, from[0]), toScreenY(camera, from[1]));
     path.lineTo(toScreenX(camera, body.x), toScreenY(camera, body.y));
   }
-  pen.lineWidth = 1.5;
-  pen.globalAlpha = 0.75;
-  for (const [colour, path] of byColour) {
-    pen.strokeStyle = colour;
-    pen.stroke(path);
-  }
-  pen.globalAlpha = 1;
+  paths.stroke(pen, TRAIL_PX, TRAIL_ALPHA);
 }
 
 /** From each vehicle to where it is sent. */
@@ -521,11 +454,10 @@ export function drawBodies(
     for (const body of bodies) {
       if ((body.armed && body.heard) !== filled) continue;
       const colour = colourOf(body);
-      const direction = body.yawRad === null ? -1 : directionOf(body.yawRad);
-      const key = `${filled ? "f" : "h"}${colour}${direction}`;
-      sprites.draw(pen, key, BODY_PX, toScreenX(camera, body.x), toScreenY(camera, body.y), (on) => {
-        drawBody(on, palette, direction, colour, filled);
-      });
+      const direction = body.yawRad === null ? null : directionOf(body.yawRad);
+      const key = `${filled ? "f" : "h"}${direction === null ? "" : "d"}${colour}`;
+      const drawing: Drawing = (on, one) => drawBody(on, palette, direction === null ? null : angleOf(one), colour, filled);
+      sprites.draw(pen, key, BODY_PX, toScreenX(camera, body.x), toScreenY(camera, body.y), drawing, direction);
     }
   }
   troubleRings(pen, camera, palette, bodies);
@@ -535,26 +467,20 @@ export function drawBodies(
 /** Many vehicles, from afar: dots, smaller of what is on the ground. */
 export function drawDots(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], colourOf: (body: Body) => string): void {
   selectionRings(pen, camera, palette, bodies, 0.5);
-  const byColour = new Map<string, Path2D>();
+  const paths = new Paths();
   for (const body of bodies) {
-    const colour = colourOf(body);
-    let path = byColour.get(colour);
-    if (path === undefined) byColour.set(colour, (path = new Path2D()));
     const half = body.armed && body.heard ? 3 : 2;
-    path.rect(Math.round(toScreenX(camera, body.x)) - half, Math.round(toScreenY(camera, body.y)) - half, 2 * half, 2 * half);
+    paths.of(colourOf(body)).rect(Math.round(toScreenX(camera, body.x)) - half, Math.round(toScreenY(camera, body.y)) - half, 2 * half, 2 * half);
   }
-  for (const [colour, path] of byColour) {
-    pen.fillStyle = colour;
-    pen.fill(path);
-  }
+  paths.fill(pen);
   troubleRings(pen, camera, palette, bodies, 0.5);
 }
 
-function drawBody(pen: Pen, palette: Palette, direction: number, colour: string, filled: boolean): void {
+function drawBody(pen: Pen, palette: Palette, yawRad: number | null, colour: string, filled: boolean): void {
   pen.lineJoin = "round";
   pen.beginPath();
-  if (direction < 0) pen.arc(0, 0, 6, 0, 7);
-  else dart(pen, 0, 0, angleOf(direction), GLYPH_PX);
+  if (yawRad === null) pen.arc(0, 0, 6, 0, 7);
+  else dart(pen, 0, 0, yawRad, GLYPH_PX);
   pen.fillStyle = filled ? colour : palette.ground;
   pen.strokeStyle = filled ? palette.ground : colour;
   pen.lineWidth = filled ? 2.5 : 1.75;
@@ -602,9 +528,7 @@ function crossSign(pen: Pen, ground: string, colour: string): void {
   pen.fill();
   pen.strokeStyle = ground;
   pen.lineWidth = 2;
-  pen.beginPath();
-  pen.moveTo(-2.5, -2.5);
-  pen.lineTo(2.5, 2.5);
+  trace(pen, [[-2.5, -2.5], [2.5, 2.5]]);
   pen.moveTo(2.5, -2.5);
   pen.lineTo(-2.5, 2.5);
   pen.stroke();
@@ -613,17 +537,12 @@ function crossSign(pen: Pen, ground: string, colour: string): void {
 /** A triangle with an exclamation mark on it, about 0, 0. */
 function triangleSign(pen: Pen, ground: string, colour: string): void {
   pen.fillStyle = colour;
-  pen.beginPath();
-  pen.moveTo(0, -7);
-  pen.lineTo(7.5, 6);
-  pen.lineTo(-7.5, 6);
+  trace(pen, [[0, -7], [7.5, 6], [-7.5, 6]]);
   pen.closePath();
   pen.fill();
   pen.strokeStyle = ground;
   pen.lineWidth = 1.75;
-  pen.beginPath();
-  pen.moveTo(0, -3);
-  pen.lineTo(0, 2);
+  trace(pen, [[0, -3], [0, 2]]);
   pen.moveTo(0, 3.25);
   pen.lineTo(0, 5);
   pen.stroke();

@@ -10,7 +10,7 @@ import { LabelSprites, LABEL_HEIGHT_PX, LABEL_WIDTH_PX, placeLabels, widthOf, ty
 import { MapLayer } from "./map_layer.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
-import { Sprites } from "./sprites.ts";
+import { Sprites, type Pen } from "./sprites.ts";
 import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
 import { drawSide, sidePxOf, topOf } from "./side_view.ts";
 
@@ -21,13 +21,18 @@ const HIT_PX = 18;
 /** Between the buttons and a vehicle that is fitted into the view: its ring has a radius of 19. */
 const BELOW_BUTTONS_PX = 24;
 const LABELS_EVERY_MS = 150;
-/** While the view moves, trails are drawn anew so often, or when that took long, in a tenth of the time. */
+/** So often what has come is added to the trails: the layer is copied each time. While the view moves they are drawn anew so
+ *  often, or when that took long, in a tenth of the time. */
 const TRAILS_EVERY_MS = 200;
 const TRAILS_SHARE = 10;
 /** What has fallen out of the trails' bounds goes away with the next full drawing. */
 const TRAILS_ANEW_MS = 10_000;
 /** A frame that takes longer to draw is followed by a pause of as long, so that the page stays quick to answer. */
 const SLOW_DRAW_MS = 10;
+/** A vehicle is shown as silent though nothing comes any more, of it or of others. */
+const AGES_EVERY_MS = 1000;
+/** A pause that is shorter than a frame of the screen is none. */
+const SCREEN_FRAME_MS = 17;
 
 /** More vehicles at once are dots, and have no label but those that need a person. */
 const MANY_SHOWN = 200;
@@ -59,14 +64,17 @@ export class FleetView {
   /** What lies on the canvas: buttons. */
   buttons: () => readonly Box[] = () => [];
   private canvas: HTMLCanvasElement | null = null;
-  private pen: draw.Pen | null = null;
+  private pen: Pen | null = null;
   private palette: Palette | null = null;
   private ratio = 1;
   /** Of the whole canvas. */
   private heightPx = 0;
-  private scene: Scene = { bodies: [], moving: false };
+  private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0 };
   private arrows: readonly Arrow[] = [];
   private requested = false;
+  /** A frame that is drawn later unless another one comes first. */
+  private later: ReturnType<typeof setTimeout> | undefined;
+  private laterAtMs = Infinity;
   /** Vehicles that the view was fitted to; it is fitted anew with each further one until a person moves it. */
   private fittedTo = 0;
   private moved = false;
@@ -77,7 +85,7 @@ export class FleetView {
   private placements = new Map<string, Placement>();
   private placedMs = 0;
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
-  private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
+  private trailsDrawn: { camera: Camera; ms: number; tookMs: number; addedMs: number } | null = null;
   private readonly map = new MapLayer(() => this.redraw());
   private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
@@ -85,7 +93,7 @@ export class FleetView {
   constructor(readonly store: Store) {
     store.subscribe((state) => {
       this.onState(state);
-      this.redraw();
+      if (this.canvas !== null && !this.requested) this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
     });
     const anew = (): void => {
       this.palette = null;
@@ -283,6 +291,8 @@ export class FleetView {
   }
 
   private drawTimed(): void {
+    clearTimeout(this.later);
+    this.laterAtMs = Infinity;
     const begun = performance.now();
     try {
       this.drawAll(begun);
@@ -295,9 +305,20 @@ export class FleetView {
     this.figures.frames += 1;
     this.figures.lastMs = took;
     this.figures.longestMs = Math.max(this.figures.longestMs, took);
-    if (!this.scene.moving || this.stillMotion.matches) return;
-    if (took > SLOW_DRAW_MS) setTimeout(() => this.redraw(), took);
-    else this.redraw();
+    const { camera, scene } = this;
+    const sidePxPerM = this.options.side ? (this.heightPx - camera.heightPx) / Math.max(this.sideTopM, 1) : 0;
+    const pauseMs = pauseBefore(Math.max(scene.acrossMps * camera.pxPerM, scene.upMps * sidePxPerM) * this.ratio);
+    if (scene.bodies.some(({ heard }) => heard)) this.redrawIn(Math.min(Math.max(pauseMs, took > SLOW_DRAW_MS ? took : 0), AGES_EVERY_MS));
+  }
+
+  /** Draws after so long, if nothing is drawn before. */
+  private redrawIn(ms: number): void {
+    const atMs = performance.now() + ms;
+    if (ms <= 0) this.redraw();
+    if (ms <= 0 || atMs >= this.laterAtMs) return;
+    clearTimeout(this.later);
+    this.laterAtMs = atMs;
+    this.later = setTimeout(() => this.redraw(), ms);
   }
 
   private drawAll(nowMs: number): void {
@@ -344,7 +365,7 @@ export class FleetView {
     }
   }
 
-  private drawArrows(pen: draw.Pen, camera: Camera, palette: Palette, colours: draw.Colours): void {
+  private drawArrows(pen: Pen, camera: Camera, palette: Palette, colours: draw.Colours): void {
     const shown = new Set(this.visible(camera));
     const hidden = this.scene.bodies.filter((body) => !shown.has(body));
     const places = hidden.map((body) => ({ name: body.name, x: body.x, y: body.y, urgency: (isAlarming(body) ? 2 : 0) + (body.selected ? 1 : 0) }));
@@ -382,7 +403,7 @@ export class FleetView {
   }
 
   /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
-  private drawTrails(pen: draw.Pen, camera: Camera, palette: Palette, colourOf: (body: Body) => string, nowMs: number): void {
+  private drawTrails(pen: Pen, camera: Camera, palette: Palette, colourOf: (body: Body) => string, nowMs: number): void {
     const { trails } = this.store;
     if (trails.byName.size === 0) {
       this.trailsDrawn = null;
@@ -394,14 +415,17 @@ export class FleetView {
     const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
     const same = drawn !== null && sameCamera(drawn.camera, camera);
     const pauseMs = same ? TRAILS_ANEW_MS : Math.max(TRAILS_EVERY_MS, (drawn?.tookMs ?? 0) * TRAILS_SHARE);
-    layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     if (drawn === null || nowMs - drawn.ms > pauseMs) {
+      layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
       layer.clearRect(0, 0, camera.widthPx, this.heightPx);
       draw.drawTrails(layer, camera, trails, colours, palette.lost);
-      this.trailsDrawn = { camera, ms: nowMs, tookMs: performance.now() - nowMs };
+      this.trailsDrawn = { camera, ms: nowMs, tookMs: performance.now() - nowMs, addedMs: nowMs };
     } else {
-      draw.extendTrails(layer, drawn.camera, trails, colours, palette.lost);
-      if (!same) setTimeout(() => this.redraw(), pauseMs);
+      if (nowMs - drawn.addedMs > TRAILS_EVERY_MS) {
+        drawn.addedMs = nowMs;
+        draw.extendTrails(layer, drawn.camera, trails, colours, palette.lost);
+      }
+      if (!same) this.redrawIn(pauseMs - (nowMs - drawn.ms));
     }
     const from = (this.trailsDrawn ?? { camera }).camera;
     const scale = camera.pxPerM / from.pxPerM;
@@ -412,7 +436,7 @@ export class FleetView {
     pen.imageSmoothingEnabled = true;
   }
 
-  private drawLabels(pen: draw.Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
+  private drawLabels(pen: Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
     this.labels.beginFrame();
     const sprites = shown.map((body) =>
       this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs),
@@ -445,15 +469,22 @@ export class FleetView {
     shown.forEach((body, i) => {
       const at = this.placements.get(body.name);
       const sprite = sprites[i];
-      if (at === undefined || sprite === undefined) return;
+      if (at === undefined || sprite == null) return;
       const x = Math.round((toScreenX(camera, body.x) + at.dx) * this.ratio) / this.ratio;
       const y = Math.round((toScreenY(camera, body.y) + at.dy) * this.ratio) / this.ratio;
       const height = at.full ? LABEL_HEIGHT_PX : LABEL_HEIGHT_PX / 2;
       const width = Math.min(Math.ceil(widthOf(sprite, at.full)), LABEL_WIDTH_PX);
-      pen.drawImage(sprite.canvas, 0, 0, width * this.ratio, height * this.ratio, x, y, width, height);
+      pen.drawImage(sprite.picture, 0, 0, width * this.ratio, height * this.ratio, x, y, width, height);
     });
     pen.imageSmoothingEnabled = true;
   }
+}
+
+/** Until what moves at so many pixels of the screen a second has moved one: no frame before would differ. */
+function pauseBefore(pxPerS: number): number {
+  if (pxPerS <= 0) return Infinity;
+  const ms = 1000 / pxPerS;
+  return ms <= 2 * SCREEN_FRAME_MS ? 0 : ms - SCREEN_FRAME_MS;
 }
 
 function labelTone({ trouble, heard }: Body): LabelTone {

@@ -13,7 +13,8 @@ const REWRITE_MS = 250;
 const REWRITES_A_FRAME = 20;
 
 interface Sprite {
-  canvas: HTMLCanvasElement;
+  /** It does not change: of a canvas that might, Chromium takes a copy each time it is drawn. */
+  picture: ImageBitmap;
   key: string;
   writtenMs: number;
   widthPx: number;
@@ -26,6 +27,7 @@ export type LabelTone = "plain" | "dim" | "danger";
 
 export class LabelSprites {
   private readonly sprites = new Map<string, Sprite>();
+  private pen: OffscreenCanvasRenderingContext2D | null = null;
   private ratio = 1;
   private rewritesLeft = 0;
 
@@ -36,11 +38,12 @@ export class LabelSprites {
   /** Colours, fonts or the screen changed. */
   clear(ratio: number): void {
     this.ratio = ratio;
-    this.sprites.clear();
+    this.pen = new OffscreenCanvas(Math.ceil(WIDTH_PX * ratio), Math.ceil(HEIGHT_PX * ratio)).getContext("2d");
+    this.sprites.clear(); // not closed: those of the frame that is being drawn are still needed
   }
 
   /** The picture of a label and its width. */
-  get(id: string, first: string, second: string, tone: LabelTone, palette: Palette, nowMs: number): Sprite {
+  get(id: string, first: string, second: string, tone: LabelTone, palette: Palette, nowMs: number): Sprite | null {
     const key = `${first}|${second}|${tone}`;
     let sprite = this.sprites.get(id);
     if (sprite !== undefined) {
@@ -48,25 +51,16 @@ export class LabelSprites {
       if (rests) return sprite;
     }
     this.rewritesLeft -= 1;
-    if (sprite === undefined) {
-      if (this.sprites.size >= MAX_SPRITES) this.sprites.clear();
-      const canvas = document.createElement("canvas");
-      canvas.width = Math.ceil(WIDTH_PX * this.ratio);
-      canvas.height = Math.ceil(HEIGHT_PX * this.ratio);
-      sprite = { canvas, key: "", writtenMs: 0, widthPx: 0, nameWidthPx: 0 };
-      this.sprites.set(id, sprite);
-    }
-    this.write(sprite, first, second, tone, palette);
-    sprite.key = key;
-    sprite.writtenMs = nowMs;
+    if (sprite === undefined && this.sprites.size >= MAX_SPRITES) this.clear(this.ratio);
+    if (this.pen === null) return null;
+    sprite?.picture.close();
+    sprite = { ...this.written(this.pen, first, second, tone, palette), key, writtenMs: nowMs };
+    this.sprites.set(id, sprite);
     return sprite;
   }
 
-  private write(sprite: Sprite, first: string, second: string, tone: LabelTone, palette: Palette): void {
-    const pen = sprite.canvas.getContext("2d");
-    if (pen === null) return;
+  private written(pen: OffscreenCanvasRenderingContext2D, first: string, second: string, tone: LabelTone, palette: Palette): Omit<Sprite, "key" | "writtenMs"> {
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    pen.clearRect(0, 0, WIDTH_PX, HEIGHT_PX);
     const strong = `600 12px ${palette.font}`;
     const plain = `11px ${palette.font}`;
     pen.textBaseline = "top";
@@ -75,25 +69,25 @@ export class LabelSprites {
     pen.font = strong;
     const name = shortened(pen, first, WIDTH_PX - 2 * PAD_PX);
     const over = pen.measureText(name).width;
-    sprite.nameWidthPx = over + 2 * PAD_PX;
-    sprite.widthPx = Math.min(Math.max(over, under) + 2 * PAD_PX, WIDTH_PX);
+    const widthPx = Math.min(Math.max(over, under) + 2 * PAD_PX, WIDTH_PX);
     // a ground of its own: lines of the view run beneath it, not through it
     pen.fillStyle = palette.ground;
     pen.globalAlpha = 0.72;
-    pen.fillRect(0, 1, sprite.widthPx, (second === "" ? LINE_PX : 2 * LINE_PX) + 2);
+    pen.fillRect(0, 1, widthPx, (second === "" ? LINE_PX : 2 * LINE_PX) + 2);
     pen.globalAlpha = 1;
     pen.fillStyle = tone === "dim" ? palette.lost : palette.text;
     pen.fillText(name, PAD_PX, 3);
     pen.font = plain;
     pen.fillStyle = { plain: palette.muted, dim: palette.lost, danger: palette.danger }[tone];
     pen.fillText(second, PAD_PX, 3 + LINE_PX, WIDTH_PX - 2 * PAD_PX);
+    return { picture: pen.canvas.transferToImageBitmap(), widthPx, nameWidthPx: over + 2 * PAD_PX };
   }
 }
 
 export const LABEL_HEIGHT_PX = HEIGHT_PX;
 export const LABEL_WIDTH_PX = WIDTH_PX;
 
-function shortened(pen: CanvasRenderingContext2D, text: string, mostPx: number): string {
+function shortened(pen: OffscreenCanvasRenderingContext2D, text: string, mostPx: number): string {
   if (pen.measureText(text).width <= mostPx) return text;
   let cut = text;
   while (cut.length > 1 && pen.measureText(`${cut}…`).width > mostPx) cut = cut.slice(0, -1);

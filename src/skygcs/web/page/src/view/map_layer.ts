@@ -5,9 +5,8 @@ import { toScreenX, toScreenY, type Camera } from "./camera.ts";
 import { placeImage, type Frame } from "./frame.ts";
 import { projectionOf, tilesSeen, tileTransform, zoomFor, type Tile } from "./mercator.ts";
 import type { Palette } from "./palette.ts";
+import type { Pen } from "./sprites.ts";
 import { RETRY_MS, retryAfterMs, TileCache, type Kept } from "./tile_cache.ts";
-
-type Pen = CanvasRenderingContext2D;
 
 /** Requests at once; a browser has six connections to one server, and the page needs one besides. */
 const ASKED_AT_ONCE = 5;

@@ -36,14 +36,16 @@ export interface Body {
 
 export interface Scene {
   bodies: readonly Body[];
-  moving: boolean;
+  /** Of the vehicles that are carried on, along the ground and up or down; 0: nothing moves before the next report. */
+  acrossMps: number;
+  upMps: number;
 }
 
 /** Every vehicle with a known place. `carry`: to where it is now, instead of where it was last heard. */
 export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry: boolean): Scene {
   const now_s = serverNowS(state, nowMs);
   const bodies: Body[] = [];
-  let moving = false;
+  let [acrossMps, upMps] = [0, 0];
   const bySite = state.sites.length > 1;
   state.names.forEach((name, index) => {
     const vehicle = state.vehicles.get(name);
@@ -55,9 +57,9 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
     const velocity = velocityOf(frame, vehicle);
     const speedMps = velocity === null ? null : Math.hypot(velocity[0], velocity[1]);
     let [x, y, z] = place;
-    if (heard && velocity !== null && Math.hypot(...velocity) > MOVING_MPS) {
-      moving = true;
-      const age = carry ? Math.min(ageOf(vehicle, vehicle.position, now_s) ?? 0, CARRIED_S) : 0;
+    if (carry && heard && velocity !== null && Math.hypot(...velocity) > MOVING_MPS) {
+      const age = Math.min(ageOf(vehicle, vehicle.position, now_s) ?? 0, CARRIED_S);
+      if (age < CARRIED_S) [acrossMps, upMps] = [Math.max(acrossMps, speedMps ?? 0), Math.max(upMps, Math.abs(velocity[2]))];
       x += velocity[0] * age;
       y += velocity[1] * age;
       z += velocity[2] * age;
@@ -80,7 +82,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       goal: goalOf(vehicle) ?? state.goals.get(name) ?? null,
     });
   });
-  return { bodies, moving };
+  return { bodies, acrossMps, upMps };
 }
 
 /** The place that skygcs' own control steers to; null for axes that follow a velocity. */

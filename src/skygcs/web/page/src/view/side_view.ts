@@ -1,10 +1,12 @@
 // Heights: a strip below the fleet view with the same x axis, so that each vehicle is straight below its place above.
 
 import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
-import { colourOfShape, haloText, type Colours, type Pen } from "./drawing.ts";
+import { colourOfShape, haloText, lineAcross, lineDown, type Colours } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
+import { Paths } from "./paths.ts";
 import type { Body } from "./scene.ts";
+import type { Pen } from "./sprites.ts";
 
 /** Of a low view, as on a phone that lies on its side, a quarter. */
 const SIDE_PX = 120;
@@ -67,23 +69,15 @@ export function drawSide(
   heightLines(pen, camera, palette, topM, pxPerM, yOf);
   for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, yOf);
   drawStems(pen, camera, palette, bodies, yOf);
-  const byColour = new Map<string, Path2D>();
+  const paths = new Paths();
   for (const body of bodies) {
-    const colour = colourOf(body);
-    let path = byColour.get(colour);
-    if (path === undefined) {
-      path = new Path2D();
-      byColour.set(colour, path);
-    }
+    const path = paths.of(colourOf(body));
     const x = toScreenX(camera, body.x);
     const y = yOf(body.z);
     path.moveTo(x + 4.5, y);
     path.arc(x, y, body.selected ? 5.5 : 4.5, 0, 7);
   }
-  for (const [colour, path] of byColour) {
-    pen.fillStyle = colour;
-    pen.fill(path);
-  }
+  paths.fill(pen);
   pen.restore();
 }
 
@@ -96,19 +90,10 @@ function heightLines(
   yOf: (z: number) => number,
 ): void {
   const step = niceLengthM(pxPerM, 44);
-  pen.lineWidth = 1;
-  pen.strokeStyle = palette.gridMajor;
-  pen.beginPath();
-  for (let z = step; z <= topM; z += step) {
-    pen.moveTo(0, Math.round(yOf(z)) + 0.5);
-    pen.lineTo(camera.widthPx, Math.round(yOf(z)) + 0.5);
-  }
-  pen.stroke();
-  pen.strokeStyle = palette.muted;
-  pen.beginPath();
-  pen.moveTo(0, Math.round(yOf(0)) + 0.5);
-  pen.lineTo(camera.widthPx, Math.round(yOf(0)) + 0.5);
-  pen.stroke();
+  pen.fillStyle = palette.gridMajor;
+  for (let z = step; z <= topM; z += step) lineAcross(pen, camera, yOf(z));
+  pen.fillStyle = palette.muted;
+  lineAcross(pen, camera, yOf(0));
   pen.font = `11px ${palette.font}`;
   pen.textAlign = "left";
   pen.textBaseline = "bottom";
@@ -119,15 +104,8 @@ function heightLines(
 }
 
 function drawStems(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], yOf: (z: number) => number): void {
-  pen.strokeStyle = palette.axis;
-  pen.lineWidth = 1;
-  pen.beginPath();
-  for (const body of bodies) {
-    const x = Math.round(toScreenX(camera, body.x)) + 0.5;
-    pen.moveTo(x, yOf(0));
-    pen.lineTo(x, yOf(body.z));
-  }
-  pen.stroke();
+  pen.fillStyle = palette.axis;
+  for (const body of bodies) lineDown(pen, toScreenX(camera, body.x), yOf(0), yOf(body.z));
 }
 
 function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, colours: Colours, yOf: (z: number) => number): void {

@@ -3,47 +3,62 @@
 
 /** Noses are drawn to the nearest of so many directions: 3 degrees apart. */
 export const DIRECTIONS = 120;
-/** More than all directions of one colour, with room for those of others; beyond, all are drawn anew. */
-const MAX_PICTURES = 600;
+/** Directions of one shape lie on one sheet, so many in a row. */
+const COLUMNS = 12;
+/** More than there are shapes and colours; beyond, all are drawn anew. */
+const MAX_SHEETS = 64;
 
-export type Pen = CanvasRenderingContext2D;
+export type Pen = CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D;
 
-/** Draws a shape about 0, 0. */
-export type Drawing = (pen: Pen) => void;
+/** Draws a shape about 0, 0; one that has directions, in this one. */
+export type Drawing = (pen: Pen, direction: number) => void;
+
+/** A picture that does not change: of a canvas that might, Chromium takes a copy each time it is drawn. */
+interface Sheet {
+  picture: ImageBitmap;
+  /** Of one picture on it, in pixels of the screen. */
+  size: number;
+}
 
 export class Sprites {
-  private readonly pictures = new Map<string, HTMLCanvasElement>();
+  private readonly sheets = new Map<string, Sheet>();
   private ratio = 1;
 
   /** Colours or the screen changed. */
   clear(ratio: number): void {
     this.ratio = ratio;
-    this.pictures.clear();
+    for (const { picture } of this.sheets.values()) picture.close();
+    this.sheets.clear();
   }
 
-  /** Draws the shape of this key, which is within `reachPx` of its middle, with its middle at x, y. */
-  draw(pen: Pen, key: string, reachPx: number, x: number, y: number, drawing: Drawing): void {
-    let picture = this.pictures.get(key);
-    if (picture === undefined) {
-      if (this.pictures.size >= MAX_PICTURES) this.pictures.clear();
-      picture = this.made(reachPx, drawing);
-      this.pictures.set(key, picture);
+  /** Draws the shape of this key, which is within `reachPx` of its middle, with its middle at x, y. Null: it has no directions. */
+  draw(pen: Pen, key: string, reachPx: number, x: number, y: number, drawing: Drawing, direction: number | null = null): void {
+    let sheet = this.sheets.get(key);
+    if (sheet === undefined) {
+      if (this.sheets.size >= MAX_SHEETS) this.clear(this.ratio);
+      sheet = this.made(reachPx, drawing, direction === null ? 1 : DIRECTIONS);
+      this.sheets.set(key, sheet);
     }
-    const sizePx = picture.width / this.ratio;
+    const { picture, size } = sheet;
+    const sizePx = size / this.ratio;
     // on whole pixels of the screen: between two of them it would be blurred, and slow
     const left = Math.round((x - sizePx / 2) * this.ratio) / this.ratio;
     const top = Math.round((y - sizePx / 2) * this.ratio) / this.ratio;
-    pen.drawImage(picture, left, top, sizePx, sizePx);
+    const [column, row] = [(direction ?? 0) % COLUMNS, Math.floor((direction ?? 0) / COLUMNS)];
+    pen.drawImage(picture, column * size, row * size, size, size, left, top, sizePx, sizePx);
   }
 
-  private made(reachPx: number, drawing: Drawing): HTMLCanvasElement {
-    const picture = document.createElement("canvas");
-    picture.width = picture.height = 2 * Math.ceil(reachPx * this.ratio);
-    const pen = picture.getContext("2d");
-    if (pen === null) return picture;
-    pen.setTransform(this.ratio, 0, 0, this.ratio, picture.width / 2, picture.height / 2);
-    drawing(pen);
-    return picture;
+  private made(reachPx: number, drawing: Drawing, count: number): Sheet {
+    const size = 2 * Math.ceil(reachPx * this.ratio);
+    const canvas = new OffscreenCanvas(size * Math.min(count, COLUMNS), size * Math.ceil(count / COLUMNS));
+    const pen = canvas.getContext("2d");
+    for (let i = 0; pen !== null && i < count; i++) {
+      pen.setTransform(this.ratio, 0, 0, this.ratio, ((i % COLUMNS) + 0.5) * size, (Math.floor(i / COLUMNS) + 0.5) * size);
+      pen.save();
+      drawing(pen, i);
+      pen.restore();
+    }
+    return { picture: canvas.transferToImageBitmap(), size };
   }
 }
 
