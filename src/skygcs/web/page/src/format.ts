@@ -46,3 +46,8 @@ function listText(names: readonly string[]): string {
   if (names.length === 1) return names[0] ?? "";
   return `${names.slice(0, -1).join(", ")} and ${names.at(-1) ?? ""}`;
 }
+
+/** Nobody points better on a screen. */
+export function toDecimetre(metres: number): number {
+  return Math.round(metres * 10) / 10;
+}

@@ -1,8 +1,10 @@
 // Parts of the store as component state.
 
-import { useCallback, useEffect, useLayoutEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useCallback, useEffect, useLayoutEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { frameKey, valueIn, type Framed } from "./framed.ts";
 import type { State, Store } from "./store.ts";
+import type { FleetView } from "./view/fleet_view.ts";
+import type { Overlay } from "./view/overlays.ts";
 
 /** A part of the state; the component is drawn again when it changed. */
 export function useStore<T>(store: Store, pick: (state: State) => T): T {
@@ -35,6 +37,12 @@ export function useFramed<T>(store: Store, none: T): [value: T, set: (next: T | 
   return [valueIn(kept, frame, none), set];
 }
 
+/** Shows an overlay of the view while the component is there; null: none. */
+export function useOverlay(view: FleetView, id: string, shown: Overlay | null): void {
+  useEffect(() => view.setOverlay(id, shown), [view, id, shown]);
+  useEffect(() => () => view.setOverlay(id, null), [view, id]);
+}
+
 /** What calls its listeners at each change, and returns what removes a listener. */
 export interface Changing {
   onChange(listener: () => void): () => void;
@@ -55,6 +63,12 @@ export function useTick(everyMs: number): number {
     return () => clearInterval(timer);
   }, [everyMs]);
   return now;
+}
+
+/** The names of the selected vehicles. */
+export function useSelected(store: Store): readonly string[] {
+  const selection = useStore(store, (state) => state.selection);
+  return useMemo(() => [...selection], [selection]);
 }
 
 /** The state as it is every so many milliseconds: for lists of vehicles, which change faster than anybody reads. */

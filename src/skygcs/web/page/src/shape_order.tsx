@@ -1,9 +1,10 @@
 // Squares, circles, paths and loaded trajectories: flown by the daemon from where each vehicle is, all on one clock.
 
-import { useEffect, useMemo, useState } from "preact/hooks";
+import { useMemo, useState } from "preact/hooks";
+import { toDecimetre } from "./format.ts";
 import { frameKey } from "./framed.ts";
 import { HoldButton } from "./hold_button.tsx";
-import { useFramed, useStore, useTick } from "./hooks.ts";
+import { useFramed, useOverlay, useStore, useTick } from "./hooks.ts";
 import { OrderChain } from "./order_chains.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { readOutcomes, runOrder } from "./orders.ts";
@@ -55,15 +56,13 @@ function ShapeForm(props: ButtonsProps) {
   );
   // to a decimetre: the preview does not tremble with the vehicles
   const flies = useStore(store, (state) => targets.some((name) => isOnTrajectory(state.vehicles.get(name))));
-  const begin = JSON.stringify((flies ? [] : startsOf(store, targets)).map(([name, place]) => [name, place.map(round)]));
+  const begin = JSON.stringify((flies ? [] : startsOf(store, targets)).map(([name, place]) => [name, place.map(toDecimetre)]));
   const drafts = useMemo(() => draftsOf(JSON.parse(begin) as [string, Vec3][], made), [begin, made]);
-  const shapes = useMemo(() => drafts.map(([name, pieces]) => draftShape(name, pieces)), [drafts]);
-  useEffect(() => view.setOverlay(OVERLAY, shapes.length === 0 ? null : { shapes }), [view, shapes]);
-  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
+  useOverlay(view, OVERLAY, useMemo(() => (drafts.length === 0 ? null : { shapes: drafts.map(([name, pieces]) => draftShape(name, pieces)) }), [drafts]));
   const pick = (): void => view.setTool({
     cursor: "crosshair",
     hint: "Click the points in turn. Each vehicle flies them from where it is, at its height.",
-    click: ({ x, y }) => setPoints((before) => [...before, [round(x), round(y), 0]]),
+    click: ({ x, y }) => setPoints((before) => [...before, [toDecimetre(x), toDecimetre(y), 0]]),
   });
   const what = { square: "the square", circle: "the circle", path: "these points", loaded: "what is loaded" }[kind];
   const ready = kind === "loaded" ? targets.length > 0 && found.length === targets.length : drafts.length > 0 && drafts.length === targets.length;
@@ -197,8 +196,4 @@ function noteOf(kind: Kind, pieces: readonly Piece[] | undefined, loaded: readon
   const text = `${Math.round(durationOf(pieces))} s from where each is, at its height`;
   if (kind === "path") return text;
   return kind === "square" ? `${text}: along +x first, counter-clockwise, and back` : `${text}, on its +x side: counter-clockwise, and back`;
-}
-
-function round(metres: number): number {
-  return Math.round(metres * 10) / 10;
 }

@@ -1,5 +1,6 @@
 // Drawing on the canvas: points that a click adds, a drag moves, and a click on a point selects. Pure; a panel keeps them.
 
+import { toDecimetre } from "../format.ts";
 import type { Vec3 } from "../types.ts";
 import type { Overlay, PointerAt, Shape, Tool } from "../view/overlays.ts";
 
@@ -18,20 +19,15 @@ export function hit(points: readonly Vec3[], at: PointerAt): number | null {
 }
 
 export function moved(points: readonly Vec3[], index: number, x: number, y: number): Vec3[] {
-  return points.map((point, i) => (i === index ? [round(x), round(y), point[2]] : point));
+  return points.map((point, i) => (i === index ? [toDecimetre(x), toDecimetre(y), point[2]] : point));
 }
 
 export function added(points: readonly Vec3[], x: number, y: number, height: number): Vec3[] {
-  return points.length >= MAX_DRAWN_POINTS ? [...points] : [...points, [round(x), round(y), height]];
+  return points.length >= MAX_DRAWN_POINTS ? [...points] : [...points, [toDecimetre(x), toDecimetre(y), height]];
 }
 
 export function without(points: readonly Vec3[], index: number): Vec3[] {
   return points.filter((_, i) => i !== index);
-}
-
-/** Decimetres: nobody points better on a screen. */
-function round(value: number): number {
-  return Math.round(value * 10) / 10;
 }
 
 /** What a panel keeps of its drawing. */
@@ -90,7 +86,7 @@ export function goalsTool(
     dragTo: (at, done) => {
       const place = dragged === null ? undefined : get().get(dragged);
       if (dragged === null || place === undefined) return;
-      set(dragged, [round(at.x), round(at.y), place[2]]);
+      set(dragged, [toDecimetre(at.x), toDecimetre(at.y), place[2]]);
       if (done) dragged = null;
     },
   };

@@ -1,14 +1,14 @@
 // A formation that flies now: start it, move its leader, turn, scale and stop it. Its places are ghosts on the view.
 
-import { useEffect, useMemo, useState } from "preact/hooks";
-import { namesText } from "../format.ts";
+import { useMemo, useState } from "preact/hooks";
+import { namesText, toDecimetre } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useFramed, useStore } from "../hooks.ts";
+import { useFramed, useOverlay, useStore } from "../hooks.ts";
 import type { Outcome, Vec3 } from "../types.ts";
 import { mayOrder, orderWith } from "./calls.ts";
 import { overlay } from "./drawing.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
-import { Choice, Failure, NumberField, usePolled, useTool } from "./parts.tsx";
+import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "live formation";
@@ -46,12 +46,11 @@ export function LiveFormation(props: PanelProps) {
   const found = usePolled<FormationStatus>(store, connection, "formation.status", {}, 500);
   const status = found.answer;
   const flies = status?.state === "flying";
-  const shapes = useMemo(
-    () => (flies ? status.members.map((one) => ({ kind: "mark", at: one.place_enu_m, symbol: "ghost", ink: "plan", text: one.vehicle }) as const) : []),
+  const ghosts = useMemo(
+    () => (flies ? overlay(status.members.map((one) => ({ kind: "mark", at: one.place_enu_m, symbol: "ghost", ink: "plan", text: one.vehicle }))) : null),
     [flies, status],
   );
-  useEffect(() => view.setOverlay(OVERLAY, overlay(shapes)), [view, shapes]);
-  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
+  useOverlay(view, OVERLAY, ghosts);
   if (status === null) {
     const missing = found.error?.includes("formation.status") === true;
     return missing ? <p class="note">No live formations: add a table [formation] to the fleet file.</p> : <Failure text={found.error} />;
@@ -76,24 +75,11 @@ function Shown({ status }: { status: FormationStatus }) {
         {status.least_m === null ? "" : `, least distance ${status.least_m.toFixed(1)} m (${(status.least_pair ?? []).join(" and ")})`}
       </p>
       {status.reason !== "" && <p class="failure">{status.reason}</p>}
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>vehicle</th>
-            <th>state</th>
-            <th class="number">off its place</th>
-          </tr>
-        </thead>
-        <tbody>
-          {status.members.map((one) => (
-            <tr key={one.vehicle} class={one.left === null ? "" : "lost"}>
-              <td>{one.vehicle}</td>
-              <td>{one.left !== null ? `left: ${one.left}` : one.hindered ? "another is in its way" : one.at_place ? "at its place" : "on its way"}</td>
-              <td class="number">{one.off_place_m === null ? "–" : `${one.off_place_m.toFixed(1)} m`}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable rows={status.members} keyOf={(one) => one.vehicle} row={(one) => ({ class: one.left === null ? "" : "lost" })} columns={[
+        ["vehicle", (one) => one.vehicle],
+        ["state", (one) => (one.left !== null ? `left: ${one.left}` : one.hindered ? "another is in its way" : one.at_place ? "at its place" : "on its way")],
+        ["off its place", (one) => (one.off_place_m === null ? "–" : `${one.off_place_m.toFixed(1)} m`), "number"],
+      ]} />
     </>
   );
 }
@@ -116,20 +102,20 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
     () => ({
       cursor: "crosshair",
       hint: "Click: where the formation's middle is to fly to. Nothing flies before you say so.",
-      click: (at) => setChosen((before) => [round(at.x), round(at.y), (before ?? middle)[2]]),
+      click: (at) => setChosen((before) => [toDecimetre(at.x), toDecimetre(at.y), (before ?? middle)[2]]),
     }),
     "live formation",
   );
   const axis = (k: 0 | 1 | 2) => (value: number | null): void => {
-    if (value !== null) setChosen((before) => (before ?? middle).map((old, n) => (n === k ? value : round(old))) as unknown as Vec3);
+    if (value !== null) setChosen((before) => (before ?? middle).map((old, n) => (n === k ? value : toDecimetre(old))) as unknown as Vec3);
   };
   return (
     <>
       {status.leader === "virtual" && (
         <div class="row wrap">
-          <NumberField label="To x" unit="m" value={round(to[0])} onValue={axis(0)} />
-          <NumberField label="y" unit="m" value={round(to[1])} onValue={axis(1)} />
-          <NumberField label="Height" unit="m" value={round(to[2])} onValue={axis(2)} />
+          <NumberField label="To x" unit="m" value={toDecimetre(to[0])} onValue={axis(0)} />
+          <NumberField label="y" unit="m" value={toDecimetre(to[1])} onValue={axis(1)} />
+          <NumberField label="Height" unit="m" value={toDecimetre(to[2])} onValue={axis(2)} />
           {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
           <HoldButton targets={targets} disabled={chosen === null} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
             Fly there
@@ -153,11 +139,6 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
       </div>
     </>
   );
-}
-
-/** To a decimetre. */
-function round(metres: number): number {
-  return Math.round(metres * 10) / 10;
 }
 
 function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {

@@ -6,7 +6,7 @@ import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
-import { Failure, keepFile, NumberField, Scroll, usePolled, type FileContent } from "./parts.tsx";
+import { Failure, keepFile, NumberField, PlainTable, Scroll, usePolled, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface MissionStatus {
@@ -27,78 +27,72 @@ export function useMissionStatus({ store, connection }: PanelProps, targets: rea
   return targets.length === 0 ? [] : (answer ?? []);
 }
 
-export function MissionFlight(props: PanelProps & { status: readonly MissionStatus[]; targets: readonly string[]; showDownloaded: (file: FileContent) => void }) {
-  const { store, connection, status, targets } = props;
+type FlightProps = PanelProps & { status: readonly MissionStatus[]; targets: readonly string[] };
+
+export function MissionFlight(props: FlightProps & { showDownloaded: (file: FileContent) => void }) {
+  const { store, status, targets } = props;
   const orders = useStore(store, mayOrder);
-  const [item, setItem] = useState<number | null>(null);
-  const order = (label: string, method: string, params: object = {}): void => void sendOrder(store, connection, { label, method, params, targets });
   if (targets.length === 0) return <p class="note">Select the vehicles that are to fly it.</p>;
-  const whom = namesText(targets);
   return (
     <section class="card" aria-label="On board">
       <h3>On board</h3>
       <Scroll label="Missions on board" tall>
-        <table class="plain">
-          <thead>
-            <tr>
-              <th>vehicle</th>
-              <th>state</th>
-              <th class="number">item</th>
-              <th class="number">mission</th>
-              <th class="number">fence</th>
-            </tr>
-          </thead>
-          <tbody>
-            {status.map((one) => (
-              <tr key={one.vehicle}>
-                <td>{one.vehicle}</td>
-                <td>
-                  {one.transfer === null ? stateText(one) : `${one.transfer.what} ${one.transfer.percent ?? 0} %`}
-                  {one.transfer !== null && <progress max={100} value={one.transfer.percent ?? 0} aria-label={`Transfer of ${one.vehicle}`} />}
-                </td>
-                <td class="number">{one.item ?? "–"}</td>
-                <td class="number">{one.counts.mission ?? "?"}</td>
-                <td class="number">{one.counts.fence ?? "?"}</td>
-              </tr>
-            ))}
-          </tbody>
-        </table>
+        <PlainTable rows={status} keyOf={(one) => one.vehicle} columns={[
+          ["vehicle", (one) => one.vehicle],
+          ["state", (one) => <State one={one} />],
+          ["item", (one) => one.item ?? "–", "number"],
+          ["mission", (one) => one.counts.mission ?? "?", "number"],
+          ["fence", (one) => one.counts.fence ?? "?", "number"],
+        ]} />
       </Scroll>
-      {orders && (
-        <div class="row wrap">
-          <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
-            Start
-          </HoldButton>
-          {targets.length > 1 && (
-            <HoldButton targets={targets} what={`Start the missions of ${whom} one after another: arms`} act={() => order("Start missions one after another", "missions.start", { one_after_another: true })}>
-              One after another
-            </HoldButton>
-          )}
-          {status.some(({ turn }) => turn !== null) && (
-            <button type="button" onClick={() => void orderWith(store, connection, { label: "End the turns", method: "missions.end_turns", params: {}, targets }, readEnded)}>
-              End the turns
-            </button>
-          )}
-          <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
-            Pause
-          </button>
-          <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>
-            Resume
-          </HoldButton>
-          <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
-          <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
-            Go to it
-          </HoldButton>
-          <HoldButton danger targets={targets} what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
-            Delete mission
-          </HoldButton>
-          <HoldButton danger targets={targets} what={`Delete the fence of ${whom}`} act={() => order("Delete fence", "missions.clear", { lists: ["fence"] })}>
-            Delete fence
-          </HoldButton>
-        </div>
-      )}
+      {orders && <Buttons {...props} />}
       {orders && targets.length === 1 && <Download {...props} name={targets[0] ?? ""} />}
     </section>
+  );
+}
+
+function State({ one }: { one: MissionStatus }) {
+  if (one.transfer === null) return <>{stateText(one)}</>;
+  const percent = one.transfer.percent ?? 0;
+  return <>{one.transfer.what} {percent} %<progress max={100} value={percent} aria-label={`Transfer of ${one.vehicle}`} /></>;
+}
+
+function Buttons({ store, connection, status, targets }: FlightProps) {
+  const [item, setItem] = useState<number | null>(null);
+  const order = (label: string, method: string, params: object = {}): void => void sendOrder(store, connection, { label, method, params, targets });
+  const whom = namesText(targets);
+  return (
+    <div class="row wrap">
+      <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
+        Start
+      </HoldButton>
+      {targets.length > 1 && (
+        <HoldButton targets={targets} what={`Start the missions of ${whom} one after another: arms`} act={() => order("Start missions one after another", "missions.start", { one_after_another: true })}>
+          One after another
+        </HoldButton>
+      )}
+      {status.some(({ turn }) => turn !== null) && (
+        <button type="button" onClick={() => void orderWith(store, connection, { label: "End the turns", method: "missions.end_turns", params: {}, targets }, readEnded)}>
+          End the turns
+        </button>
+      )}
+      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
+        Pause
+      </button>
+      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>
+        Resume
+      </HoldButton>
+      <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
+      <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
+        Go to it
+      </HoldButton>
+      <HoldButton danger targets={targets} what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
+        Delete mission
+      </HoldButton>
+      <HoldButton danger targets={targets} what={`Delete the fence of ${whom}`} act={() => order("Delete fence", "missions.clear", { lists: ["fence"] })}>
+        Delete fence
+      </HoldButton>
+    </div>
   );
 }
 

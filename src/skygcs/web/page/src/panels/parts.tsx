@@ -220,6 +220,44 @@ export function Fold({ title, side, open = false, children }: { title: Component
   );
 }
 
+/** A column: its title, what a row has there, and the class of its cells; those of "number" stand to the right. */
+export type PlainColumn<T> = readonly [title: ComponentChildren, cell: (row: T) => ComponentChildren, kind?: string];
+
+interface PlainTableProps<T> {
+  rows: readonly T[];
+  keyOf: (row: T) => string | number;
+  columns: readonly PlainColumn<T>[];
+  /** Attributes of a row. */
+  row?: (row: T) => { class?: string; "aria-selected"?: boolean; "data-changed"?: string | undefined };
+  caption?: ComponentChildren;
+  class?: string;
+}
+
+export function PlainTable<T>({ rows, keyOf, columns, row: more, caption, class: kind = "" }: PlainTableProps<T>) {
+  return (
+    <table class={`plain ${kind}`}>
+      {caption !== undefined && <caption>{caption}</caption>}
+      <thead>
+        <tr>{columns.map(([title, , of], i) => <th key={i} class={of}>{title}</th>)}</tr>
+      </thead>
+      <tbody>
+        {rows.map((row) => (
+          <tr key={keyOf(row)} {...more?.(row)}>{columns.map(([, cell, of], i) => <td key={i} class={of}>{cell(row)}</td>)}</tr>
+        ))}
+      </tbody>
+    </table>
+  );
+}
+
+/** Names and values below each other. */
+export function Facts({ facts, raw }: { facts: readonly (readonly [ComponentChildren, ComponentChildren])[]; raw?: boolean }) {
+  return (
+    <dl class={raw === true ? "fields raw" : "fields"}>
+      {facts.map(([name, value], i) => <div key={i}><dt>{name}</dt><dd>{value}</dd></div>)}
+    </dl>
+  );
+}
+
 export interface TabOf {
   id: string;
   title: string;

@@ -8,7 +8,7 @@ import { refusalText } from "../orders.ts";
 import { PlanButtons } from "../plan_bar.tsx";
 import { AT_REST, FAILED, planText } from "../plan_status.ts";
 import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
-import { Choice, Failure, NumberField } from "./parts.tsx";
+import { Choice, Failure, NumberField, PlainTable } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
 import { givenPlan } from "./plan_upload.ts";
 import type { PanelProps } from "./registry.ts";
@@ -56,29 +56,19 @@ function StatusView({ status }: { status: PlanStatus }) {
       {status.reason !== null && status.reason !== "" && <p class={FAILED.has(status.state) ? "failure" : "muted"}>{status.reason}</p>}
       {status.waits_for.length > 0 && <p class="muted">Waits for {namesText(status.waits_for)}.</p>}
       {status.vehicles.length > 0 && !AT_REST.has(status.state) && (
-        <table class="plain">
-          <thead>
-            <tr>
-              <th>vehicle</th>
-              <th>state</th>
-              <th class="number">error</th>
-              <th class="number">allowed</th>
-            </tr>
-          </thead>
-          <tbody>
-            {status.vehicles.map((one) => (
-              <tr key={one.vehicle} class={one.left === null ? "" : "lost"}>
-                <td>{one.vehicle}</td>
-                <td>{one.left === null ? one.state : `left: ${one.left}`}</td>
-                <td class="number">{one.error_m === null ? "–" : `${one.error_m.toFixed(2)} m`}</td>
-                <td class="number">{one.tube_m === null ? "–" : `${one.tube_m.toFixed(2)} m`}</td>
-              </tr>
-            ))}
-          </tbody>
-        </table>
+        <PlainTable rows={status.vehicles} keyOf={(one) => one.vehicle} row={(one) => ({ class: one.left === null ? "" : "lost" })} columns={[
+          ["vehicle", (one) => one.vehicle],
+          ["state", (one) => (one.left === null ? one.state : `left: ${one.left}`)],
+          ["error", (one) => metres(one.error_m), "number"],
+          ["allowed", (one) => metres(one.tube_m), "number"],
+        ]} />
       )}
     </>
   );
+}
+
+function metres(m: number | null): string {
+  return m === null ? "–" : `${m.toFixed(2)} m`;
 }
 
 function Running({ store, connection, status }: PanelProps & { status: PlanStatus }) {

@@ -1,15 +1,16 @@
 // Plans for the fleet: files, a formation or goals that are dragged; the certificate; the timeline; the flight.
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { toDecimetre } from "../format.ts";
 import { frameKey } from "../framed.ts";
-import { useFramed, useStore } from "../hooks.ts";
+import { useFramed, useOverlay, useSelected, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -40,13 +41,7 @@ export default function PlanPanel(props: PanelProps) {
   const timeline = useMemo(() => (checked === null || checked.paths === null ? null : new PlanTimeline(checked.paths)), [checked]);
   const still = useMemo(() => (checked === null ? [] : planShapes(checked, timeline)), [checked, timeline]);
   const [t_s, setT] = useState(0);
-  useEffect(() => {
-    view.setOverlay(OVERLAY, overlay(still, timeline === null ? [] : ghostShapes(timeline, t_s)));
-  }, [view, still, timeline, t_s]);
-  useEffect(() => () => {
-    view.setOverlay(OVERLAY, null);
-    view.setOverlay(SHAPE_OVERLAY, null);
-  }, [view]);
+  useOverlay(view, OVERLAY, useMemo(() => overlay(still, timeline === null ? [] : ghostShapes(timeline, t_s)), [still, timeline, t_s]));
   const take = (next: CheckedPlan | null): void => {
     lastChecked = next;
     setChecked(next);
@@ -111,6 +106,17 @@ function useUnplaced(store: PanelProps["store"], names: readonly string[]): read
   return useMemo(() => (joined === "" ? [] : joined.split(" ")), [joined]);
 }
 
+/** Asks for the plan of a task for some vehicles, and takes it in place of the one before. */
+function usePlanning({ store, connection, take }: Pick<PanelProps, "store" | "connection"> & { take: (checked: CheckedPlan | null) => void }, names: readonly string[]) {
+  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const run = async (task: object): Promise<void> => {
+    take(null);
+    const found = await check.run({ task, standing: standingBut(store.state, names) });
+    if (found !== null) take(found);
+  };
+  return { check, run };
+}
+
 /** Places to start from: above where vehicles are, at least so high. */
 function startsOf(state: State, names: readonly string[], leastM: number): Record<string, Vec3> {
   const found: Record<string, Vec3> = {};
@@ -125,11 +131,6 @@ function round(value: number): number {
   return Math.round(value * 100) / 100;
 }
 
-function useSelected(store: PanelProps["store"]): readonly string[] {
-  const selection = useStore(store, (state) => state.selection);
-  return useMemo(() => [...selection], [selection]);
-}
-
 function FromFormation({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
   const names = useSelected(store);
   const [shape, setShape] = useState<FormationShape>("v");
@@ -140,30 +141,26 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   const unplaced = useUnplaced(store, names);
   const [x, y] = chosen ?? middleOf(store.state, names);
   const middle = useMemo(() => [x, y] as const, [x, y]);
-  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const { check, run } = usePlanning({ store, connection, take }, names);
   const places = useMemo(
     () => formation(shape, names.length, spacing, [middle[0], middle[1], height], (yaw * Math.PI) / 180),
     [shape, names, spacing, middle, height, yaw],
   );
-  useEffect(() => {
-    view.setOverlay(SHAPE_OVERLAY, overlay(places.map((at) => ({ kind: "mark", at, symbol: "ghost", ink: "draft", yawRad: (yaw * Math.PI) / 180 }))));
-  }, [view, places, yaw]);
-  useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
+  const ghosts = useMemo(() => overlay(places.map((at) => ({ kind: "mark", at, symbol: "ghost", ink: "draft", yawRad: (yaw * Math.PI) / 180 }))), [places, yaw]);
+  useOverlay(view, SHAPE_OVERLAY, ghosts);
   const tool = useTool(
     view,
     () => ({
       cursor: "crosshair",
       hint: "Click: the middle of the formation.",
-      click: (at) => setMiddle([Math.round(at.x * 10) / 10, Math.round(at.y * 10) / 10]),
+      click: (at) => setMiddle([toDecimetre(at.x), toDecimetre(at.y)]),
     }),
     "formation",
   );
   const plan = async (): Promise<void> => {
     const starts = startsOf(store.state, names, height / 2);
     const task = { starts, formation: { shape, spacing_m: spacing, middle_m: [middle[0], middle[1], height], yaw_deg: yaw } };
-    take(null);
-    const found = await check.run({ task, standing: standingBut(store.state, names) });
-    if (found !== null) take(found);
+    await run(task);
   };
   return (
     <>
@@ -196,7 +193,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   const [exchange, setExchange] = useState(false);
   const [goals, setGoals] = useFramed<ReadonlyMap<string, Vec3>>(store, NO_GOALS);
   const frame = useStore(store, (state) => frameKey(state.origin));
-  const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
+  const { check, run } = usePlanning({ store, connection, take }, names);
   const unplaced = useUnplaced(store, names);
   // who is selected anew, or has a position only now, begins where it is; who was dragged stays where it was put
   useEffect(() => {
@@ -208,20 +205,16 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   }, [store, names, height, unplaced, frame, setGoals]);
   const latest = useRef(goals);
   latest.current = goals;
-  useEffect(() => () => view.setOverlay(SHAPE_OVERLAY, null), [view]);
   const tool = useTool(
     view,
     () => goalsTool(() => latest.current, (name, place) => setGoals((before) => new Map([...before, [name, place]])), "Drag each vehicle's final position."),
     "goals",
   );
-  useEffect(() => {
-    view.setOverlay(SHAPE_OVERLAY, overlay([...goals].map(([name, at]) => ({ kind: "mark", at, symbol: "handle", ink: "draft", text: name }))));
-  }, [view, goals]);
+  const handles = useMemo(() => overlay([...goals].map(([name, at]) => ({ kind: "mark", at, symbol: "handle", ink: "draft", text: name }))), [goals]);
+  useOverlay(view, SHAPE_OVERLAY, handles);
   const plan = async (): Promise<void> => {
     const task = { starts: startsOf(store.state, names, height / 2), goals: Object.fromEntries(goals), exchange };
-    take(null);
-    const found = await check.run({ task, standing: standingBut(store.state, names) });
-    if (found !== null) take(found);
+    await run(task);
   };
   return (
     <>
@@ -318,23 +311,10 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
 function Terms({ approach, ratio }: { approach: Approach; ratio: number }) {
   return (
     <Fold title="Terms of the margin">
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>m (heights / {ratio})</th>
-            {approach.vehicles.map((name) => <th key={name} class="number">{name}</th>)}
-          </tr>
-        </thead>
-        <tbody>
-          {termRows(approach).map(([name, one, other]) => (
-            <tr key={name}>
-              <td>{name}</td>
-              <td class="number">{one.toFixed(3)}</td>
-              <td class="number">{other.toFixed(3)}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable rows={termRows(approach)} keyOf={([name]) => name} columns={[
+        [`m (heights / ${ratio})`, ([name]) => name],
+        ...approach.vehicles.map((name, i) => [name, (row: readonly [string, number, number]) => row[i === 0 ? 1 : 2].toFixed(3), "number"] as const),
+      ]} />
     </Fold>
   );
 }

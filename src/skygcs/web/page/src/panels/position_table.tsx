@@ -1,6 +1,7 @@
 // A table of initial and final positions: what the seed's buttons loaded. Its positions become goals on the view.
 
-import { useEffect, useState } from "preact/hooks";
+import { useMemo, useState } from "preact/hooks";
+import { useOverlay } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
@@ -56,10 +57,7 @@ export function PositionTableLoader({ store, connection, view, take }: PanelProp
   const [table, setTable] = useState(lastTable);
   const [problem, setProblem] = useState<string | null>(null);
   const check = useAsk<PositionTable>(store, connection, "web.positions.check");
-  useEffect(() => {
-    view.setOverlay(OVERLAY, table === null ? null : overlay(tableShapes(table)));
-    return () => view.setOverlay(OVERLAY, null);
-  }, [view, table]);
+  useOverlay(view, OVERLAY, useMemo(() => (table === null ? null : overlay(tableShapes(table))), [table]));
   const keep = (next: PositionTable | null): void => {
     lastTable = next;
     setTable(next);

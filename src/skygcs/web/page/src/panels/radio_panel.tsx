@@ -8,7 +8,7 @@ import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
 import { areThere, fixesText, sourceText, surveyText, type Corrections } from "./corrections_text.ts";
 import { HistoryRing } from "./history_ring.ts";
-import { Failure, Scroll, usePolled } from "./parts.tsx";
+import { Failure, PlainTable, Scroll, usePolled } from "./parts.tsx";
 import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
 import type { PanelProps } from "./registry.ts";
 
@@ -159,31 +159,23 @@ function Reports({ radio, reports }: { radio: Radio; reports: HistoryRing }) {
   );
 }
 
+/** Counters of a class, and of a channel, by the titles of their columns. */
+const COUNTED = [["sent", "sent"], ["bytes", "sent_bytes"], ["waiting", "waiting"], ["replaced", "replaced"], ["dropped", "dropped"], ["refused", "refused"]] as const;
+const COUNTERS = [["received", "rx_frames"], ["sent", "tx_frames"], ["dropped", "tx_dropped"], ["bad CRC", "bad_crc"]] as const;
+
+type Row = readonly [string, Radio["up"]["classes"][string]];
+
 function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: ClassRates }) {
   const rows = Object.entries(classes).filter(([, one]) => one.waiting + one.sent + one.dropped + one.refused > 0);
   if (rows.length === 0) return <p class="note">Nothing was sent up yet.</p>;
   return (
     <Scroll label="Sent up, by class">
-      <table class="plain">
-        <caption>Sent up, by class</caption>
-        <thead>
-          <tr>
-            {["class", "B/s", "sent", "bytes", "waiting", "replaced", "dropped", "refused", "wait p95"].map((title, i) => (
-              <th key={title} class={i > 0 ? "number" : ""}>{title}</th>
-            ))}
-          </tr>
-        </thead>
-        <tbody>
-          {rows.map(([name, one]) => (
-            <tr key={name}>
-              <td>{name.replaceAll("_", " ").toLowerCase()}</td>
-              <td class="number">{fixed(rates.of(name), 0) ?? "–"}</td>
-              {[one.sent, one.sent_bytes, one.waiting, one.replaced, one.dropped, one.refused].map((value, i) => <td key={i} class="number">{countText(value)}</td>)}
-              <td class="number">{one.wait_p95_s === null ? "–" : `${fixed(one.wait_p95_s, 2)} s`}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable caption="Sent up, by class" rows={rows} keyOf={([name]) => name} columns={[
+        ["class", ([name]) => name.replaceAll("_", " ").toLowerCase()],
+        ["B/s", ([name]) => fixed(rates.of(name), 0) ?? "–", "number"],
+        ...COUNTED.map(([title, key]) => [title, ([, one]: Row) => countText(one[key]), "number"] as const),
+        ["wait p95", ([, one]) => (one.wait_p95_s === null ? "–" : `${fixed(one.wait_p95_s, 2)} s`), "number"],
+      ]} />
     </Scroll>
   );
 }
@@ -192,27 +184,13 @@ function Others({ third }: { third: ThirdParty | null }) {
   if (third === null || third.sources.length === 0) return <p class="note">No other program sends through this radio.</p>;
   return (
     <Scroll label="Other programs">
-      <table class="plain">
-        <caption>Other programs: together at most {bytes(third.bytes_per_s)}</caption>
-        <thead>
-          <tr>
-            <th>from</th>
-            <th class="number">sent</th>
-            <th class="number">bytes</th>
-            <th>held back</th>
-          </tr>
-        </thead>
-        <tbody>
-          {third.sources.map((one) => (
-            <tr key={one.source} class={one.age_s > 5 ? "lost" : ""}>
-              <td>{one.source}</td>
-              <td class="number">{countText(one.sent)}</td>
-              <td class="number">{countText(one.sent_bytes)}</td>
-              <td>{Object.entries(one.counts).map(([what, count]) => `${what.replaceAll("_", " ")} ${countText(count)}`).join(", ") || "nothing"}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable caption={<>Other programs: together at most {bytes(third.bytes_per_s)}</>} rows={third.sources} keyOf={(one) => one.source}
+        row={(one) => ({ class: one.age_s > 5 ? "lost" : "" })} columns={[
+          ["from", (one) => one.source],
+          ["sent", (one) => countText(one.sent), "number"],
+          ["bytes", (one) => countText(one.sent_bytes), "number"],
+          ["held back", (one) => Object.entries(one.counts).map(([what, count]) => `${what.replaceAll("_", " ")} ${countText(count)}`).join(", ") || "nothing"],
+        ]} />
     </Scroll>
   );
 }
@@ -220,33 +198,16 @@ function Others({ third }: { third: ThirdParty | null }) {
 function Vehicles({ vehicles, each }: { vehicles: readonly RadioVehicle[]; each: number }) {
   return (
     <Scroll label="Vehicles on this radio">
-      <table class="plain">
-        <caption>Vehicles: a timeslot carries {bytes(each)}</caption>
-        <thead>
-          <tr>
-            {["vehicle", "used", "B/s", "planned", "position Hz", "loss", "round trip", ""].map((title, i) => (
-              <th key={title} class={i > 1 && i < 7 ? "number" : ""}>{title}</th>
-            ))}
-          </tr>
-        </thead>
-        <tbody>
-          {[...vehicles].sort((a, b) => a.sysid - b.sysid).map((one) => {
-            const position = one.streams["GLOBAL_POSITION_INT"];
-            return (
-              <tr key={one.name}>
-                <td>{one.name}</td>
-                <td class="barcell"><Meter value={one.measured_bytes_per_s} most={each} mark={one.planned_bytes_per_s} /></td>
-                <td class="number">{fixed(one.measured_bytes_per_s, 0) ?? "–"}</td>
-                <td class="number">{fixed(one.planned_bytes_per_s, 0)}</td>
-                <td class="number">{position === undefined ? "–" : `${fixed(position.measured_hz, 1)} of ${fixed(position.planned_hz, 1)}`}</td>
-                <td class="number">{percentText(one.loss) ?? "–"}</td>
-                <td class="number">{one.round_trip_s === null ? "–" : `${fixed(one.round_trip_s, 2)} s`}</td>
-                <td class="muted">{remarks(one)}</td>
-              </tr>
-            );
-          })}
-        </tbody>
-      </table>
+      <PlainTable caption={<>Vehicles: a timeslot carries {bytes(each)}</>} rows={[...vehicles].sort((a, b) => a.sysid - b.sysid)} keyOf={(one) => one.name} columns={[
+        ["vehicle", (one) => one.name],
+        ["used", (one) => <Meter value={one.measured_bytes_per_s} most={each} mark={one.planned_bytes_per_s} />, "barcell"],
+        ["B/s", (one) => fixed(one.measured_bytes_per_s, 0) ?? "–", "number"],
+        ["planned", (one) => fixed(one.planned_bytes_per_s, 0), "number"],
+        ["position Hz", ({ streams: { GLOBAL_POSITION_INT: position } }) => (position === undefined ? "–" : `${fixed(position.measured_hz, 1)} of ${fixed(position.planned_hz, 1)}`), "number"],
+        ["loss", (one) => percentText(one.loss) ?? "–", "number"],
+        ["round trip", (one) => (one.round_trip_s === null ? "–" : `${fixed(one.round_trip_s, 2)} s`), "number"],
+        ["", remarks, "muted"],
+      ]} />
     </Scroll>
   );
 }
@@ -259,27 +220,15 @@ function remarks(one: RadioVehicle): string {
 function Links({ links }: { links: readonly Link[] }) {
   return (
     <Scroll label="Links">
-      <table class="plain">
-        <caption>Links</caption>
-        <thead>
-          <tr>
-            {["link", "type", "state", "peer", "received", "sent", "dropped", "bad CRC"].map((title, i) => <th key={title} class={i > 3 ? "number" : ""}>{title}</th>)}
-          </tr>
-        </thead>
-        <tbody>
-          {links.flatMap((link) =>
-            (link.channels.length === 0 ? [null] : link.channels.slice(0, 8)).map((channel, i) => (
-              <tr key={`${link.name} ${i}`} class={link.state === "up" ? "" : "lost"}>
-                <td>{i === 0 ? link.name : ""}</td>
-                <td>{i === 0 ? link.type.replaceAll("_", " ") : ""}</td>
-                <td>{i === 0 ? (link.state === "up" ? "up" : `${link.state}${link.last_error === null ? "" : `: ${link.last_error}`}`) : ""}</td>
-                <td>{channel?.peer ?? ""}</td>
-                {["rx_frames", "tx_frames", "tx_dropped", "bad_crc"].map((key) => <td key={key} class="number">{countText(counterOf(channel, key))}</td>)}
-              </tr>
-            )),
-          )}
-        </tbody>
-      </table>
+      <PlainTable caption="Links" keyOf={({ link, i }) => `${link.name} ${i}`} row={({ link }) => ({ class: link.state === "up" ? "" : "lost" })}
+        rows={links.flatMap((link) => (link.channels.length === 0 ? [null] : link.channels.slice(0, 8)).map((channel, i) => ({ link, channel, i })))}
+        columns={[
+          ["link", ({ link, i }) => (i === 0 ? link.name : "")],
+          ["type", ({ link, i }) => (i === 0 ? link.type.replaceAll("_", " ") : "")],
+          ["state", ({ link, i }) => (i > 0 ? "" : link.state === "up" ? "up" : `${link.state}${link.last_error === null ? "" : `: ${link.last_error}`}`)],
+          ["peer", ({ channel }) => channel?.peer ?? ""],
+          ...COUNTERS.map(([title, key]) => [title, ({ channel }: { channel: Link["channels"][number] | null }) => countText(counterOf(channel, key)), "number"] as const),
+        ]} />
     </Scroll>
   );
 }

@@ -3,7 +3,7 @@
 import { useState } from "preact/hooks";
 import { useStore } from "../hooks.ts";
 import { mayOrder, orderWith, type Reader } from "./calls.ts";
-import { Failure, Scroll, usePolled } from "./parts.tsx";
+import { Failure, PlainTable, Scroll, usePolled, type PlainColumn } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 import { clockText } from "./replay_time.ts";
 
@@ -63,22 +63,15 @@ export default function RecordingsPanel({ store, connection }: PanelProps) {
       <Failure text={error} />
       {answer.recordings.length === 0 ? <p class="note">There are none yet.</p> : (
         <Scroll label="List of recordings">
-          <table class="plain">
-            <thead>
-              <tr><th>begun</th><th class="number">length</th><th class="number">size</th>{orders && <th><span class="unseen">Replay</span></th>}<th>file</th></tr>
-            </thead>
-            <tbody>
-              {answer.recordings.map((one) => (
-                <tr key={one.name}>
-                  <td>{new Date((one.begun_unix_s ?? one.ended_unix_s) * 1000).toLocaleString([], { hour12: false })}</td>
-                  <td class="number">{one.begun_unix_s === null ? "–" : clockText(one.ended_unix_s - one.begun_unix_s).replace(/\.\d$/, "")}</td>
-                  <td class="number">{(one.bytes / 1e6).toFixed(1)} MB</td>
-                  {orders && <td><button type="button" aria-label={`Replay ${one.name}`} disabled={starting !== null} onClick={() => void replay(one.name)}>{starting === one.name ? "Replay starts …" : "Replay"}</button></td>}
-                  <td>{one.name}</td>
-                </tr>
-              ))}
-            </tbody>
-          </table>
+          <PlainTable rows={answer.recordings} keyOf={(one) => one.name} columns={[
+            ["begun", (one) => new Date((one.begun_unix_s ?? one.ended_unix_s) * 1000).toLocaleString([], { hour12: false })],
+            ["length", (one) => (one.begun_unix_s === null ? "–" : clockText(one.ended_unix_s - one.begun_unix_s).replace(/\.\d$/, "")), "number"],
+            ["size", (one) => `${(one.bytes / 1e6).toFixed(1)} MB`, "number"],
+            ...(orders ? [[<span class="unseen">Replay</span>, (one) => (
+              <button type="button" aria-label={`Replay ${one.name}`} disabled={starting !== null} onClick={() => void replay(one.name)}>{starting === one.name ? "Replay starts …" : "Replay"}</button>
+            )] satisfies PlainColumn<RecordingFile>] : []),
+            ["file", (one) => one.name],
+          ]} />
         </Scroll>
       )}
       {answer.left_out > 0 && <p class="muted">{answer.left_out} older ones are not listed.</p>}

@@ -8,7 +8,7 @@ import { sendOrder } from "../orders.ts";
 import { ask, mayOrder, orderWith } from "./calls.ts";
 import { Chart } from "./chart.tsx";
 import { histories } from "./histories.ts";
-import { Failure, NumberField } from "./parts.tsx";
+import { Facts, Failure, NumberField } from "./parts.tsx";
 import { refusalText } from "../orders.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 import { isControlled, isFlown, isHeld } from "../setpoint_orders.ts";
@@ -81,16 +81,7 @@ function Figures({ control }: { control: Readonly<Record<string, unknown>> }) {
     ["roll, pitch", `${number(control["roll_deg"], 1)}°, ${number(control["pitch_deg"], 1)}°`],
     ["at its limits", list(control["saturation"])],
   ];
-  return (
-    <dl class="fields">
-      {rows.map(([label, text]) => (
-        <div key={label}>
-          <dt>{label}</dt>
-          <dd>{text}</dd>
-        </div>
-      ))}
-    </dl>
-  );
+  return <Facts facts={rows} />;
 }
 
 function number(value: unknown, digits: number): string {

@@ -5,7 +5,7 @@ import { useStore, useTick } from "../hooks.ts";
 import { serverNowS } from "../store.ts";
 import { Chart, type ChartProps, type Curve } from "./chart.tsx";
 import { histories, SERIES, type SeriesName } from "./histories.ts";
-import { Age, Failure, usePolled } from "./parts.tsx";
+import { Age, Facts, Failure, PlainTable, usePolled } from "./parts.tsx";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 type Picture = readonly [title: string, curves: readonly (readonly [SeriesName, Curve["colour"]])[], range?: ChartProps["range"]];
@@ -64,56 +64,26 @@ export function VehicleLinks({ store, connection, name }: VehicleProps) {
   const { uplink } = vehicle;
   return (
     <>
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>link</th>
-            <th class="number">frames</th>
-            <th class="number">lost</th>
-            <th class="number">loss</th>
-            <th class="number">age</th>
-          </tr>
-        </thead>
-        <tbody>
-          {Object.entries(vehicle.links).map(([link, counters]) => (
-            <tr key={link}>
-              <td>{link}</td>
-              <td class="number">{counters.frames}</td>
-              <td class="number">{counters.lost}</td>
-              <td class="number">{percentText(counters.loss_ratio) ?? "–"}</td>
-              <td class="number">
-                <Age age_s={counters.age_s + since_s} />
-              </td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
-      <dl class="fields">
-        <div>
-          <dt>uplink</dt>
-          <dd>
+      <PlainTable rows={Object.entries(vehicle.links)} keyOf={([link]) => link} columns={[
+        ["link", ([link]) => link],
+        ["frames", ([, { frames }]) => frames, "number"],
+        ["lost", ([, { lost }]) => lost, "number"],
+        ["loss", ([, { loss_ratio }]) => percentText(loss_ratio) ?? "–", "number"],
+        ["age", ([, { age_s }]) => <Age age_s={age_s + since_s} />, "number"],
+      ]} />
+      <Facts facts={[
+        ["uplink", (
+          <>
             {uplink === null ? "not known" : uplink.heard ? "it answers" : `does not answer: ${uplink.unanswered} requests`}
-            {uplink !== null && (
-              <>
-                , last <Age age_s={uplink.age_s + since_s} /> ago
-              </>
-            )}
-          </dd>
-        </div>
-        <div>
-          <dt>round trip</dt>
-          <dd>{fixed(uplink?.rtt_s, 3) ?? "–"} s</dd>
-        </div>
-        {radios.map((one) => (
-          <div key={one.link}>
-            <dt>air of {one.link}</dt>
-            <dd>
-              {fixed(one.measured_bytes_per_s, 0) ?? "–"} of {fixed(one.planned_bytes_per_s, 0)} B/s planned
-              {one.scaled ? ", less than it would send" : ""}, loss {percentText(one.loss) ?? "–"}
-            </dd>
-          </div>
-        ))}
-      </dl>
+            {uplink !== null && <>, last <Age age_s={uplink.age_s + since_s} /> ago</>}
+          </>
+        )],
+        ["round trip", `${fixed(uplink?.rtt_s, 3) ?? "–"} s`],
+        ...radios.map((one) => [`air of ${one.link}`, [
+          `${fixed(one.measured_bytes_per_s, 0) ?? "–"} of ${fixed(one.planned_bytes_per_s, 0)} B/s planned`,
+          `${one.scaled ? ", less than it would send" : ""}, loss ${percentText(one.loss) ?? "–"}`,
+        ].join("")] as const),
+      ]} />
       <Failure text={error} />
     </>
   );

@@ -5,7 +5,7 @@ import { useState } from "preact/hooks";
 import { useStore } from "../hooks.ts";
 import { sendOrder } from "../orders.ts";
 import { mayOrder } from "./calls.ts";
-import { Age, Failure, NumberField, usePolled } from "./parts.tsx";
+import { Age, Facts, Failure, NumberField, PlainTable, usePolled } from "./parts.tsx";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 import { useFullState } from "./vehicle_state.tsx";
 
@@ -29,32 +29,12 @@ export function VehicleMessages(props: VehicleProps) {
       <Failure text={error} />
       <input type="search" placeholder="Search messages" aria-label="Search messages" value={search} onInput={(event) => setSearch(event.currentTarget.value)} />
       {open !== null && <Message {...props} message={open} close={() => setOpen(null)} />}
-      <table class="plain">
-        <thead>
-          <tr>
-            <th>message</th>
-            <th class="number">rate, Hz</th>
-            <th class="number">count</th>
-            <th class="number">age</th>
-          </tr>
-        </thead>
-        <tbody>
-          {rows.map(([name, rate]) => (
-            <tr key={name} aria-selected={name === open}>
-              <td>
-                <button type="button" class="link" onClick={() => setOpen(name === open ? null : name)}>
-                  {breakable(name)}
-                </button>
-              </td>
-              <td class="number">{rate.rate_hz.toFixed(1)}</td>
-              <td class="number">{rate.count}</td>
-              <td class="number">
-                <Age age_s={rate.age_s + sinceS} />
-              </td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable rows={rows} keyOf={([name]) => name} row={([name]) => ({ "aria-selected": name === open })} columns={[
+        ["message", ([name]) => <button type="button" class="link" onClick={() => setOpen(name === open ? null : name)}>{breakable(name)}</button>],
+        ["rate, Hz", ([, rate]) => rate.rate_hz.toFixed(1), "number"],
+        ["count", ([, rate]) => rate.count, "number"],
+        ["age", ([, rate]) => <Age age_s={rate.age_s + sinceS} />, "number"],
+      ]} />
       {rows.length === 0 && <p class="note">No message of that name.</p>}
     </>
   );
@@ -82,16 +62,7 @@ function Message({ store, connection, name, message, close }: VehicleProps & { m
         </button>
       </header>
       <Failure text={error} />
-      {answer !== null && (
-        <dl class="fields raw">
-          {Object.entries(answer.fields).map(([field, value]) => (
-            <div key={field}>
-              <dt>{field}</dt>
-              <dd>{typeof value === "string" ? value : JSON.stringify(value)}</dd>
-            </div>
-          ))}
-        </dl>
-      )}
+      {answer !== null && <Facts raw facts={Object.entries(answer.fields).map(([field, value]) => [field, typeof value === "string" ? value : JSON.stringify(value)])} />}
       {orders && (
         <div class="row">
           <NumberField label="Rate" unit="Hz" value={rate} least={0} most={1000} onValue={setRate} />

@@ -6,7 +6,7 @@ import { HoldButton } from "../hold_button.tsx";
 import { useChanges, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
-import { contentOf, DropZone, Failure, keepFile, useAsk, usePolled } from "./parts.tsx";
+import { contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
 import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
 import { paramBooks, type ParamBook } from "./param_books.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
@@ -227,29 +227,17 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
     });
   return (
     <>
-      <table class="plain params">
-        <thead>
-          <tr>
-            <th>parameter</th>
-            <th class="number">value</th>
-            <th>unit</th>
-          </tr>
-        </thead>
-        <tbody>
-          {rows.slice(0, most).map((one) => (
-            <tr key={one.name} data-changed={book.edits.has(one.name) ? "waits" : book.setHere.has(one.name) ? "set" : undefined}>
-              <td title={aboutText(book.metadata[one.name])}>
-                <code>{one.name}</code>
-                <Meaning value={book.edits.get(one.name) ?? one.value} known={book.metadata[one.name]} autopilot={book.autopilot} />
-              </td>
-              <td class="number">
-                {enabled ? <ValueField param={one} known={book.metadata[one.name]} edited={book.edits.get(one.name)} edit={edit} /> : valueText(one.value)}
-              </td>
-              <td class="muted">{book.metadata[one.name]?.unit ?? ""}</td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PlainTable class="params" rows={rows.slice(0, most)} keyOf={(one) => one.name}
+        row={(one) => ({ "data-changed": book.edits.has(one.name) ? "waits" : book.setHere.has(one.name) ? "set" : undefined })} columns={[
+          ["parameter", (one) => (
+            <span title={aboutText(book.metadata[one.name])}>
+              <code>{one.name}</code>
+              <Meaning value={book.edits.get(one.name) ?? one.value} known={book.metadata[one.name]} autopilot={book.autopilot} />
+            </span>
+          )],
+          ["value", (one) => (enabled ? <ValueField param={one} known={book.metadata[one.name]} edited={book.edits.get(one.name)} edit={edit} /> : valueText(one.value)), "number"],
+          ["unit", (one) => book.metadata[one.name]?.unit ?? "", "muted"],
+        ]} />
       {rows.length === 0 && <p class="note">No parameter of that name.</p>}
       {rows.length > most && (
         <button type="button" onClick={() => setMost(most + SHOWN)}>
@@ -340,28 +328,11 @@ function FileDifference({ store, connection, book, keep }: VehicleProps & { book
           {[...found.warnings, ...found.problems].map((text) => <p key={text} class="failure">{text}</p>)}
           {found.unknown.length > 0 && <p class="muted">{found.unknown.length} that the vehicle does not have: {found.unknown.slice(0, 8).join(", ")}</p>}
           {found.skipped.length > 0 && <p class="muted">{found.skipped.length} that belong to one vehicle are left out: calibration, statistics, identity</p>}
-          <table class="plain">
-            <thead>
-              <tr>
-                <th>parameter</th>
-                <th class="number">vehicle</th>
-                <th class="number">file</th>
-              </tr>
-            </thead>
-            <tbody>
-              {found.changes.map((change) => (
-                <tr key={change.name}>
-                  <td>
-                    <code>{change.name}</code>
-                  </td>
-                  <td class="number">{valueText(change.before)}</td>
-                  <td class="number">
-                    <b>{valueText(change.value)}</b>
-                  </td>
-                </tr>
-              ))}
-            </tbody>
-          </table>
+          <PlainTable rows={found.changes} keyOf={(change) => change.name} columns={[
+            ["parameter", (change) => <code>{change.name}</code>],
+            ["vehicle", (change) => valueText(change.before), "number"],
+            ["file", (change) => <b>{valueText(change.value)}</b>, "number"],
+          ]} />
           {found.changes.length > 0 && (
             <button
               type="button"

@@ -2,7 +2,7 @@
 
 import { timeText } from "../format.ts";
 import { useStore, useTick } from "../hooks.ts";
-import { Age, Failure, Fold, usePolled } from "./parts.tsx";
+import { Age, Facts, Failure, Fold, PlainTable, usePolled } from "./parts.tsx";
 import { fieldText, groupsOf, labelOf } from "./telemetry_text.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
@@ -43,52 +43,22 @@ export function VehicleFields(props: VehicleProps) {
         <Fields fields={plain} />
       </Fold>
       <Fold title="components" side={state.components.length}>
-        <table class="plain">
-          <thead>
-            <tr>
-              <th>component</th>
-              <th>type</th>
-              <th class="number">messages</th>
-              <th class="number">age</th>
-            </tr>
-          </thead>
-          <tbody>
-            {state.components.map((one) => (
-              <tr key={one.compid}>
-                <td>
-                  {one.compid} {one.name ?? ""}
-                </td>
-                <td>{one.type ?? "–"}</td>
-                <td class="number">{one.messages}</td>
-                <td class="number">
-                  <Age age_s={one.age_s + sinceS} />
-                </td>
-              </tr>
-            ))}
-          </tbody>
-        </table>
+        <PlainTable rows={state.components} keyOf={(one) => one.compid} columns={[
+          ["component", (one) => `${one.compid} ${one.name ?? ""}`],
+          ["type", (one) => one.type ?? "–"],
+          ["messages", (one) => one.messages, "number"],
+          ["age", (one) => <Age age_s={one.age_s + sinceS} />, "number"],
+        ]} />
       </Fold>
     </>
   );
 }
 
 function Fields({ fields }: { fields: readonly (readonly [string, unknown])[] }) {
-  return (
-    <dl class="fields">
-      {fields.map(([key, value]) => {
-        const { text, unit } = labelOf(key);
-        return (
-          <div key={key}>
-            <dt>{text}</dt>
-            <dd>
-              {fieldText(key, value)}
-              {unit !== "" && value !== null && <span class="unit"> {unit}</span>}
-            </dd>
-          </div>
-        );
-      })}
-    </dl>
-  );
+  return <Facts facts={fields.map(([key, value]) => {
+    const { text, unit } = labelOf(key);
+    return [text, <>{fieldText(key, value)}{unit !== "" && value !== null && <span class="unit"> {unit}</span>}</>];
+  })} />;
 }
 
 export function VehicleTexts(props: VehicleProps) {
