@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 from playwright.sync_api import expect
 
+from support.browser import until
 from support.page_steps import click_view, drop, fits, hold, select, side
 
 WPL = """QGC WPL 110
@@ -85,6 +87,37 @@ def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> Non
     expect(page.get_by_role("log", name="Orders")).to_contain_text("5 mission items taken", timeout=60_000)
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Draw on").click()
+    assert not page.errors
+
+
+def test_drawn_waypoints_keep_their_places_on_earth_in_another_frame(station, open_page, shot) -> None:
+    page = open_page(station)
+    select(page, "v2")
+    side(page, "Missions")
+    page.get_by_role("tab", name="Waypoints", exact=True).click()
+    page.get_by_role("button", name="Fit").click()
+    click_view(page, (0.35, 0.35), (0.6, 0.55))
+    expect(page.get_by_role("region", name="Check of drawn.plan")).to_contain_text("can be flown")
+    drawn = "skygcs.view.overlays.get('mission').shapes[0].points"
+    clicked = page.evaluate(f"{drawn}.map(([x, y]) => Object.values(skygcs.view.geodeticOf(x, y)))")
+    before = page.evaluate(drawn)
+    origin = station.call("origin.get")["origin"]
+    kept = {key: origin[key] for key in ("lat_deg", "lon_deg", "alt_amsl_m", "x_heading_deg")}
+    try:
+        station.call("origin.set", **(kept | {"lat_deg": kept["lat_deg"] + 2e-4, "x_heading_deg": 60.0}))
+        until(page, "skygcs.view.frame.x_heading_deg === 60")
+        expect(page.locator(".missionpanel > .note[role=status]")).to_contain_text("kept its places on earth")
+        assert all(abs(a - b) > 1 for a, b in zip(before[0][:2], page.evaluate(drawn)[0][:2], strict=True))
+        shot(page, "mission-other-frame")
+        page.get_by_role("button", name="Upload to v2").click()
+        expect(page.get_by_role("log", name="Orders")).to_contain_text("mission items taken", timeout=60_000)
+        plan = json.loads(station.call("missions.download", target="v2")["plan"])
+        flown = [item["params"][4:6] for item in plan["mission"]["items"] if item["command"] == 16]
+        assert flown == [pytest.approx(place, abs=2e-7) for place in clicked]  # two centimetres
+        page.get_by_role("button", name="Clear the drawing").click()
+        expect(page.locator(".missionpanel > .note[role=status]")).to_have_count(0)
+    finally:
+        station.call("origin.set", **kept)
     assert not page.errors
 
 

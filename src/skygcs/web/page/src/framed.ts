@@ -1,6 +1,8 @@
-// Places that a person chose, with the fleet's frame that they were chosen in: in another frame they are void. Pure.
+// Places that a person chose, with the fleet's frame that they were chosen in. In another frame one place is void, and a
+// drawing keeps its places on earth. Pure.
 
-import type { Origin } from "./types.ts";
+import type { Origin, Vec3 } from "./types.ts";
+import { frameAt, fromGeodetic, toGeodetic } from "./view/frame.ts";
 
 /** Names a frame: metres from another origin, or along another x axis, are another place. */
 export function frameKey(origin: Origin | null): string {
@@ -15,4 +17,16 @@ export interface Framed<T> {
 /** The chosen value in the frame it was chosen in; in any other `none`. */
 export function valueIn<T>(kept: Framed<T> | null, frame: string, none: T): T {
   return kept?.frame === frame ? kept.value : none;
+}
+
+/** Points of one frame in another one: at the same places on earth, their third number as it was. Null: one of the frames has no
+ *  origin, and so no place on earth. */
+export function carriedOver(points: readonly Vec3[], from: Origin | null, to: Origin | null): readonly Vec3[] | null {
+  if (points.length === 0 || frameKey(from) === frameKey(to)) return points;
+  if (from === null || to === null) return null;
+  const [before, now] = [frameAt(from), frameAt(to)];
+  return points.map(([x, y, up]): Vec3 => {
+    const { lat_deg, lon_deg } = toGeodetic(before, x, y);
+    return [...fromGeodetic(now, lat_deg, lon_deg), up];
+  });
 }

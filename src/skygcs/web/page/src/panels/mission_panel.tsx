@@ -1,12 +1,13 @@
 // Missions and fences: a file or a drawing, its check, the upload to the selected vehicles, and the flight.
 
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
+import { carriedOver } from "../framed.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useStore } from "../hooks.ts";
+import { useOverlay, useSelected, useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import type { Store } from "../store.ts";
-import type { Vec3 } from "../types.ts";
+import type { Origin, Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
 import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
@@ -30,9 +31,13 @@ const TABS: readonly { id: What; title: string }[] = [
   { id: "home", title: "About home" },
 ];
 
+const CARRIED_OVER = "The fleet's origin or x axis has changed. The drawing has kept its places on earth; its x and y are new.";
+const NO_PLACE = "The drawing is gone: it was made without an origin, and has no place on earth.";
+const NO_ORIGIN = "The drawing is hidden while the fleet has no origin; new points take its place.";
+
 type Ending = "return" | "land" | "hold";
 
-/** What a person drew, and how it is meant. It outlives the panel. */
+/** What a person drew, and how it is meant. */
 interface Draft {
   drawing: Drawing;
   heightM: number;
@@ -43,18 +48,18 @@ interface Draft {
 }
 
 const NEW_DRAFT: Draft = { drawing: NOTHING_DRAWN, heightM: 20, takeoffM: 10, end: "return", inclusion: true, radiusM: 50 };
-const drafts = new Map<What, Draft>();
+/** They outlive the panel. Each is in metres of the frame of its origin. */
+const drafts = new Map<What, { draft: Draft; origin: Origin | null }>();
 let lastTab: What = "file";
 let lastFile: FileContent | null = null;
 let lastSeveral = ALIKE;
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
-  const selection = useStore(store, (state) => state.selection);
-  const targets = useMemo(() => [...selection], [selection]);
+  const targets = useSelected(store);
   const [tab, setTab] = useState<What>(lastTab);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
-  const [draft, setDraft] = useState<Draft>(drafts.get(tab) ?? NEW_DRAFT);
+  const { draft, keep, note } = useDraft(store, tab);
   const [several, setSeveral] = useState(lastSeveral);
   const keepSeveral = (next: Several): void => {
     lastSeveral = next;
@@ -65,35 +70,50 @@ export default function MissionPanel(props: PanelProps) {
   const status = useMissionStatus(props, targets);
   const [first] = status;
   const current = first?.item ?? null;
-  useEffect(() => {
+  const shapes = useMemo(() => {
     const drawn = tab === "file" ? [] : drawnShapes(draft.drawing, tab === "polygon");
     const circle = tab === "circle" ? circleShapes(draft) : [];
     const shown = checked === null || tab !== "file" ? [] : missionShapes(checked, current);
     const others = tab === "file" || tab === "mission" ? severalShapes(checked?.several ?? null) : [];
-    view.setOverlay(OVERLAY, overlay([...shown, ...others], circle, drawn));
-  }, [view, checked, draft, tab, current]);
-  useEffect(() => () => view.setOverlay(OVERLAY, null), [view]);
+    return overlay([...shown, ...others], circle, drawn);
+  }, [checked, draft, tab, current]);
+  useOverlay(view, OVERLAY, shapes);
   const go = (id: string): void => {
     lastTab = id as What;
     setTab(lastTab);
     setChecked(null);
-    setDraft(drafts.get(lastTab) ?? NEW_DRAFT);
-  };
-  const keep = (next: Draft): void => {
-    drafts.set(tab, next);
-    setDraft(next);
   };
   return (
     <div class="panel missionpanel">
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
       {tab === "file" && <FromFile {...props} targets={targets} several={several} setChecked={setChecked} />}
       {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
+      {note !== null && <p class="note" role="status">{note}</p>}
       {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} several={several} setChecked={setChecked} targets={targets} />}
       {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
       {checked !== null && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
       <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
     </div>
   );
+}
+
+/** What is drawn on this tab, in the frame as it is now, and a word about a frame that has changed since. */
+function useDraft(store: Store, tab: What): { draft: Draft; keep: (next: Draft) => void; note: string | null } {
+  const origin = useStore(store, (state) => state.origin);
+  const [, redraw] = useReducer((n: number) => n + 1, 0);
+  const kept = drafts.get(tab);
+  const shown = useMemo(() => {
+    const { draft, origin: before } = kept ?? { draft: NEW_DRAFT, origin };
+    const points = carriedOver(draft.drawing.points, before, origin);
+    if (points === draft.drawing.points) return { draft, note: null };
+    if (points === null) return { draft: { ...draft, drawing: NOTHING_DRAWN }, note: before === null ? NO_PLACE : NO_ORIGIN };
+    return { draft: { ...draft, drawing: { ...draft.drawing, points } }, note: CARRIED_OVER };
+  }, [kept, origin]);
+  const keep = (next: Draft): void => {
+    drafts.set(tab, { draft: next, origin });
+    redraw(0);
+  };
+  return { ...shown, keep };
 }
 
 function circleShapes(draft: Draft): Parameters<typeof overlay>[0] {
@@ -103,14 +123,14 @@ function circleShapes(draft: Draft): Parameters<typeof overlay>[0] {
 }
 
 /** What a check has to know of the vehicle and of the picture. */
-function context(store: Store, targets: readonly string[], several: Several): object {
+function context(store: Store, origin: Origin | null, targets: readonly string[], several: Several): object {
   const { state } = store;
   const asked = askedPaths(several, store, targets);
   const vehicle = targets[0] === undefined ? undefined : state.vehicles.get(targets[0]);
   const place = vehicle?.position?.enu_m;
   const family = vehicle?.autopilot === "px4" || vehicle?.autopilot === "ardupilot" ? vehicle.autopilot : null;
   return {
-    origin: state.origin,
+    origin,
     autopilot: family,
     ...(place === null || place === undefined ? {} : { vehicle_xy_m: [place[0], place[1]] }),
     ...(asked === null ? {} : { several: asked }),
@@ -130,7 +150,7 @@ function FromFile({ store, connection, targets, several, setChecked }: PanelProp
     if (lastFile === null) return;
     const { text } = lastFile;
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
-    void run({ file: lastFile, ...context(store, targets, several) }).then((found) => {
+    void run({ file: lastFile, ...context(store, origin, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
   }, [run, store, origin, targets, several, file, setChecked]);
@@ -184,7 +204,7 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
     setChecked(null); // what was found of the drawing before is not to be uploaded
     if (key === "null") return undefined;
     const timer = setTimeout(() => {
-      const more = context(store, targets, several) as { autopilot: string | null };
+      const more = context(store, origin, targets, several) as { autopilot: string | null };
       void run({ drawn: JSON.parse(key) as object, ...(fence ? { origin, autopilot: more.autopilot } : more) }).then((found) => {
         if (found !== null) setChecked(found);
       });
