@@ -31,6 +31,8 @@ const TRAILS_ANEW_MS = 10_000;
 const SLOW_DRAW_MS = 10;
 /** A vehicle is shown as silent though nothing comes any more, of it or of others. */
 const AGES_EVERY_MS = 1000;
+/** A state is drawn with the frame that is due so soon. */
+const SOON_MS = 50;
 /** A pause that is shorter than a frame of the screen is none. */
 const SCREEN_FRAME_MS = 17;
 
@@ -93,7 +95,8 @@ export class FleetView {
   constructor(readonly store: Store) {
     store.subscribe((state) => {
       this.onState(state);
-      if (this.canvas !== null && !this.requested) this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
+      if (this.canvas === null || this.requested || this.laterAtMs - performance.now() < SOON_MS) return;
+      this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
     });
     const anew = (): void => {
       this.palette = null;
