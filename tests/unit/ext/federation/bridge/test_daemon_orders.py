@@ -139,6 +139,7 @@ async def test_a_daemon_that_is_stopped_gets_no_order_but_a_stop() -> None:
     await asyncio.gather(stop, running, return_exceptions=True)
 
 
+@pytest.mark.looptime
 async def test_stops_find_connections_beside_all_other_orders_that_end_a_flight(tmp_path: Path) -> None:
     daemon = FakeDaemon(1)
     daemon.vehicle("alpha").delay_s = 1.0
@@ -148,6 +149,7 @@ async def test_stops_find_connections_beside_all_other_orders_that_end_a_flight(
         assert {one.status for one in carried} == {"done"}
 
 
+@pytest.mark.looptime
 async def test_a_stop_for_every_vehicle_of_a_full_site_finds_connections(tmp_path: Path) -> None:
     daemon = FakeDaemon(1)
     daemon.vehicle("alpha").delay_s = 0.5
