@@ -1,4 +1,4 @@
-"""What leaves a socket of ours as JSON: one encoder, and the replies to requests. No I/O."""
+"""JSON of what leaves a socket of ours: the one encoder, and replies to requests. Pure."""
 
 from __future__ import annotations
 

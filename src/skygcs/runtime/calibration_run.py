@@ -25,7 +25,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import CommandClient
-from skygcs.runtime.deadline_timer import DeadlineTimer
+from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.order_runner import duplicate_refusal
 from skygcs.runtime.task_set import TaskSet
 

@@ -31,7 +31,7 @@ from skygcs.core.protocols.command import (
 from skygcs.core.protocols.command_repeats import Repeat, repeat_rule
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import Clearance, is_exempt
-from skygcs.runtime.deadline_timer import DeadlineTimer
+from skygcs.runtime.loop_clock import DeadlineTimer
 
 
 class SendFn(Protocol):

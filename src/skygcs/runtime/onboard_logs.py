@@ -28,7 +28,7 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.deadline_timer import DeadlineTimer
+from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.vehicle_services import VehicleServices
 from skygcs.writer_thread import WriterThread
 

@@ -43,7 +43,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.deadline_timer import DeadlineTimer
+from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.param_cache import ParamBook, ParamCache
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.vehicle_services import VehicleServices

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from skygcs.runtime.deadline_timer import DeadlineTimer
+from skygcs.runtime.loop_clock import DeadlineTimer
 
 pytestmark = pytest.mark.looptime
 
