@@ -15,7 +15,7 @@ from typing import Any
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
-from skygcs.core.control.guard import ControlMode, Facts, GuardConfig
+from skygcs.core.control.guard import ControlMode, GuardConfig, GuardFacts
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -34,7 +34,7 @@ TOLERANT = GuardConfig(attitude_delay_s=1.0, velocity_delay_s=5.0, stale_s=1.5, 
 class Obeyed(OffboardController):
     """Flies what flew otherwise: the guard is told that it obeys, and asked for everything else."""
 
-    def _facts(self, *args: Any) -> Facts:
+    def _facts(self, *args: Any) -> GuardFacts:
         facts = super()._facts(*args)
         return replace(facts, following=True, armed=True, airborne=None, connected=True, attitude_refused=None)
 

@@ -11,7 +11,7 @@ from skygcs.events import Event
 from skygcs.ext.corrections.caster import CasterSource
 from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.feeder import Feeder
-from skygcs.ext.corrections.gga import Place
+from skygcs.ext.corrections.gga import GgaPosition
 from skygcs.ext.corrections.receiver import ReceiverSource
 from skygcs.runtime.correction_feed import CorrectionFeed
 from support.frames import dialect
@@ -20,7 +20,7 @@ from support.frames import dialect
 class CorrectionsBench:
     """``table``: [corrections]; ``place``: of a virtual station, by the source of the last one."""
 
-    def __init__(self, place: Callable[[str | None], Place | None] = lambda last: None, **table: Any) -> None:
+    def __init__(self, place: Callable[[str | None], GgaPosition | None] = lambda last: None, **table: Any) -> None:
         self.config = CorrectionsConfig.model_validate(table)
         self.clock = asyncio.get_running_loop().time
         self.sent = bytearray()

@@ -21,8 +21,8 @@ from skygcs.ext.federation.protocol.lease import (
     Inspect,
     Lease,
     LeaseConfig,
+    LeaseReport,
     Look,
-    Report,
     Revoke,
     Write,
 )
@@ -138,7 +138,7 @@ class Site:
                     self._inspect(lambda same: None)
                 case Ask():
                     self.world.ask(self, action)
-                case Report():
+                case LeaseReport():
                     self.reports.append(action.text)
 
     def _write(self, write: Write) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.protocols.base import Effect, Report, Send
+from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.mission import ANSWERS, MissionProtocol
 from support.frames import dialect
 
@@ -281,7 +281,7 @@ class MissionRig:
             if isinstance(effect, Send):
                 self.sent.append((effect.message, effect.values))
                 self._wire(effect.message, effect.values, 0, up=True)
-            elif isinstance(effect, Report):
+            elif isinstance(effect, ProgressReport):
                 self.reports.append(effect.percent)
 
     def _reply(self, replies: list[Reply]) -> None:

@@ -37,7 +37,7 @@ from skygcs.cli.render import event_line, plural, print_json
 from skygcs.config.files import read_named
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
-from skygcs.core.mission.firmware_items import Change, Family, for_firmware, grouped
+from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan, write_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, same_start
@@ -211,7 +211,7 @@ def _check_file(file: Path, request: _CheckRequest, json_output: bool) -> int:
 def _convert_file(file: Path, out: Path, only: MissionType | None, family: Family | None, *, force: bool) -> int:
     """Write the plan to ``out``, changed for ``family``. Raises PlanFileError, DialectError, OSError."""
     imported, _ = load_plan(file)
-    changes: tuple[Change, ...] = ()
+    changes: tuple[ItemChange, ...] = ()
     if family is not None:
         from skygcs.config.dialects import load_dialect
         from skygcs.config.models import FleetConfig
@@ -234,7 +234,7 @@ def _convert_file(file: Path, out: Path, only: MissionType | None, family: Famil
 
 
 def _report(
-    file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[Change, ...], dialect: Dialect
+    file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[ItemChange, ...], dialect: Dialect
 ) -> dict[str, Any]:
     plan = imported.plan
     home = plan.home
@@ -280,7 +280,7 @@ def _item(number: int, item: MissionItem, dialect: Dialect) -> dict[str, Any]:
     }
 
 
-def _text(file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[Change, ...]) -> str:
+def _text(file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[ItemChange, ...]) -> str:
     lines = [f"{file}: {_counts(imported)}"]
     lines += [f"  note     {note}" for note in imported.notes]
     lines += [f"  changed  mission {line}" for line in grouped(changes)]

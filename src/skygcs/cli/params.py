@@ -21,7 +21,7 @@ from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.cli.render import plural, print_json, print_lines
 from skygcs.config.files import read_named, write_whole
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float, value_text
-from skygcs.core.params.compare import ApplyPlan, Change, Difference, diff, plan
+from skygcs.core.params.compare import ApplyPlan, Difference, ParamChange, diff, plan
 from skygcs.core.params.metadata import ParamMetadata
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import MAX_CHARS, Entry, Kind, ParamFile, Rounding, of_vehicle, parse, write
@@ -283,7 +283,7 @@ async def _applied(
     outcomes = (await _set(gcs, str(held.sysid), wanted, force=force))[held.name]
     report(outcome_lines({held.name: outcomes}))
     # read again what the vehicle holds now; after a change of its identity it is another vehicle to the daemon
-    left: Sequence[Change] = ()
+    left: Sequence[ParamChange] = ()
     problem = "its identity was changed" if any(c.sort == "identity" for c in made.changes) else ""
     if not problem:
         try:
@@ -617,7 +617,7 @@ def rounding_note(name: str, rounding: Rounding) -> Iterator[str]:
         yield f"{name}: its values are {WRITERS[rounding]}; smaller difference_lines do not show"
 
 
-def after_lines(vehicle: str, left: Sequence[Change]) -> Iterator[str]:
+def after_lines(vehicle: str, left: Sequence[ParamChange]) -> Iterator[str]:
     """Return what differs from the file after everything was set and read again."""
     if not left:
         yield f"{vehicle}: read again, nothing differs from the file"

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.protocols.base import Effect, Report, Transmit
+from skygcs.core.protocols.base import Effect, ProgressReport, Transmit
 from skygcs.core.protocols.command import (
     EMERGENCY_TIMERS_S,
     RETRY_TIMERS_S,
@@ -468,7 +468,7 @@ class CommandClient:
                     if (follower := self._dialect.by_name.get(name)) is not None:
                         addressed = {**fields, **self._address(follower)}
                         self._send(follower, addressed, *self.target, running.priority, everywhere=True, **cleared)
-            elif isinstance(effect, Report):
+            elif isinstance(effect, ProgressReport):
                 if running.request.on_report is not None:
                     running.request.on_report(effect.percent)
             elif not running.done.done():

@@ -25,7 +25,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.param_transfers import VehicleParams
-from skygcs.runtime.undo_journal import Change
+from skygcs.runtime.undo_journal import UndoableChange
 from skygcs.runtime.vehicle_services import VehicleServices
 
 LOOK_S = 0.25
@@ -320,7 +320,9 @@ class VehicleFence:
         message = f"{text}; it was not armed, so that what it does then was not tested"
         return Outcome(True, "accepted", message, elapsed_s=elapsed_s)
 
-    async def _end(self, path: Path, record: dict[str, Any], walk: _Walk, change: Change, outcome: Outcome) -> Outcome:
+    async def _end(
+        self, path: Path, record: dict[str, Any], walk: _Walk, change: UndoableChange, outcome: Outcome
+    ) -> Outcome:
         """Restore the parameters, write the record, report."""
         # put the fence back; the undo journal keeps the change where that fails
         failed = await self._put_back(change.before)

@@ -54,7 +54,7 @@ from skygcs.runtime.vehicle_services import (
     WideLinks,
     no_order_refusal,
 )
-from skygcs.runtime.world_frame import World
+from skygcs.runtime.world_frame import WorldFrame
 
 MAX_VEHICLES_OF_LINK = 250
 """System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats ..."""
@@ -107,7 +107,7 @@ class Fleet:
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
         self._links = links or WideLinks()
         self.locks = FlightLocks(self._links.links_to, self._report_fault)  # of the flights under way
-        self.world = World(_origin(config), self.vehicles, self.locks, on_event)
+        self.world = WorldFrame(_origin(config), self.vehicles, self.locks, on_event)
         self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
         own = config.daemon
         self._own_key = own.sysid << 8 | own.compid
@@ -415,15 +415,15 @@ class Fleet:
         return self.world.generation
 
     def origin_status(self) -> dict[str, Any]:
-        """See `World.status`."""
+        """See `WorldFrame.status`."""
         return self.world.status()
 
     def set_origin(self, origin: Origin | None, *, force: bool = False) -> None:
-        """See `World.set`."""
+        """See `WorldFrame.set`."""
         self.world.set(origin, force=force)
 
     def set_origin_from(self, target: str | int, *, heading: bool = False, force: bool = False) -> None:
-        """See `World.set_from_vehicle`. Raises TargetError, too."""
+        """See `WorldFrame.set_from_vehicle`. Raises TargetError, too."""
         self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
 
     def authority_gained(self, sysid: int) -> None:

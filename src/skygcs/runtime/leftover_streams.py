@@ -11,7 +11,7 @@ from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM
-from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Request, Stream, restoring
+from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Stream, StreamRequest, restoring
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.events import Event
@@ -156,7 +156,7 @@ class LeftoverStreams:
             for request in requests:
                 self._send(actor, request, now)
 
-    def _send(self, actor: VehicleActor, request: Request, now: float) -> None:
+    def _send(self, actor: VehicleActor, request: StreamRequest, now: float) -> None:
         group, message = request.stream
         if group is not None:
             if "REQUEST_DATA_STREAM" in self._dialect.by_name:

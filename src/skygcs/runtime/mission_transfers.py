@@ -16,11 +16,11 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import EVENT as EVENT_ID
 from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
 from skygcs.core.mission.fence_items import FencePlan
-from skygcs.core.mission.firmware_items import Change, grouped
+from skygcs.core.mission.firmware_items import ItemChange, grouped
 from skygcs.core.mission.item import MissionItem, MissionType, item_of_seq
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.px4_events import EVENT, rejection
-from skygcs.core.protocols.base import Effect, Report, Send
+from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S, Outcome
 from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionOutcome, MissionProtocol
 from skygcs.core.protocols.mission_download import MissionDownload
@@ -338,7 +338,7 @@ class Missions:
         for effect in effects:
             if isinstance(effect, Send):
                 self._commands.transmit(effect.message, effect.values, Priority.PROTOCOL, clearance=UPLOAD)
-            elif isinstance(effect, Report):
+            elif isinstance(effect, ProgressReport):
                 self._report(effect.percent)
         if self._running is None:
             return
@@ -425,7 +425,7 @@ class Missions:
         self._on_event(Event(kind, self._vehicle.name, self._vehicle.sysid, text, data))
 
 
-def _change_texts(changes: tuple[Change, ...]) -> list[str]:
+def _change_texts(changes: tuple[ItemChange, ...]) -> list[str]:
     lines = grouped(changes)
     more = [f"and {len(lines) - MAX_CHANGES} more kinds of changes: skygcs-cli mission check lists them"]
     return [f"mission {line}" for line in lines[:MAX_CHANGES]] + (more if len(lines) > MAX_CHANGES else [])

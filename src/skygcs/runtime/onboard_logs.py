@@ -21,7 +21,7 @@ from typing import Any, Self
 from skygcs.config.files import LOG_MODE, make_log_folder
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import LOG_DATA, LOG_ENTRY
-from skygcs.core.protocols.base import Chunk, Effect, Report, Send
+from skygcs.core.protocols.base import Chunk, Effect, ProgressReport, Send
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.core.radio_link.transmit_queue import Priority
@@ -307,7 +307,7 @@ class VehicleLogs:
             elif isinstance(effect, Chunk):
                 self._chunks.append(effect)
                 self._some.set()
-            elif isinstance(effect, Report) and isinstance(machine, OnboardLogDownload):
+            elif isinstance(effect, ProgressReport) and isinstance(machine, OnboardLogDownload):
                 self._report_progress(machine)
         if len(self._chunks) > MAX_WAITING_CHUNKS and not machine.done:
             self._apply(machine.stop(self._loop.time(), "failed", "the disk is too slow; the same command goes on"))

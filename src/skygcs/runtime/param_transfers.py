@@ -24,7 +24,7 @@ from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params import pck
 from skygcs.core.params.names import other_name
-from skygcs.core.protocols.base import Effect, ProtocolMachine, Report, Send
+from skygcs.core.protocols.base import Effect, ProgressReport, ProtocolMachine, Send
 from skygcs.core.protocols.command import MAX_TEXTS
 from skygcs.core.protocols.file_download import FileDownload, FileOutcome
 from skygcs.core.protocols.parameter import ABSENT_PROBES, ParameterProtocol, ParamOutcome
@@ -595,10 +595,10 @@ class VehicleParams:
         for effect in effects:
             if isinstance(effect, Send):
                 self._transmit(protocol, effect)
-            elif isinstance(effect, Report) and isinstance(protocol, ParamList):
+            elif isinstance(effect, ProgressReport) and isinstance(protocol, ParamList):
                 self.progress = protocol.progress(self._loop.time())
                 self._progress("list", self.progress, "reading parameters")
-            elif isinstance(effect, Report) and isinstance(protocol, FileDownload) and self._file_running:
+            elif isinstance(effect, ProgressReport) and isinstance(protocol, FileDownload) and self._file_running:
                 self.progress = progress_of(protocol, self._loop.time())
                 self._progress("list", self.progress, "reading parameters by file, some")
         done = self._running.get(protocol)

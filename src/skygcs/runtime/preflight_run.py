@@ -16,9 +16,9 @@ from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Answer, Facts
+from skygcs.core.preflight.facts import Answer, PreflightFacts
 from skygcs.core.preflight.health import FRESH_S
-from skygcs.core.preflight.report import Finding, Fix, Report, Severity, failed, passed
+from skygcs.core.preflight.report import Finding, Fix, PreflightReport, Severity, failed, passed
 from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
@@ -58,7 +58,7 @@ Confirmed = Mapping[str, float] | None
 class Examined:
     """A report, its time (the loop's clock), the parameters set before it, and why others were not set."""
 
-    report: Report
+    report: PreflightReport
     at: float
     fixed: Mapping[str, ParamOutcome]
     unfixed: str = ""
@@ -193,11 +193,11 @@ class Preflight:
             self.last = examined
         return examined
 
-    def _facts(self, answers: Mapping[str, Answer]) -> Facts:
+    def _facts(self, answers: Mapping[str, Answer]) -> PreflightFacts:
         known = {a.param.name: a.param for a in answers.values() if a.param is not None}
         if self.vehicle.family == "px4":  # an ArduCopter has a value outside a recommended range from the beginning
             known = dict(self._params.known()) | known
-        return Facts(
+        return PreflightFacts(
             state=dict(take_snapshot(self.vehicle, self._loop.time(), self.wall_clock())),
             gcs_sysid=None if self._services.own[0] == self.vehicle.sysid else self._services.own[0],
             configured=self._configured,
@@ -285,7 +285,7 @@ class Unheard:
         text = "it is in the fleet file and has not been heard"
         todo = "switch it on; check its radio and the link; or remove it from the file"
         finding = failed(text, todo).named("link", Severity.FAULT)
-        report = Report((finding,))
+        report = PreflightReport((finding,))
         return {"sysid": self.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
 
 

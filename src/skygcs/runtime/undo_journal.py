@@ -31,7 +31,7 @@ MAX_PARAMETERS = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class UndoableChange:
     """Parameters of one vehicle with their values ``before``, which are ``changed`` for the time of ``what``, in the
     order in which they are restored. ``id`` names the entry."""
 
@@ -79,12 +79,12 @@ class UndoJournal:
         what: str,
         before: Mapping[str, float],
         changed: Mapping[str, float],
-    ) -> Change:
+    ) -> UndoableChange:
         """Write it to disk, before anything is changed. Raises RefusedError if that fails."""
         # describe the change
         self._number += 1
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-        change = Change(
+        change = UndoableChange(
             f"{sysid}-{stamp}-{os.getpid()}-{self._number}",
             vehicle,
             sysid,
@@ -108,18 +108,18 @@ class UndoJournal:
         self._in_progress.add(change.id)
         return change
 
-    def undone(self, change: Change) -> None:
+    def undone(self, change: UndoableChange) -> None:
         """The vehicle has its old values again. Raises OSError if the entry cannot be removed."""
         self._path(change.id).unlink(missing_ok=True)
         self._in_progress.discard(change.id)
         self.left()
 
-    def left_over(self, change: Change) -> None:
+    def left_over(self, change: UndoableChange) -> None:
         """It could not be undone now: keep the entry."""
         self._in_progress.discard(change.id)
         self.left()
 
-    def left(self) -> list[Change]:
+    def left(self) -> list[UndoableChange]:
         """The entries that wait for their undo, oldest first, without those in progress. Other files are `problems`."""
         self.problems = []
         found = []
@@ -135,14 +135,14 @@ class UndoJournal:
         self.number_left = len(found)
         return sorted(found, key=lambda c: (c.began, c.id))
 
-    def find(self, id: str) -> Change:
+    def find(self, id: str) -> UndoableChange:
         """One entry. Raises RefusedError if it does not exist or is in progress."""
         for change in self.left():
             if change.id == id:
                 return change
         raise RefusedError(f"no change with id {id[:80]!r} waits to be undone; skygcs-cli undo list shows them")
 
-    def drop(self, change: Change) -> None:
+    def drop(self, change: UndoableChange) -> None:
         """Remove an entry without an undo. Raises RefusedError if the file cannot be removed."""
         try:
             self._path(change.id).unlink(missing_ok=True)
@@ -159,21 +159,21 @@ class UndoJournal:
     def _path(self, id: str) -> Path:
         return self._folder / f"{id}.json"
 
-    def _write(self, change: Change) -> None:
+    def _write(self, change: UndoableChange) -> None:
         """It is on the disk when this returns."""
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         content = json.dumps({"format": FORMAT, **change.as_dict()}, indent=1)
         write_whole(self._path(change.id), content.encode(), 0o600)
 
 
-def _read(path: Path) -> Change:
+def _read(path: Path) -> UndoableChange:
     """Read an entry. Raises OSError, and for an invalid one ValueError, KeyError, TypeError, AttributeError or
     OverflowError."""
     with path.open("rb") as file:
         table = json.loads(file.read(MAX_FILE_BYTES))
     if table["format"] != FORMAT:
         raise ValueError(f"format {table['format']!r}")
-    change = Change(
+    change = UndoableChange(
         path.stem,
         str(table["vehicle"])[:64],
         int(table["sysid"]),

@@ -11,7 +11,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.disk_writer import DiskWriter
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.undo_journal import Change, UndoJournal
+from skygcs.runtime.undo_journal import UndoableChange, UndoJournal
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 SAME = 1e-6
@@ -84,7 +84,7 @@ class UndoOrders:
         self._publish(change, text, {"id": id, "state": "undone" if outcome.ok else "left", "result": outcome.result})
         return outcome
 
-    async def _undo(self, change: Change, *, force: bool) -> Outcome:
+    async def _undo(self, change: UndoableChange, *, force: bool) -> Outcome:
         # refuse while a change would be dangerous
         actor = self._actor(change)
         require_connected(actor.vehicle, self._now())
@@ -126,7 +126,7 @@ class UndoOrders:
         except OSError as error:
             raise RefusedError(f"{self._journal.folder}: {error.strerror or error}") from None
 
-    def _actor(self, change: Change) -> VehicleActor:
+    def _actor(self, change: UndoableChange) -> VehicleActor:
         found = [a for a in self._vehicles.values() if a.sysid == change.sysid and not a.vehicle.replayed]
         if not found:
             raise RefusedError(f"no vehicle with system id {change.sysid} is heard")
@@ -135,7 +135,7 @@ class UndoOrders:
                 return actor
         raise RefusedError(f"system {change.sysid} is not a {change.autopilot} now: another vehicle has its id")
 
-    def _publish(self, change: Change, text: str, data: dict[str, Any]) -> None:
+    def _publish(self, change: UndoableChange, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("undo", change.vehicle, change.sysid, text, data))
 
 

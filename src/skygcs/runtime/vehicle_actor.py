@@ -321,7 +321,7 @@ class VehicleActor:
             self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
-        """Set the fleet's world frame and its number; see `World`."""
+        """Set the fleet's world frame and its number; see `WorldFrame`."""
         self.vehicle.origin = origin
         self.vehicle.origin_generation = generation
         self.offboard.origin_changed()

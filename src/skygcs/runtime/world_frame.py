@@ -15,7 +15,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 
-class World:
+class WorldFrame:
     """``origin`` (None: there is no frame yet) and ``generation``, the count of its changes.
 
     A change is one synchronous step: before the next frame is read or the next request answered, every vehicle object

@@ -31,13 +31,13 @@ Place = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 
 
-class Request(BaseModel):
+class CheckRequest(BaseModel):
     """Base of the models: strict, and a key that is not known is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class OriginKeys(Request):
+class OriginKeys(CheckRequest):
     """The origin as origin.get returns it."""
 
     lat_deg: Annotated[float, Field(ge=-90, le=90)]
@@ -49,7 +49,7 @@ class OriginKeys(Request):
         return Origin(self.lat_deg, self.lon_deg, self.alt_amsl_m, self.x_heading_deg)
 
 
-class DroppedFile(Request):
+class DroppedFile(CheckRequest):
     """A file by its name: text, or anything in base64."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
@@ -68,7 +68,7 @@ class DroppedFile(Request):
             raise RefusedError(f"{self.name}: is not base64: {error}") from None
 
 
-R = TypeVar("R", bound=Request)
+R = TypeVar("R", bound=CheckRequest)
 
 
 def parsed(model: type[R], params: Mapping[str, Any]) -> R:

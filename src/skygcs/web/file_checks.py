@@ -17,11 +17,11 @@ from pydantic import Field
 
 from skygcs.config.extension_tables import installed_points
 from skygcs.core.mavlink.param_encoding import Param, ParamType
-from skygcs.core.params.compare import Change, plan
+from skygcs.core.params.compare import ParamChange, plan
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import ParamFile, parse
 from skygcs.errors import RefusedError
-from skygcs.web.dropped import DroppedFile, Request, parsed
+from skygcs.web.dropped import CheckRequest, DroppedFile, parsed
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -35,7 +35,7 @@ _CHECK_NAME = re.compile(r"web\.[a-z_]+\.check")
 Check = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 
-class HeldParam(Request):
+class HeldParam(CheckRequest):
     """A parameter as params.list returns it."""
 
     name: Annotated[str, Field(min_length=1, max_length=16)]
@@ -43,7 +43,7 @@ class HeldParam(Request):
     type: str
 
 
-class ParamsCheck(Request):
+class ParamsCheck(CheckRequest):
     """A parameter file, and the parameters of the vehicle to which it is compared."""
 
     file: DroppedFile
@@ -105,7 +105,7 @@ def _held(asked: ParamsCheck) -> dict[str, Param]:
     return held
 
 
-def _change(change: Change) -> dict[str, Any]:
+def _change(change: ParamChange) -> dict[str, Any]:
     before = change.before
     if before is not None and not math.isfinite(before):
         before = None

@@ -18,7 +18,7 @@ from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import MAX_DISTANCE_M, MAX_HEIGHT_M, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
-from skygcs.core.mission.firmware_items import Change, Family, for_firmware, grouped
+from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan
 from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
@@ -33,7 +33,7 @@ from skygcs.core.vehicle.formation import (
     for_several,
 )
 from skygcs.errors import PlanFileError, RefusedError
-from skygcs.web.dropped import DroppedFile, Height, Metres, OriginKeys, Place, Point, Request, WorldMap, parsed
+from skygcs.web.dropped import CheckRequest, DroppedFile, Height, Metres, OriginKeys, Place, Point, WorldMap, parsed
 
 MAX_SHOWN_ITEMS = 5000
 """Items in an answer. More are uploaded but neither listed nor drawn, and a note says so."""
@@ -44,7 +44,7 @@ MAX_DRAWN_POINTS = 1000
 HEIGHT_ABOVE: dict[int, str] = {GLOBAL: "sea level", RELATIVE_ALT: "home", TERRAIN_ALT: "terrain"}
 
 
-class DrawnMission(Request):
+class DrawnMission(CheckRequest):
     """Waypoints from the canvas: x, y in the world frame, height above home."""
 
     waypoints: Annotated[list[Place], Field(min_length=1, max_length=MAX_DRAWN_POINTS)]
@@ -53,25 +53,25 @@ class DrawnMission(Request):
     end: Literal["return", "land", "hold"] = "return"
 
 
-class DrawnPolygon(Request):
+class DrawnPolygon(CheckRequest):
     """Corners in the world frame."""
 
     inclusion: bool = True
     corners: Annotated[list[Point], Field(min_length=3, max_length=MAX_DRAWN_POINTS)]
 
 
-class DrawnCircle(Request):
+class DrawnCircle(CheckRequest):
     inclusion: bool = True
     center: Point
     radius_m: Annotated[float, Field(gt=0.0, le=1e5)]
 
 
-class DrawnFence(Request):
+class DrawnFence(CheckRequest):
     polygons: list[DrawnPolygon] = Field(default_factory=list, max_length=100)
     circles: list[DrawnCircle] = Field(default_factory=list, max_length=100)
 
 
-class SeveralVehicles(Request):
+class SeveralVehicles(CheckRequest):
     """The arrangement of missions.upload, and the vehicles in the order in which it takes them: by system id."""
 
     kind: ArrangementKind
@@ -82,7 +82,7 @@ class SeveralVehicles(Request):
     """Where each is now."""
 
 
-class MissionCheck(Request):
+class MissionCheck(CheckRequest):
     """A file or a drawing, and the vehicle that it is for as far as the page knows it."""
 
     file: DroppedFile | None = None
@@ -96,7 +96,7 @@ class MissionCheck(Request):
     several: SeveralVehicles | None = None
 
 
-class FenceCheck(Request):
+class FenceCheck(CheckRequest):
     file: DroppedFile | None = None
     drawn: DrawnFence | None = None
     autopilot: Literal["px4", "ardupilot"] | None = None
@@ -305,7 +305,7 @@ def _fence(fence: FencePlan, world: WorldMap) -> dict[str, Any]:
     }
 
 
-def _changes(changes: tuple[Change, ...]) -> list[str]:
+def _changes(changes: tuple[ItemChange, ...]) -> list[str]:
     return list(grouped(changes))[:MAX_SHOWN_FINDINGS]
 
 

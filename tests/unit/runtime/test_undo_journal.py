@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from skygcs.errors import RefusedError
-from skygcs.runtime.undo_journal import MAX_ENTRIES, Change, UndoJournal
+from skygcs.runtime.undo_journal import MAX_ENTRIES, UndoableChange, UndoJournal
 
 BEFORE = {"FENCE_ENABLE": 0.0, "FENCE_RADIUS": 300.5}
 CHANGED = {"FENCE_ENABLE": 1.0, "FENCE_RADIUS": 5.0}
 
 
-def begin(journal: UndoJournal, sysid: int = 7) -> Change:
+def begin(journal: UndoJournal, sysid: int = 7) -> UndoableChange:
     return journal.begin("alpha", sysid, "ardupilot", "fence test", BEFORE, CHANGED)
 
 

@@ -120,7 +120,7 @@ class GuardConfig:
 
 
 @record
-class Facts:
+class GuardFacts:
     """The guard's input in one tick. None means unknown."""
 
     connected: bool
@@ -232,12 +232,12 @@ class Guard:
         self._as_before = False
         """True if the last check found no reason and the mode is the wanted one: another such check changes nothing."""
 
-    def why_not(self, facts: Facts) -> tuple[str, ...]:
+    def why_not(self, facts: GuardFacts) -> tuple[str, ...]:
         """All present reasons against the wanted mode. Changes nothing."""
         found = (*_not_ours(facts), *_unsafe(self.config, facts), *_unfit(self.config, facts, self.wanted))
         return tuple(refusal.text for refusal in found)
 
-    def check(self, facts: Facts, now: float) -> Verdict:
+    def check(self, facts: GuardFacts, now: float) -> Verdict:
         """The verdict for this tick. After a hold or a release it stays the same, with its first reasons."""
         if self._as_before and now >= self._checked_at and all_well(self.config, facts, self.wanted):
             return self._as_wanted  # the full check would find the same: 0.8 us instead of 3.9 us
@@ -311,7 +311,7 @@ class Guard:
         return f"{since}; it returns after {self.config.return_after_s:g} s"
 
 
-def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
+def all_well(config: GuardConfig, facts: GuardFacts, wanted: ControlMode) -> bool:
     """True if no rule rejects the wanted mode or its fallbacks: `_not_ours`, `_unsafe` and `_unfit` in one expression,
     for the many ticks without a reason."""
     age_s, estimate, delay_s = facts.state_age_s, facts.estimate, facts.delay_p95_s
@@ -352,7 +352,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
     )
 
 
-def _not_ours(facts: Facts) -> Iterator[Refusal]:
+def _not_ours(facts: GuardFacts) -> Iterator[Refusal]:
     """Row 1, causes before consequences: a vehicle that rebooted is also disarmed and in another mode."""
     if not facts.connected:
         yield Refusal("lost", "the vehicle is lost: no heartbeat")
@@ -371,7 +371,7 @@ def _not_ours(facts: Facts) -> Iterator[Refusal]:
         )
 
 
-def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
+def _unsafe(config: GuardConfig, facts: GuardFacts) -> Iterator[Refusal]:
     """Row 2."""
     if not facts.armed and facts.flies_disarmed is not None:
         # A heartbeat from another sender: without setpoints an ArduCopter in the air levels and drifts.
@@ -404,7 +404,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
         yield Refusal("refusing", f"the autopilot refuses: {facts.refusing or 'it does not say why'}")
 
 
-def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iterator[Refusal]:
+def _unfit(config: GuardConfig, facts: GuardFacts, control_mode: ControlMode) -> Iterator[Refusal]:
     """Row 3. Position has no entry: its limits are in row 2."""
     if control_mode is ControlMode.POSITION:
         return
@@ -443,7 +443,7 @@ def _age_text(age_s: float, limit_s: float, what: str) -> str:
     return f"state is {age_s:.2f} s old (limit for {what} {limit_s:g} s)"
 
 
-def _delay_text(facts: Facts, limit_s: float, control_mode: ControlMode) -> str:
+def _delay_text(facts: GuardFacts, limit_s: float, control_mode: ControlMode) -> str:
     limit = f"limit for {control_mode} {limit_s:g} s"
     if facts.pings_overdue:
         least = f"at least {facts.delay_p95_s:.3f} s, by pings that are not answered"

@@ -321,7 +321,7 @@ MAX_ALTITUDE_M = 83000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ItemChange:
     """The change to one item of the plan; ``item``: its number, from 1."""
 
     item: int
@@ -333,7 +333,7 @@ class Converted:
     """A mission in the form a firmware accepts, and the changes to report to the user."""
 
     items: tuple[MissionItem, ...]
-    changes: tuple[Change, ...] = ()
+    changes: tuple[ItemChange, ...] = ()
 
 
 def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: Mapping[int, str]) -> Converted:
@@ -341,13 +341,13 @@ def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: M
     if family is None:
         return Converted(items)
     kept: list[MissionItem] = []
-    changes: list[Change] = []
+    changes: list[ItemChange] = []
     numbers: list[int] = []
     """Number in ``kept`` of each item of the plan; an omitted item has the number of the next one."""
     for number, item in enumerate(items, 1):
         numbers.append(len(kept) + 1)
         converted, texts = convert(item, family, names)
-        changes += [Change(number, text) for text in texts]
+        changes += [ItemChange(number, text) for text in texts]
         if converted is not None:
             kept.append(converted)
     if len(kept) < len(items):
@@ -355,7 +355,7 @@ def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: M
     return Converted(tuple(kept), tuple(changes))
 
 
-def grouped(changes: tuple[Change, ...]) -> list[str]:
+def grouped(changes: tuple[ItemChange, ...]) -> list[str]:
     """The changes as lines, items with the same change in one line."""
     items: dict[str, list[int]] = {}
     for change in changes:

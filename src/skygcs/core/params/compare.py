@@ -41,7 +41,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ParamChange:
     """One parameter to set: the vehicle's own name for it, old value (None: not known) and new value."""
 
     name: str
@@ -58,7 +58,7 @@ class ApplyPlan:
     values that the vehicle's types cannot hold. ``warnings``: signs that the file is of another vehicle.
     """
 
-    changes: tuple[Change, ...]
+    changes: tuple[ParamChange, ...]
     same: int
     skipped: tuple[tuple[str, str], ...]
     unknown: tuple[str, ...]
@@ -102,7 +102,7 @@ def plan(
     feature's parameters only then; the system id comes last, because the vehicle does not answer to the old one
     afterwards.
     """
-    changes: list[Change] = []
+    changes: list[ParamChange] = []
     skipped: list[tuple[str, str]] = []
     unknown: list[str] = []
     problems: list[str] = []
@@ -128,7 +128,7 @@ def plan(
         except ValueError as error:
             problems.append(f"line {entry.line}: {entry.name}: {error}")
             continue
-        changes.append(Change(name, wanted, present.value, sort))
+        changes.append(ParamChange(name, wanted, present.value, sort))
     # in an order in which every change takes effect
     changes.sort(key=_turn)
     skipped += [(e.name, f"component {e.compid}") for e in file.entries if e.compid not in (None, compid)]
@@ -136,7 +136,7 @@ def plan(
     return ApplyPlan(tuple(changes), same, tuple(skipped), tuple(unknown), tuple(problems), warnings, file.rounding)
 
 
-def _turn(change: Change) -> int:
+def _turn(change: ParamChange) -> int:
     if change.sort == "identity":
         return 2
     return 0 if turns_on(change.name) and change.value else 1

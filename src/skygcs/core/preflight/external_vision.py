@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Facts
+from skygcs.core.preflight.facts import PreflightFacts
 from skygcs.core.preflight.report import Finding, Fix, failed, passed, skipped, unknown
 
 NO_MOCAP = "[mocap] of the fleet file does not name it"
@@ -70,7 +70,7 @@ PX4_PARAMS = (("EKF2_EV_CTRL",), *(wanted.names for wanted in _PX4))
 COPTER_PARAMS = (*(wanted.names for wanted in _COPTER), *((name,) for name in COMPASSES))
 
 
-def poses(facts: Facts, wanted: Expectations) -> Finding:
+def poses(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not wanted.mocap:
         return skipped(NO_MOCAP)
     if facts.pose_problem is not None:
@@ -78,7 +78,7 @@ def poses(facts: Facts, wanted: Expectations) -> Finding:
     return passed("poses of motion capture come")
 
 
-def estimator_origin(facts: Facts, wanted: Expectations) -> Finding:
+def estimator_origin(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether its own origin is that of the fleet: the poses count from there."""
     if not wanted.mocap:
         return skipped(NO_MOCAP)
@@ -93,7 +93,7 @@ def estimator_origin(facts: Facts, wanted: Expectations) -> Finding:
     return passed("its estimator's origin is that of the fleet")
 
 
-def external_vision(facts: Facts, wanted: Expectations) -> Finding:
+def external_vision(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether its estimator uses the poses: the first parameter that is wrong, with a fix for each."""
     if not wanted.mocap:
         return skipped(NO_MOCAP)
@@ -120,7 +120,7 @@ def external_vision(facts: Facts, wanted: Expectations) -> Finding:
     return passed("its estimator takes the poses")
 
 
-def _control_wrong(facts: Facts, missing: list[str]) -> list[tuple[str, Fix]]:
+def _control_wrong(facts: PreflightFacts, missing: list[str]) -> list[tuple[str, Fix]]:
     """Return what of the poses a PX4 does not take."""
     control = facts.value("EKF2_EV_CTRL")
     if control is None:
@@ -132,7 +132,7 @@ def _control_wrong(facts: Facts, missing: list[str]) -> list[tuple[str, Fix]]:
     return []
 
 
-def _compass_wrong(facts: Facts) -> list[tuple[str, Fix]]:
+def _compass_wrong(facts: PreflightFacts) -> list[tuple[str, Fix]]:
     """An ArduCopter whose yaw is a compass's while it uses none: its estimator never has a yaw."""
     used = [value for name in COMPASSES if (value := facts.value(name)) is not None]
     if facts.value(YAW) != YAW_COMPASS or not used or any(used):

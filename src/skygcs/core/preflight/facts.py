@@ -41,7 +41,7 @@ class LinkFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class PreflightFacts:
     """``state``: a `VehicleState`. ``configured``: it is named in the fleet file; None: that file names none.
 
     ``links`` by name. ``answers`` by parameter's name, for all that `table.needed_params` names. ``gcs_sysid``: ours;

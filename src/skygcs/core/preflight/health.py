@@ -8,7 +8,7 @@ from typing import Any
 
 from skygcs.core.geo import distance_m
 from skygcs.core.preflight.expectations import FIXES, Expectations
-from skygcs.core.preflight.facts import Facts
+from skygcs.core.preflight.facts import PreflightFacts
 from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
@@ -45,7 +45,7 @@ PREARM_TODO = "correct what its status texts name; skygcs-cli status --json show
 ASK_AGAIN = "repeat the preflight in a moment"
 
 
-def reachable(facts: Facts, wanted: Expectations) -> Finding:
+def reachable(facts: PreflightFacts, wanted: Expectations) -> Finding:
     state = facts.state
     if state["replayed"]:
         return failed("it is heard only in a recording", "there is no vehicle to fly: remove the replay link")
@@ -56,7 +56,7 @@ def reachable(facts: Facts, wanted: Expectations) -> Finding:
     return passed("heard")
 
 
-def single(facts: Facts, wanted: Expectations) -> Finding:
+def single(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not facts.state["duplicate_sysid"]:
         return passed("its system id is unique")
     sysid = facts.state["sysid"]
@@ -66,7 +66,7 @@ def single(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def known(facts: Facts, wanted: Expectations) -> Finding:
+def known(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if facts.configured is None:
         return skipped("the fleet file names no vehicles")
     if facts.configured:
@@ -78,7 +78,7 @@ def known(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def autopilot(facts: Facts, wanted: Expectations) -> Finding:
+def autopilot(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if facts.expected_autopilot is None:
         return skipped("the fleet file expects no particular autopilot")
     if facts.expected_autopilot == facts.family:
@@ -87,7 +87,7 @@ def autopilot(facts: Facts, wanted: Expectations) -> Finding:
     return failed(text, "correct autopilot in the fleet file, or find out which vehicle this is")
 
 
-def failsafe(facts: Facts, wanted: Expectations) -> Finding:
+def failsafe(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not facts.state["failsafe"]:
         return passed("no failsafe")
     text = f"its own failsafe is active, system status {facts.state['system_status']}"
@@ -97,7 +97,7 @@ def failsafe(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def estimator(facts: Facts, wanted: Expectations) -> Finding:
+def estimator(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not wanted.estimator:
         return skipped("estimator = false")
     part = facts.fresh("estimator", FRESH_S)
@@ -117,7 +117,7 @@ def estimator(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def position(facts: Facts, wanted: Expectations) -> Finding:
+def position(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if wanted.gps_fix_min == "no_gps" or not wanted.estimator:
         return skipped("no position on earth is expected")
     part = facts.fresh("position", FRESH_S)
@@ -128,7 +128,7 @@ def position(facts: Facts, wanted: Expectations) -> Finding:
     return passed("knows its position")
 
 
-def gps_fix(facts: Facts, wanted: Expectations) -> Finding:
+def gps_fix(facts: PreflightFacts, wanted: Expectations) -> Finding:
     least = FIXES.index(wanted.gps_fix_min)
     if least == 0:
         return skipped('gps_fix_min = "no_gps"')
@@ -144,7 +144,7 @@ def gps_fix(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def satellites(facts: Facts, wanted: Expectations) -> Finding:
+def satellites(facts: PreflightFacts, wanted: Expectations) -> Finding:
     part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
     if not wanted.satellites_min or part is None:
         return skipped("not expected" if not wanted.satellites_min else "no GPS data")
@@ -156,7 +156,7 @@ def satellites(facts: Facts, wanted: Expectations) -> Finding:
     return failed(f"{seen} satellites (at least {wanted.satellites_min})", "wait, or move to a place with open sky")
 
 
-def hdop(facts: Facts, wanted: Expectations) -> Finding:
+def hdop(facts: PreflightFacts, wanted: Expectations) -> Finding:
     part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
     if not wanted.hdop_max or part is None:
         return skipped("not expected" if not wanted.hdop_max else "no GPS data")
@@ -169,7 +169,7 @@ def hdop(facts: Facts, wanted: Expectations) -> Finding:
     return failed(f"HDOP {part['hdop']:g} (at most {wanted.hdop_max:g})", "wait, or move to a place with open sky")
 
 
-def sensors(facts: Facts, wanted: Expectations) -> Finding:
+def sensors(facts: PreflightFacts, wanted: Expectations) -> Finding:
     part = facts.fresh("sensors", FRESH_S)
     if part is None:
         return unknown("the sensors' state is unknown: the vehicle sent no SYS_STATUS on request", ASK_AGAIN)
@@ -188,7 +188,7 @@ def sensors(facts: Facts, wanted: Expectations) -> Finding:
     return failed("sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS)), todo)
 
 
-def arming_mode(facts: Facts, wanted: Expectations) -> Finding:
+def arming_mode(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """The mode in which it would be armed. One in which nothing arms is no fault: take-off, plan and mission set
     another one first, as `autopilot.takes_off_from` has it for all of them."""
     mode = facts.state["mode"]
@@ -204,7 +204,7 @@ def arming_mode(facts: Facts, wanted: Expectations) -> Finding:
     return passed(f"would not arm in {mode}; takeoff, plan run and mission start change to {changed_to} first")
 
 
-def prearm(facts: Facts, wanted: Expectations) -> Finding:
+def prearm(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not wanted.prearm:
         return skipped("prearm = false")
     if facts.state["armed"]:
@@ -222,12 +222,12 @@ def prearm(facts: Facts, wanted: Expectations) -> Finding:
     return failed(text, PREARM_TODO)
 
 
-def _px4_reports(facts: Facts) -> bool:
+def _px4_reports(facts: PreflightFacts) -> bool:
     """PX4 sets the bit of the arming checks in ``health`` alone, neither in ``present`` nor in ``enabled``."""
     return facts.family == "px4" and _version(facts.state["firmware"] or "") >= PX4_REPORTS_PREARM
 
 
-def battery(facts: Facts, wanted: Expectations) -> Finding:
+def battery(facts: PreflightFacts, wanted: Expectations) -> Finding:
     limit = wanted.battery_min_percent
     if not limit:
         return skipped("battery_min_percent = 0")
@@ -244,7 +244,7 @@ def battery(facts: Facts, wanted: Expectations) -> Finding:
     return failed(f"battery {percent:g} %{volts} (at least {limit:g} %)", "change or charge it")
 
 
-def home(facts: Facts, wanted: Expectations) -> Finding:
+def home(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not wanted.home_max_m or wanted.gps_fix_min == "no_gps":
         return skipped("no home is expected")
     name = facts.state["name"]
@@ -262,7 +262,7 @@ def home(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def clock(facts: Facts, wanted: Expectations) -> Finding:
+def clock(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not wanted.clock_max_s:
         return skipped("clock_max_s = 0")
     offset_s = facts.state["clock_offset_s"]
@@ -281,7 +281,7 @@ def clock(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def firmware(facts: Facts, wanted: Expectations) -> Finding:
+def firmware(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if wanted.firmware_min is None and not wanted.firmware:
         return skipped("no version is expected")
     version = facts.state["firmware"]
@@ -295,7 +295,7 @@ def firmware(facts: Facts, wanted: Expectations) -> Finding:
     return passed(f"firmware {version}")
 
 
-def loss(facts: Facts, wanted: Expectations) -> Finding:
+def loss(facts: PreflightFacts, wanted: Expectations) -> Finding:
     limit = wanted.loss_max_percent
     if not limit:
         return skipped("loss_max_percent = 0")
@@ -314,7 +314,7 @@ def loss(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def radio_margin(facts: Facts, wanted: Expectations) -> Finding:
+def radio_margin(facts: PreflightFacts, wanted: Expectations) -> Finding:
     limit = wanted.radio_margin_min_db
     margins = {name: link.margin_db for name, link in (facts.links or {}).items() if link.margin_db is not None}
     if not limit or not margins:
@@ -330,7 +330,7 @@ def _fix_word(fix: str) -> str:
     return fix.upper() if fix in ("2d", "3d", "dgps") else fix.replace("_", " ")
 
 
-def _texts(facts: Facts, beginnings: tuple[str, ...]) -> list[str]:
+def _texts(facts: PreflightFacts, beginnings: tuple[str, ...]) -> list[str]:
     """The newest status texts with one of these beginnings; with none given, the newest warnings."""
     entries: list[Mapping[str, Any]] = [t for t in facts.state["status_texts"] if t["age_s"] <= TEXT_FRESH_S]
     entries.sort(key=lambda t: t["age_s"])

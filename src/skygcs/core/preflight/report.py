@@ -83,7 +83,7 @@ def skipped(text: str) -> Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class PreflightReport:
     """All findings of one vehicle, in the order of the table."""
 
     findings: tuple[Finding, ...]

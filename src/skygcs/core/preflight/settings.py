@@ -11,7 +11,7 @@ from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, HeightParam, ReturnEnd
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Facts
+from skygcs.core.preflight.facts import PreflightFacts
 from skygcs.core.preflight.report import Finding, Fix, Severity, Verdict, failed, passed, skipped, unknown
 from skygcs.core.preflight.rules import Rule
 from skygcs.core.vehicle.offboard_entry import (
@@ -54,7 +54,7 @@ failsafe_long_on_event, for the transmitter and the ground station)."""
 NEITHER = "neither PX4 nor ArduPilot"
 
 
-def sysid(facts: Facts, wanted: Expectations) -> Finding:
+def sysid(facts: PreflightFacts, wanted: Expectations) -> Finding:
     name = "MAV_SYS_ID" if facts.family == "px4" else "SYSID_THISMAV"
     value, heard = facts.value(name), facts.state["sysid"]
     if value is None:
@@ -68,7 +68,7 @@ def sysid(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
+def gcs_id(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if facts.family != "ardupilot":
         return skipped("PX4 counts every ground station's heartbeats")
     if facts.gcs_sysid is None:
@@ -91,7 +91,7 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def one_commander(facts: Facts, wanted: Expectations) -> Finding:
+def one_commander(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether the vehicle itself obeys this site's station alone, besides the lease."""
     # vehicles to which the rule does not apply
     if not wanted.delegated:
@@ -136,7 +136,7 @@ def one_commander(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
+def gcs_failsafe(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether the GCS failsafe acts in every mode that our orders leave the vehicle in."""
     if facts.family != "ardupilot" or not facts.copter:
         return skipped("an ArduCopter's alone")
@@ -156,7 +156,7 @@ def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
+def rtl_height(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check each of the heights in which it may return; the worst of them is reported."""
     if facts.family == "generic":
         return skipped(NEITHER)
@@ -167,7 +167,7 @@ def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
     return next((f for v in (Verdict.FAIL, Verdict.UNKNOWN) for f in findings if f.verdict is v), findings[0])
 
 
-def _height_finding(facts: Facts, wanted: Expectations, param: HeightParam) -> Finding:
+def _height_finding(facts: PreflightFacts, wanted: Expectations, param: HeightParam) -> Finding:
     least, most = wanted.rtl_height_m
     name, unit = _held(facts, param)
     value = facts.value(name)
@@ -196,7 +196,7 @@ def _height_finding(facts: Facts, wanted: Expectations, param: HeightParam) -> F
     )
 
 
-def return_end(facts: Facts, wanted: Expectations) -> Finding:
+def return_end(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """State how its return ends, where its parameters decide that."""
     able = facts.class_abilities
     if not able.return_params:
@@ -217,7 +217,7 @@ def return_end(facts: Facts, wanted: Expectations) -> Finding:
     return passed(text)
 
 
-def geofence(facts: Facts, wanted: Expectations) -> Finding:
+def geofence(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if facts.family == "px4":
         return _px4_fence(facts, wanted)
     if facts.family != "ardupilot":
@@ -239,7 +239,7 @@ def geofence(facts: Facts, wanted: Expectations) -> Finding:
     return passed(f"fence on, action {value_text(action)}")
 
 
-def _px4_fence(facts: Facts, wanted: Expectations) -> Finding:
+def _px4_fence(facts: PreflightFacts, wanted: Expectations) -> Finding:
     action, far, high = (facts.value(n) for n in ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"))
     if action is None:
         return _not_known(facts, "GF_ACTION")
@@ -258,7 +258,7 @@ def _no_fence(wanted: Expectations, why: str, *fixes: Fix) -> Finding:
     return failed(f"it has no geofence by its parameters: {why}", "set radius and height, and switch it on", *fixes)
 
 
-def transmitter(facts: Facts, wanted: Expectations) -> Finding:
+def transmitter(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if wanted.transmitter is None:
         return skipped("the fleet file does not say whether a pilot's transmitter belongs to it")
     if facts.family == "px4":
@@ -279,7 +279,7 @@ def transmitter(facts: Facts, wanted: Expectations) -> Finding:
     return passed(f"FS_THR_ENABLE {value_text(on)}")
 
 
-def _px4_transmitter(facts: Facts, there: bool) -> Finding:
+def _px4_transmitter(facts: PreflightFacts, there: bool) -> Finding:
     source = facts.value("COM_RC_IN_MODE")
     if source is None:
         return _not_known(facts, "COM_RC_IN_MODE")
@@ -296,7 +296,7 @@ def _px4_transmitter(facts: Facts, there: bool) -> Finding:
     return passed(f"COM_RC_IN_MODE {value_text(source)}")
 
 
-def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
+def setpoint_timeout(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether the time-out is long enough for the setpoint rate and short enough for attitude setpoints."""
     if wanted.control is None:
         return skipped("it will not be flown by setpoints")
@@ -323,7 +323,7 @@ def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
     return passed(f"{name} {value_text(value)} s")
 
 
-def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
+def setpoint_loss(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if wanted.control is None or facts.family != "px4":
         return skipped("it will not be flown by setpoints" if wanted.control is None else "PX4's alone")
     action = facts.value("COM_OBL_RC_ACT")
@@ -341,7 +341,7 @@ def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def thrust(facts: Facts, wanted: Expectations) -> Finding:
+def thrust(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Check whether the autopilot interprets the thrust of attitude setpoints as thrust."""
     if not wanted.by_attitude:
         return skipped("it will not be flown by attitude setpoints")
@@ -367,7 +367,7 @@ def thrust(facts: Facts, wanted: Expectations) -> Finding:
     )
 
 
-def ranges(facts: Facts, wanted: Expectations) -> Finding:
+def ranges(facts: PreflightFacts, wanted: Expectations) -> Finding:
     """Values outside the ranges of their metadata; one that the fleet file asks for is meant."""
     if facts.outside is None or not facts.judged:
         return skipped("no ranges of its parameters are known")
@@ -379,10 +379,10 @@ def ranges(facts: Facts, wanted: Expectations) -> Finding:
     return failed(text + more, "correct it; a value that is meant is named in [defaults.preflight.params] of the file")
 
 
-def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]:
+def parameter(name: str, rule: Rule) -> Callable[[PreflightFacts, Expectations], Finding]:
     """The check of one parameter that the fleet file names."""
 
-    def check(facts: Facts, wanted: Expectations) -> Finding:
+    def check(facts: PreflightFacts, wanted: Expectations) -> Finding:
         answer = facts.answer(name)
         if answer.param is None:
             if answer.absent and rule.optional:
@@ -406,7 +406,7 @@ def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]
     return check
 
 
-def return_height(facts: Facts) -> tuple[str, float, float] | None:
+def return_height(facts: PreflightFacts) -> tuple[str, float, float] | None:
     """Its parameter of the height of a return above home, that parameter's units per metre, and the height in m: the
     highest one of several. None: not known, or it returns as high as it is."""
     found = []
@@ -419,12 +419,12 @@ def return_height(facts: Facts) -> tuple[str, float, float] | None:
     return max(found, key=lambda height: height[2], default=None)
 
 
-def _held(facts: Facts, param: HeightParam) -> tuple[str, float]:
+def _held(facts: PreflightFacts, param: HeightParam) -> tuple[str, float]:
     """The name under which the vehicle holds it, and its units per metre; the first one without an answer."""
     return next(((name, unit) for name, unit in param if facts.value(name) is not None), param[0])
 
 
-def _ceiling(facts: Facts) -> tuple[float | None, str]:
+def _ceiling(facts: PreflightFacts) -> tuple[float | None, str]:
     """The height of the fence's ceiling above home and its parameter; None if no ceiling is enforced."""
     if facts.family == "px4":
         high = facts.value("GF_MAX_VER_DIST")
@@ -435,12 +435,12 @@ def _ceiling(facts: Facts) -> tuple[float | None, str]:
     return (high if acts else None), "FENCE_ALT_MAX"
 
 
-def _held_name(facts: Facts, name: str) -> str:
+def _held_name(facts: PreflightFacts, name: str) -> str:
     param = facts.answer(name).param
     return name if param is None else param.name
 
 
-def _not_known(facts: Facts, name: str) -> Finding:
+def _not_known(facts: PreflightFacts, name: str) -> Finding:
     answer = facts.answer(name)
     if answer.absent:
         other = other_name(name)

@@ -9,10 +9,10 @@ from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.preflight import external_vision, health, settings
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Facts
-from skygcs.core.preflight.report import Finding, Report, Severity
+from skygcs.core.preflight.facts import PreflightFacts
+from skygcs.core.preflight.report import Finding, PreflightReport, Severity
 
-Judge = Callable[[Facts, Expectations], Finding]
+Judge = Callable[[PreflightFacts, Expectations], Finding]
 Needs = Callable[[Expectations], bool]
 OfClass = Callable[[Abilities], tuple[tuple[str, ...], ...]]
 
@@ -190,7 +190,7 @@ def needed_messages(family: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(m for check in CHECKS for m in check.messages if m != other))
 
 
-def examine(facts: Facts, wanted: Expectations) -> Report:
+def examine(facts: PreflightFacts, wanted: Expectations) -> PreflightReport:
     """Every check's finding. Of a vehicle that cannot be asked only what says so."""
     findings = [
         check.judge(facts, wanted).named(check.name, check.severity)
@@ -201,4 +201,4 @@ def examine(facts: Facts, wanted: Expectations) -> Report:
         for name, rule in wanted.params.items():
             if not rule.empty:
                 findings.append(settings.parameter(name, rule)(facts, wanted).named(name, FAULT))
-    return Report(tuple(findings))
+    return PreflightReport(tuple(findings))

@@ -29,7 +29,7 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class ProgressReport:
     """The vehicle is working on it; ``percent`` is None where it does not say how far."""
 
     percent: int | None
@@ -48,7 +48,7 @@ class Chunk:
     data: bytes
 
 
-Effect = Transmit | Send | Report | Chunk | Finish
+Effect = Transmit | Send | ProgressReport | Chunk | Finish
 
 
 class ProtocolMachine(ABC):

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, Self
 
-from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Transmit
+from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Transmit
 
 RETRY_TIMERS_S = (1.0, 1.5, 2.0, 2.5)
 """Waits after each transmission: four transmissions, 7 s in all. The first is longer than a full round of a nine-node
@@ -304,7 +304,7 @@ class CommandProtocol(ProtocolMachine):
             self._work_since = now
         self._percent = progress if progress <= 100 else None
         self.deadline = min(now + WORKING_SILENCE_S, self._work_since + WORKING_LIMIT_S)
-        return (Report(self._percent),)
+        return (ProgressReport(self._percent),)
 
     def _refuse(self, now: float) -> tuple[Effect, ...]:
         result = RESULT_NAMES.get(self._result, "failed")

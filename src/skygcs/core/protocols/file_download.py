@@ -43,7 +43,7 @@ from skygcs.core.mavlink.ftp_payload import (
     encode,
     error_text,
 )
-from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
+from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send
 from skygcs.core.protocols.sliding_window import SlidingWindow
 
 WINDOW = 4
@@ -374,7 +374,7 @@ class FileDownload(ProtocolMachine):
         if percent == self._percent:
             return ()
         self._percent = -1 if percent is None else percent
-        return (Report(percent),)
+        return (ProgressReport(percent),)
 
     def _finish(self, now: float, result: str, message: str, data: bytes = b"") -> tuple[Effect, ...]:
         self.state = FileState.DONE

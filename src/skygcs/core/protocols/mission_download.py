@@ -30,7 +30,7 @@ from enum import Enum, auto
 from typing import Any
 
 from skygcs.core.mission.item import MissionItem, MissionType
-from skygcs.core.protocols.base import Effect, Report
+from skygcs.core.protocols.base import Effect, ProgressReport
 from skygcs.core.protocols.command import SETTLE_S
 from skygcs.core.protocols.mission import (
     ACCEPTED,
@@ -107,7 +107,7 @@ class MissionDownload(MissionProtocol):
         assert self.count is not None
         if len(self._items) == self.count:
             return self._complete(now)
-        return (Report(100 * len(self._items) // self.count), *self._request(now))
+        return (ProgressReport(100 * len(self._items) // self.count), *self._request(now))
 
     def on_ack(self, result: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
         if result == ACCEPTED or self.state not in (DownloadState.LISTING, DownloadState.FETCHING):

@@ -35,7 +35,7 @@ from typing import Any
 
 from skygcs.core.mission.item import MAX_ITEMS, MissionItem, MissionType
 from skygcs.core.mission.plan import same_item
-from skygcs.core.protocols.base import Effect, Report, Send
+from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import SETTLE_S
 from skygcs.core.protocols.mission import (
     ACCEPTED,
@@ -140,7 +140,7 @@ class MissionUpload(MissionProtocol):
         self._asked.add(seq)
         self._last_seq = seq
         item = self._send("MISSION_ITEM_INT", **item_values(self._items[seq], seq))
-        return (item, Report(100 * len(self._asked) // (len(self._items) + 1)))
+        return (item, ProgressReport(100 * len(self._asked) // (len(self._items) + 1)))
 
     def on_ack(self, result: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
         if self.state is UploadState.READING:

@@ -37,7 +37,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from skygcs.core.protocols.base import Chunk, Effect, Finish, ProtocolMachine, Report, Send
+from skygcs.core.protocols.base import Chunk, Effect, Finish, ProgressReport, ProtocolMachine, Send
 
 BLOCK_BYTES = 90
 """Data of one LOG_DATA."""
@@ -156,7 +156,7 @@ class OnboardLogList(_LogMachine):
             self._progress(now)
         if len(self.entries) >= min(count, MAX_LOGS):
             return self._finish("accepted", f"{len(self.entries)} logs")
-        return (Report(100 * len(self.entries) // count),)
+        return (ProgressReport(100 * len(self.entries) // count),)
 
     def on_timer(self, now: float) -> tuple[Effect, ...]:
         if self.deadline is None or now < self.deadline:
@@ -286,4 +286,4 @@ class OnboardLogDownload(_LogMachine):
         if percent == self._percent:
             return ()
         self._percent = percent
-        return (Report(percent),)
+        return (ProgressReport(percent),)

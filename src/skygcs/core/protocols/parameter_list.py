@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, ParamType, ParamValue
-from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
+from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send
 from skygcs.core.protocols.parameter import LATE_VALUE_S
 from skygcs.core.protocols.sliding_window import SlidingWindow
 
@@ -268,7 +268,7 @@ class ParamList(ProtocolMachine):
         if percent == self._percent:
             return ()
         self._percent = percent
-        return (Report(percent),)
+        return (ProgressReport(percent),)
 
     def _missing(self) -> str:
         if self.count is None:

@@ -99,7 +99,7 @@ def _groups(stream: Stream) -> list[Stream]:
     return [Stream(group, None) for group in ARDUPILOT_GROUPS] if stream.group == ALL_GROUPS else [stream]
 
 
-class Request(NamedTuple):
+class StreamRequest(NamedTuple):
     """Request sent to put a stream back: a group (REQUEST_DATA_STREAM; 0 Hz stops it) or a message
     (SET_MESSAGE_INTERVAL; None is the vehicle's own default)."""
 
@@ -107,7 +107,7 @@ class Request(NamedTuple):
     rate_hz: float | None
 
 
-def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapping[str, float]) -> list[Request]:
+def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapping[str, float]) -> list[StreamRequest]:
     """Return what to ask for so that it is as before; [] if it is. ``rates_hz``: what comes now; ``wanted_hz``: what
     skygcs itself asks for, which is no part of a group's rate, and is asked for again where a group's change ends
     it."""
@@ -117,7 +117,7 @@ def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapp
         own_hz = _own_rate(message, before_hz, wanted_hz)
         if _is_same(rates_hz.get(message, 0.0), before_hz.get(message, 0.0), own_hz):
             return []
-        return [Request(leftover.stream, own_hz)]
+        return [StreamRequest(leftover.stream, own_hz)]
     if group is None or group not in ARDUPILOT_GROUPS:
         return []
     names = ARDUPILOT_GROUPS[group]
@@ -129,7 +129,10 @@ def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapp
     singly = 2 * len(came) < len(coming)  # asked for one by one, and not as the group
     whole_hz = 0.0 if singly or not came else float(max(1, round(max(came.values()))))
     asked = {**(came if singly else {}), **{name: hz for name, hz in own.items() if hz > whole_hz}}
-    return [Request(leftover.stream, whole_hz), *(Request(Stream(None, name), hz) for name, hz in asked.items())]
+    return [
+        StreamRequest(leftover.stream, whole_hz),
+        *(StreamRequest(Stream(None, name), hz) for name, hz in asked.items()),
+    ]
 
 
 def _is_same(now_hz: float, before_hz: float, own_hz: float | None) -> bool:

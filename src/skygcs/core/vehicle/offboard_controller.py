@@ -28,7 +28,7 @@ from skygcs.core.control.cascade import Estimate, Memory, Quaternion, Reference,
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict
+from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Guard, GuardConfig, GuardFacts, Verdict
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
@@ -497,14 +497,14 @@ class OffboardController:
         given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, True)
         return self._setpoints.raw(raw, self._raw.tilt_cosine(last.at), given)
 
-    def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
+    def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> GuardFacts:
         # facts that others derive from
         vehicle, config, estimate_view = self.vehicle, self.config, self._estimate_view
         engaging = self.state is ENGAGING
         breach = estimate_view.breach()
         reference_breach = None if engaging else estimate_view.reference_breach(self._source.reference)
         flies_disarmed = None if vehicle.armed else contradiction(vehicle, now)
-        return Facts(
+        return GuardFacts(
             connected=vehicle.connected,
             armed=vehicle.armed,
             following=vehicle.custom_mode == self._obeys,

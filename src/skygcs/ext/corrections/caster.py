@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from skygcs.config.files import open_regular
 from skygcs.errors import LinkError
 from skygcs.ext.corrections.config import CorrectionsConfig
-from skygcs.ext.corrections.gga import Place, gga_sentence
+from skygcs.ext.corrections.gga import GgaPosition, gga_sentence
 from skygcs.ext.corrections.ntrip import NtripAnswer, request
 from skygcs.links.address import explain
 
@@ -49,7 +49,7 @@ class CasterSource:
     def __init__(
         self,
         config: CorrectionsConfig,
-        place: Callable[[str | None], Place | None],
+        place: Callable[[str | None], GgaPosition | None],
         clock: Callable[[], float],
     ) -> None:
         self._config = config

@@ -12,7 +12,7 @@ from skygcs.errors import LinkError, RefusedError
 from skygcs.ext.corrections.caster import CasterSource
 from skygcs.ext.corrections.config import CorrectionsConfig, corrections_problems
 from skygcs.ext.corrections.feeder import Feeder
-from skygcs.ext.corrections.gga import Place, chosen_place
+from skygcs.ext.corrections.gga import GgaPosition, chosen_place
 from skygcs.ext.corrections.methods import METHODS
 from skygcs.ext.corrections.receiver import ReceiverSource
 from skygcs.extension import Extension
@@ -75,7 +75,7 @@ class OwnCorrections(Extension[CorrectionsConfig]):
             raise RefusedError(str(error)) from None
         return self.feeder.status()
 
-    def _place(self, last: str | None) -> Place | None:
+    def _place(self, last: str | None) -> GgaPosition | None:
         """The place for a virtual station: a vehicle's, or the fleet's origin as long as none has a fix."""
         now = self.core.now()
         live = [actor for _, actor in sorted(self.core.fleet.vehicles.items()) if not actor.vehicle.replayed]
@@ -83,5 +83,5 @@ class OwnCorrections(Extension[CorrectionsConfig]):
         place = chosen_place(fixes, only=self.config.gga_from, last=last)
         origin = self.core.fleet.origin
         if place is None and self.config.gga_from is None and origin is not None:
-            return Place("[origin]", origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+            return GgaPosition("[origin]", origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
         return place

@@ -12,7 +12,7 @@ GGA_UNITS = 60 * 10**6
 """Parts of a degree in a sentence: minutes with six digits, 2 mm."""
 
 
-class Place(NamedTuple):
+class GgaPosition(NamedTuple):
     """A place for a caster, and where it is from: a vehicle's name, or "origin"."""
 
     source: str
@@ -22,7 +22,7 @@ class Place(NamedTuple):
     satellites: int = 12
 
 
-def gga_sentence(place: Place, utc_s: float) -> bytes:
+def gga_sentence(place: GgaPosition, utc_s: float) -> bytes:
     """The sentence for a place at a time (Unix seconds), with its checksum and end of line.
 
     Quality is 1 (a plain fix) and the height of the geoid 0: a caster computes corrections for about this place."""
@@ -45,7 +45,7 @@ def _degrees_and_minutes(degrees: float, digits: int) -> str:
 
 def chosen_place(
     fixes: Iterable[tuple[str, Mapping[str, Any]]], *, only: str | None = None, last: str | None = None
-) -> Place | None:
+) -> GgaPosition | None:
     """The place of the vehicle ``only``; without one, of ``last`` while it has a fix, else of the first that has.
 
     ``fixes``: vehicles and the group gps of their states. A virtual station moves with its vehicle, so that one vehicle
@@ -54,8 +54,8 @@ def chosen_place(
     return next((place for place in good if place.source == last), good[0] if good else None)
 
 
-def _place_of(name: str, gps: Mapping[str, Any]) -> Place | None:
+def _place_of(name: str, gps: Mapping[str, Any]) -> GgaPosition | None:
     lat, lon = gps.get("lat_deg"), gps.get("lon_deg")
     if gps.get("fix") not in FIXES or lat is None or lon is None or not (abs(lat) <= 90 and abs(lon) <= 180):
         return None
-    return Place(name, lat, lon, gps.get("alt_amsl_m") or 0.0, gps.get("satellites") or 12)
+    return GgaPosition(name, lat, lon, gps.get("alt_amsl_m") or 0.0, gps.get("satellites") or 12)

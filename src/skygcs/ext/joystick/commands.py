@@ -27,7 +27,7 @@ from skygcs.cli.render import print_json
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError
 from skygcs.ext.joystick.device_events import EventReader, JoystickEvent
 from skygcs.ext.joystick.stick_mapping import STILL, AxisChoice, StickAxes, StickDemand, StickLimits, turned
-from skygcs.ext.joystick.stick_session import Effect, Engage, Finish, Report, Send, StickSession, Stop
+from skygcs.ext.joystick.stick_session import Effect, Engage, Finish, Send, SessionReport, StickSession, Stop
 from skygcs.rpc.client import Client
 
 PERIOD_S = 0.05
@@ -246,7 +246,7 @@ class JoystickFlight:
     async def _carry_out(self) -> None:
         while self._pending:
             match self._pending.pop(0):
-                case Report(text):
+                case SessionReport(text):
                     self._say(f"{self._name}: {text}")
                 case Engage():
                     self._engaging = asyncio.create_task(self._take_over(), name="joystick engage")

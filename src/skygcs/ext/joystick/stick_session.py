@@ -69,7 +69,7 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Report:
+class SessionReport:
     text: str
 
 
@@ -81,7 +81,7 @@ class Finish:
     ok: bool
 
 
-Effect = Engage | Send | Stop | Report | Finish
+Effect = Engage | Send | Stop | SessionReport | Finish
 
 
 class StickSession:
@@ -126,9 +126,9 @@ class StickSession:
             return []
         if not ok:
             self.state, self._spent = SessionState.READY, True
-            return [Report(f"not taken under control: {message}; release the button and try again")]
+            return [SessionReport(f"not taken under control: {message}; release the button and try again")]
         self.state, self._last_tick, self._vel_mps = SessionState.FLYING, now, STILL.vel_mps
-        return [Report("flying: release the button to stop")]
+        return [SessionReport("flying: release the button to stop")]
 
     def on_stopped(self, ok: bool, message: str) -> list[Effect]:
         """The answer to Stop."""
@@ -138,7 +138,7 @@ class StickSession:
             reason, asked = self._ending
             return self._finish(f"{reason}: {message}", asked and ok)
         self.state, self._spent = SessionState.READY, bool(self._pressed)
-        return [Report(message)]
+        return [SessionReport(message)]
 
     def on_taken_away(self, message: str) -> list[Effect]:
         """The vehicle is not flown by our setpoints any more; whoever has it is not fought."""
@@ -156,7 +156,7 @@ class StickSession:
         self._last_tick = now
         if not 0 <= dt_s <= GAP_S:
             self._spent = True
-            return [Report(f"this program stood still for {dt_s:.1f} s"), *self._stop()]
+            return [SessionReport(f"this program stood still for {dt_s:.1f} s"), *self._stop()]
         wanted = approach(
             self._vel_mps, demand(self._axes, self._limits, self._values), self._limits, min(dt_s, LONGEST_STEP_S)
         )
@@ -181,7 +181,7 @@ class StickSession:
         if away := off_centre(self._axes, self._values):
             return self._finish(f"not centred at the start: {', '.join(away)}", False)
         self.state = SessionState.READY
-        return [Report(f"ready: hold button {self._button} to fly")]
+        return [SessionReport(f"ready: hold button {self._button} to fly")]
 
     def _on_button(self, now: float) -> list[Effect]:
         if not self._pressed:
@@ -193,7 +193,7 @@ class StickSession:
             return []
         if away := off_centre(self._axes, self._values):
             self._spent = True
-            return [Report(f"not centred: {', '.join(away)}; release the button, centre, press it again")]
+            return [SessionReport(f"not centred: {', '.join(away)}; release the button, centre, press it again")]
         self.state = SessionState.ENGAGING
         return [Engage()]
 

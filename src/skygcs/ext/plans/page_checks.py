@@ -25,7 +25,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.position_table import WHICH, parse_table
-from skygcs.web.dropped import DroppedFile, Metres, Name, OriginKeys, Place, Point, Request, parsed
+from skygcs.web.dropped import CheckRequest, DroppedFile, Metres, Name, OriginKeys, Place, Point, parsed
 
 MAX_FILES = 255
 MAX_ANSWER_NUMBERS = 120_000
@@ -37,7 +37,7 @@ SAMPLED_POINTS = 30_000
 LEAST_SAMPLES = 60
 
 
-class Assumptions(Request):
+class Assumptions(CheckRequest):
     """Terms of the margin, as options of `skygcs-cli plan check`; null: the default."""
 
     margin_m: Annotated[float, Field(gt=0, le=1000)] | None = None
@@ -53,7 +53,7 @@ class Assumptions(Request):
         return MarginRule(Uncertainty(**given), downwash_ratio=self.downwash_ratio, fixed_m=self.margin_m)
 
 
-class Formation(Request):
+class Formation(CheckRequest):
     """The goals as a shape about a middle."""
 
     shape: Literal["line", "column", "v", "circle", "grid"]
@@ -62,7 +62,7 @@ class Formation(Request):
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
 
 
-class Task(Request):
+class Task(CheckRequest):
     """Where the vehicles are and where they are to be."""
 
     starts: Annotated[dict[Name, Place], Field(min_length=1, max_length=255)]
@@ -73,7 +73,7 @@ class Task(Request):
     kind: Literal["auto", "timed", "phased"] = "auto"
 
 
-class PlanCheck(Request):
+class PlanCheck(CheckRequest):
     """Either files of one plan, or a task to plan."""
 
     files: Annotated[list[DroppedFile], Field(max_length=MAX_FILES)] | None = None
@@ -251,7 +251,7 @@ def _sampled(trajectory: Trajectory, count: int) -> list[list[Any]]:
     ]
 
 
-class PositionsCheck(Request):
+class PositionsCheck(CheckRequest):
     """A table of initial and final positions."""
 
     file: DroppedFile

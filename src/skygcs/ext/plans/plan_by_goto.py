@@ -17,7 +17,7 @@ from skygcs.ext.plans.flight.execution import LEG_S
 from skygcs.ext.plans.flight.goto_legs import AGAIN_S, GotoLegs
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import PlanState
-from skygcs.ext.plans.flight.sights import Left, Why
+from skygcs.ext.plans.flight.sights import Departure, DepartureCause
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.order_runner import UNHEARD
 from skygcs.runtime.separation_monitor import SeparationMonitor
@@ -63,19 +63,19 @@ class GotoGuidance:
     def status(self, now: float) -> dict[str, Any] | None:
         return None
 
-    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Left | None:
+    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Departure | None:
         vehicle, state = actor.vehicle, None if self._legs is None else self._legs.state
         if name in self._under_way:
             return None
         if actor.order_number != self._numbers.get(name, actor.order_number):
-            return Left(Why.ORDER, "it was ordered otherwise")
+            return Departure(DepartureCause.ORDER, "it was ordered otherwise")
         if name in self._refused:
-            return Left(Why.GUARD, f"it does not fly its leg: {self._refused[name]}")
+            return Departure(DepartureCause.GUARD, f"it does not fly its leg: {self._refused[name]}")
         if not vehicle.armed:
-            return Left(Why.PILOT, "it is disarmed")
+            return Departure(DepartureCause.PILOT, "it is disarmed")
         still = state in (ClockState.PAUSING, ClockState.PAUSED)
         if vehicle.mode not in (STANDS_IN if still else self._modes(flight, name)):
-            return Left(Why.PILOT, f"it was switched to {vehicle.mode}")
+            return Departure(DepartureCause.PILOT, f"it was switched to {vehicle.mode}")
         return None
 
     async def engage(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Outcome:

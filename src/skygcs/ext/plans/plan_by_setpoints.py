@@ -14,7 +14,7 @@ from skygcs.core.vehicle.trajectory_flight import StartTube
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight.execution import FAR, START_LEAD_S
 from skygcs.ext.plans.flight.guidance import Guidance
-from skygcs.ext.plans.flight.sights import Left, Why
+from skygcs.ext.plans.flight.sights import Departure, DepartureCause
 from skygcs.runtime.trajectories import Trajectories, TrajectoryGroup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -54,18 +54,19 @@ class SetpointGuidance:
             "finishes_in_s": None if finishes is None else round(max(0.0, finishes - now), 3),
         }
 
-    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Left | None:
+    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Departure | None:
         controller = actor.offboard.controller
         if (successor := actor.offboard.successor) is not None:
-            return Left(_why(successor), successor)
+            return Departure(_why(successor), successor)
         why = "; ".join(controller.reasons)
         if controller.state is OffboardState.HELD:
-            return Left(Why.GUARD, f"the guard holds it: {why}")
+            return Departure(DepartureCause.GUARD, f"the guard holds it: {why}")
         if controller.state is not OffboardState.FLYING:
-            return Left(_why(why), why or f"control is {controller.state.value}")
+            return Departure(_why(why), why or f"control is {controller.state.value}")
         if self._group is not None and name in self._group.left:
-            return Left(
-                Why.GUARD, why or "it does not follow its trajectory any more: its reference led out of the fence"
+            return Departure(
+                DepartureCause.GUARD,
+                why or "it does not follow its trajectory any more: its reference led out of the fence",
             )
         return None
 
@@ -123,6 +124,6 @@ class SetpointGuidance:
                 self._group.clock.abort(self._loop.time())
 
 
-def _why(text: str) -> Why:
+def _why(text: str) -> DepartureCause:
     """The kind of reason for which control ended."""
-    return Why.ORDER if "was ordered" in text or "switched off" in text else Why.PILOT
+    return DepartureCause.ORDER if "was ordered" in text or "switched off" in text else DepartureCause.PILOT

@@ -27,7 +27,7 @@ from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import Order, OrderKind, PlanState
-from skygcs.ext.plans.flight.sights import Left, Sight, Why
+from skygcs.ext.plans.flight.sights import Departure, DepartureCause, Measurement
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -73,7 +73,7 @@ class FlightGuidance(Protocol):
         """The clock of the step, for people and programs; None: there is none."""
         ...
 
-    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Left | None:
+    def left(self, flight: PlanFlight, name: str, actor: VehicleActor) -> Departure | None:
         """Why a vehicle that is engaged does not follow any more."""
         ...
 
@@ -132,7 +132,7 @@ class PlanFlight:
         self.rule = rule
         self.known = known
         self.frame = EnuFrame(lock.origin)
-        self.sights: dict[str, Sight] = {}
+        self.sights: dict[str, Measurement] = {}
         """Observations of the vehicles at the last tick, by name."""
         self.loaded = list(loaded)
         self.engaged: set[str] = set()
@@ -153,12 +153,12 @@ class PlanFlight:
         """See `Execution.why_displaced`, of where a vehicle is now."""
         return self.execution.why_displaced(name, self.place_of(self.actors[name].vehicle, now)[0])
 
-    def look(self, now: float) -> dict[str, Sight]:
+    def look(self, now: float) -> dict[str, Measurement]:
         """All its vehicles, as they are seen now."""
         self.sights = {name: self._sight(name, actor, now) for name, actor in self.actors.items()}
         return self.sights
 
-    def _sight(self, name: str, actor: VehicleActor, now: float) -> Sight:
+    def _sight(self, name: str, actor: VehicleActor, now: float) -> Measurement:
         vehicle = actor.vehicle
         delay_s = (actor.offboard.controller.delay.uplink_s or 0.0) if actor.offboard.flying else 0.0
         place, age_s, speed = self.place_of(vehicle, now, delay_s)
@@ -167,7 +167,7 @@ class PlanFlight:
             takeoff = str(self.takeoffs[name].look(now))
         on_ground = not is_flying(vehicle, now)
         reported, _, _ = measured_place(vehicle, self.frame, now, carried=False)
-        return Sight(
+        return Measurement(
             place,
             age_s,
             speed,
@@ -183,33 +183,33 @@ class PlanFlight:
         )
 
     def unexpected_mode(self, name: str) -> str | None:
-        """Mode as `Sight` has it."""
+        """Mode as `Measurement` has it."""
         actor = self.actors[name]
         ours = name in self.engaged or name in self.being_taken or actor.offboard.flying
         if ours or not actor.vehicle.armed or actor.vehicle.mode in PLAN_MODES:
             return None
         return actor.vehicle.mode
 
-    def left_of(self, name: str, now: float) -> Left | None:
+    def left_of(self, name: str, now: float) -> Departure | None:
         """Why a vehicle does not follow; None: it does, or is not to yet."""
         if self.execution.over or self.execution.state in (PlanState.ABORTING, PlanState.LANDING):
             return None
         actor = self.actors[name]
         vehicle = actor.vehicle
         if not self.known(actor):
-            return Left(Why.LOST, "it was forgotten, and no order reaches it any more")
+            return Departure(DepartureCause.LOST, "it was forgotten, and no order reaches it any more")
         if not vehicle.connected and not (self.guidance.by is Guidance.MISSION and name in self.engaged):
-            return Left(Why.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
+            return Departure(DepartureCause.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
         if name not in self.engaged:
             return self._taken_before(name, actor, now)
         return self.guidance.left(self, name, actor)
 
-    def _taken_before(self, name: str, actor: VehicleActor, now: float) -> Left | None:
+    def _taken_before(self, name: str, actor: VehicleActor, now: float) -> Departure | None:
         """Why a vehicle that flies and waits to be taken under control is not ours to take: its mode has changed."""
         mode = self.unexpected_mode(name)
         if mode is None or mode == self.lock.member(name).mode or actor.vehicle.in_air(now) is False:
             return None
-        return Left(Why.PILOT, f"it was switched to {mode} before it was under control")
+        return Departure(DepartureCause.PILOT, f"it was switched to {mode} before it was under control")
 
     def status(self, now: float) -> list[dict[str, Any]]:
         """Each vehicle, for people and programs."""
@@ -237,7 +237,7 @@ class PlanFlight:
             )
         return found
 
-    def _word(self, name: str, sight: Sight | None) -> str:
+    def _word(self, name: str, sight: Measurement | None) -> str:
         if sight is None:
             return "unknown"
         if sight.on_ground:

@@ -31,7 +31,7 @@ from skygcs.ext.plans.flight.flight_situation import Situation
 from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, rest_of
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import PlanState
-from skygcs.ext.plans.flight.sights import Sight, Why
+from skygcs.ext.plans.flight.sights import DepartureCause, Measurement
 from skygcs.ext.plans.flight_check import (
     Checked,
     ChosenWay,
@@ -76,7 +76,7 @@ PAUSE_WAIT_S = 30.0
 """The longest stop: 5 m/s with 1 m/s² takes five seconds."""
 
 
-class World(Vehicles, Protocol):
+class PlanFleet(Vehicles, Protocol):
     """The parts of the fleet that a plan needs."""
 
     @property
@@ -96,7 +96,7 @@ class PlanRunner:
 
     def __init__(
         self,
-        fleet: World,
+        fleet: PlanFleet,
         work: Work,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
@@ -379,7 +379,9 @@ class PlanRunner:
         """Find the rounds of a landing from where they are measured."""
         execution, now = flight.execution, self._loop.time()
         sights = flight.look(now)
-        others = {name for name, left in execution.left.items() if left.why in (Why.PILOT, Why.LOST)}
+        others = {
+            name for name, left in execution.left.items() if left.why in (DepartureCause.PILOT, DepartureCause.LOST)
+        }
         # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
         if not flying:
@@ -496,7 +498,7 @@ class PlanRunner:
 
 
 def _returning(
-    execution: Execution, sights: Mapping[str, Sight], *, force: bool
+    execution: Execution, sights: Mapping[str, Measurement], *, force: bool
 ) -> tuple[list[str], list[str], list[str]]:
     """Names of the vehicles that fly on, names of those that are out of the plan, and reasons why it cannot go on."""
     staying, out, reasons = [], [], []
@@ -513,7 +515,7 @@ def _returning(
             staying.append(name)
         elif sight.on_ground:
             out.append(name)
-        elif left.why is Why.PILOT and not sight.holds:
+        elif left.why is DepartureCause.PILOT and not sight.holds:
             out.append(name)
             reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")
         elif sight.speed_mps > SLOW_MPS:

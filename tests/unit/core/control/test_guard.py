@@ -15,9 +15,9 @@ from skygcs.core.control.guard import (
     CONTROL_MODES,
     FALLBACKS,
     ControlMode,
-    Facts,
     Guard,
     GuardConfig,
+    GuardFacts,
     Verdict,
     all_well,
 )
@@ -26,7 +26,7 @@ from support.table import each
 
 NAN = math.nan
 HERE = Estimate((1.0, 2.0, 3.0), (0.1, 0.0, 0.0))
-WELL = Facts(
+WELL = GuardFacts(
     connected=True,
     armed=True,
     following=True,
@@ -48,11 +48,11 @@ CONFIG = GuardConfig()
 RETURNING = GuardConfig(return_after_s=5.0)
 
 
-def but(**changes: Any) -> Facts:
+def but(**changes: Any) -> GuardFacts:
     return replace(WELL, **changes)
 
 
-def checked(facts: Facts, wanted: ControlMode = ControlMode.ATTITUDE, config: GuardConfig = CONFIG) -> Verdict:
+def checked(facts: GuardFacts, wanted: ControlMode = ControlMode.ATTITUDE, config: GuardConfig = CONFIG) -> Verdict:
     return Guard(config, wanted).check(facts, 0.0)
 
 
@@ -321,7 +321,7 @@ def test_battery_may_be_left_to_the_autopilot() -> None:
 # The oracle: what each mode bears, said positively so that NaN fails each condition.
 
 
-def bears(facts: Facts, mode: ControlMode, floor: float | None = 20.0) -> bool:
+def bears(facts: GuardFacts, mode: ControlMode, floor: float | None = 20.0) -> bool:
     estimate = facts.estimate
     anything = (
         facts.connected
@@ -434,7 +434,7 @@ OTHER: dict[str, st.SearchStrategy[Any]] = {
     "reference_breach": st.text(max_size=5),
 }
 any_facts = st.builds(
-    Facts, **{f.name: mostly(getattr(WELL, f.name), OTHER.get(f.name, st.booleans())) for f in fields(Facts)}
+    GuardFacts, **{f.name: mostly(getattr(WELL, f.name), OTHER.get(f.name, st.booleans())) for f in fields(GuardFacts)}
 )
 fit_facts = st.builds(
     but,
@@ -448,7 +448,9 @@ configs = st.sampled_from([CONFIG, RETURNING])
 ways = st.sampled_from(CONTROL_MODES)
 
 
-def run(config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]) -> list[tuple[Facts, Verdict]]:
+def run(
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[GuardFacts, float]]
+) -> list[tuple[GuardFacts, Verdict]]:
     guard, now, found = Guard(config, wanted), 0.0, []
     for facts, pause in sequence:
         now += pause
@@ -458,7 +460,7 @@ def run(config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, fl
 
 @given(configs, ways, sequences)
 def test_whatever_comes_it_keeps_its_rules(
-    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[GuardFacts, float]]
 ) -> None:
     """Never above the wanted mode; up only after the set time; an end is final; each change is reported once."""
     guard, now = Guard(config, wanted), 0.0
@@ -501,7 +503,7 @@ def test_whatever_comes_it_keeps_its_rules(
     st.lists(st.tuples(st.sampled_from([WELL, *map(lambda c: but(**c), SINGLE)]), st.floats(-1.0, 4.0)), max_size=40),
 )
 def test_says_the_same_whether_or_not_it_goes_by_the_whole_table(
-    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[GuardFacts, float]]
 ) -> None:
     quick = run(config, wanted, sequence)
     with pytest.MonkeyPatch.context() as patch:

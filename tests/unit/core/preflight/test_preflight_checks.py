@@ -12,9 +12,9 @@ from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.preflight import external_vision, health, settings
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
+from skygcs.core.preflight.facts import Answer, LinkFacts, PreflightFacts
 from skygcs.core.preflight.losses import LossWindow
-from skygcs.core.preflight.report import Report, Severity, Verdict, failed, passed, unknown
+from skygcs.core.preflight.report import PreflightReport, Severity, Verdict, failed, passed, unknown
 from skygcs.core.preflight.rules import Rule
 from skygcs.core.preflight.table import CHECKS, examine, needed_messages, needed_params
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks
@@ -39,10 +39,10 @@ STATE: dict[str, Any] = {
 }
 
 
-def facts(answers: dict[str, Value | None] | None = None, **state: Any) -> Facts:
+def facts(answers: dict[str, Value | None] | None = None, **state: Any) -> PreflightFacts:
     """``answers``: None is a name the vehicle has not."""
     reported = {n: Answer(absent=True) if v is None else Answer(Param(n, v)) for n, v in (answers or {}).items()}
-    return Facts(state={**STATE, **state}, answers=reported)
+    return PreflightFacts(state={**STATE, **state}, answers=reported)
 
 
 WANTED = Expectations()
@@ -71,7 +71,7 @@ def test_worst_first_and_what_is_not_known_last() -> None:
         failed("n", "").named("n", Severity.NOTE),
         failed("c", "", severity=Severity.DANGER).named("c", Severity.NOTE),
     ]
-    report = Report(tuple(findings))
+    report = PreflightReport(tuple(findings))
     assert [f.check for f in report.complaints] == ["c", "b", "n", "d"]
     assert report.summary() == "c; b; and 2 more"
 
@@ -79,7 +79,7 @@ def test_worst_first_and_what_is_not_known_last() -> None:
 @each("name", ["SYSID_THISMAV", "MAV_SYSID"])
 def test_either_generations_name_is_found(name: str) -> None:
     answers = {"SYSID_THISMAV": Answer(Param(name, 9))}  # as VehicleParams answers: by the vehicle's own name
-    finding = settings.sysid(Facts(state=STATE, answers=answers), WANTED)
+    finding = settings.sysid(PreflightFacts(state=STATE, answers=answers), WANTED)
     assert finding.verdict is Verdict.FAIL and f"set {name} to 1" in finding.todo
 
 
@@ -166,7 +166,7 @@ def test_a_transmitter_that_belongs_to_it_must_be_heard() -> None:
 
 
 def test_an_answer_that_did_not_come_is_not_known() -> None:
-    lost = Facts(state=STATE, answers={"FS_GCS_ENABLE": Answer(why="no answer in 7 s")})
+    lost = PreflightFacts(state=STATE, answers={"FS_GCS_ENABLE": Answer(why="no answer in 7 s")})
     finding = settings.gcs_id(lost, WANTED)
     assert finding.verdict is Verdict.UNKNOWN and "no answer in 7 s" in finding.text
 
@@ -245,8 +245,8 @@ def test_arming_checks(autopilot: str, firmware: str | None, present: bool, heal
     assert health.prearm(reported, WANTED).verdict is verdict
 
 
-def copter_in(mode: str, **state: Any) -> Facts:
-    return Facts(state={**STATE, "mode": mode, **state}, answers={}, copter=True)
+def copter_in(mode: str, **state: Any) -> PreflightFacts:
+    return PreflightFacts(state={**STATE, "mode": mode, **state}, answers={}, copter=True)
 
 
 FIRMWARE_ARMS = {
@@ -299,8 +299,8 @@ def test_without_gps_a_clock_may_be_unknown_and_not_wrong() -> None:
 
 def test_the_best_of_parallel_links_counts() -> None:
     links = {"radio": LinkFacts(0.4, 200, 5.0), "wifi": LinkFacts(0.01, 200)}
-    assert health.loss(Facts(state=STATE, links=links), WANTED).verdict is Verdict.PASS
-    assert health.radio_margin(Facts(state=STATE, links=links), WANTED).verdict is Verdict.FAIL
+    assert health.loss(PreflightFacts(state=STATE, links=links), WANTED).verdict is Verdict.PASS
+    assert health.radio_margin(PreflightFacts(state=STATE, links=links), WANTED).verdict is Verdict.FAIL
 
 
 def test_each_parameter_is_read_once_and_an_empty_rule_is_none() -> None:
@@ -322,7 +322,7 @@ def test_every_parameter_a_check_looks_at_is_asked_for(family: Family) -> None:
     """A check that looks at more than its line of the table says would call it not known."""
     wanted = Expectations(control="attitude", transmitter=False, geofence_required=True)
     asked = {n: Answer(Param(n, 1)) for group in needed_params(family, wanted) for n in group}
-    reported = examine(Facts(state={**STATE, "autopilot": family}, answers=asked), wanted)
+    reported = examine(PreflightFacts(state={**STATE, "autopilot": family}, answers=asked), wanted)
     assert not [f.text for f in reported.findings if "it was not asked for" in f.text]
 
 
@@ -389,7 +389,9 @@ def test_every_parameter_that_a_class_is_judged_by_is_asked_for(kind: VehicleCla
     for family in FAMILIES:
         able = abilities_of(family, kind)
         asked = {n: Answer(Param(n, 1)) for group in needed_params(family, WANTED, able) for n in group}
-        seen = Facts(state={**STATE, "autopilot": family}, answers=asked, abilities=able, copter=able.setpoints)
+        seen = PreflightFacts(
+            state={**STATE, "autopilot": family}, answers=asked, abilities=able, copter=able.setpoints
+        )
         assert not [f.text for f in examine(seen, WANTED).findings if "it was not asked for" in f.text]
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.protocols.base import Finish, Report, Transmit
+from skygcs.core.protocols.base import Finish, ProgressReport, Transmit
 from skygcs.core.protocols.command import (
     EMERGENCY_TIMERS_S,
     IN_PROGRESS,
@@ -143,9 +143,9 @@ def test_a_second_ack_does_not_turn_a_refusal_round() -> None:
 
 def test_progress_stops_the_repeats_and_is_reported() -> None:
     exchange = started()
-    assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=20), 100.5) == (Report(20),)
+    assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=20), 100.5) == (ProgressReport(20),)
     assert exchange.on_timer(103.0) == ()
-    assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=255), 105.0) == (Report(None),)
+    assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=255), 105.0) == (ProgressReport(None),)
     assert exchange.on_ack(ACCEPTED, 110.0) == (Finish(),)
     assert outcome_of(exchange).attempts == 1
 

@@ -12,8 +12,8 @@ from skygcs.core.radio_link.program_streams import (
     MOST_PROGRAMS,
     Leftover,
     ProgramStreams,
-    Request,
     Stream,
+    StreamRequest,
     restoring,
 )
 
@@ -69,17 +69,17 @@ def test_a_group_that_did_not_stream_is_stopped_and_our_own_messages_are_asked_f
     leftover = Leftover(POSITION, {"GLOBAL_POSITION_INT": 2.0})
     now = {"GLOBAL_POSITION_INT": 4.0, "LOCAL_POSITION_NED": 4.0}
     assert restoring(leftover, now, WANTED) == [
-        Request(POSITION, 0.0),
-        Request(Stream(None, "GLOBAL_POSITION_INT"), 2.0),
+        StreamRequest(POSITION, 0.0),
+        StreamRequest(Stream(None, "GLOBAL_POSITION_INT"), 2.0),
     ]
     assert restoring(leftover, {"GLOBAL_POSITION_INT": 1.9}, WANTED) == []
 
 
 def test_a_group_that_streamed_gets_its_rate_back_also_if_a_program_stopped_it() -> None:
     leftover = Leftover(POSITION, {"GLOBAL_POSITION_INT": 4.8, "LOCAL_POSITION_NED": 4.9})
-    assert restoring(leftover, {}, WANTED) == [Request(POSITION, 5.0)]
+    assert restoring(leftover, {}, WANTED) == [StreamRequest(POSITION, 5.0)]
     assert restoring(leftover, {"GLOBAL_POSITION_INT": 10.0, "LOCAL_POSITION_NED": 10.0}, WANTED) == [
-        Request(POSITION, 5.0)
+        StreamRequest(POSITION, 5.0)
     ]
     assert restoring(leftover, {"GLOBAL_POSITION_INT": 5.1, "LOCAL_POSITION_NED": 5.0}, WANTED) == []
 
@@ -87,13 +87,17 @@ def test_a_group_that_streamed_gets_its_rate_back_also_if_a_program_stopped_it()
 def test_one_message_of_many_was_asked_for_by_itself() -> None:
     leftover = Leftover(RAW, {"RAW_IMU": 10.0})
     now = dict.fromkeys(("RAW_IMU", "SCALED_IMU2", "SCALED_PRESSURE"), 4.0)
-    assert restoring(leftover, now, WANTED) == [Request(RAW, 0.0), Request(Stream(None, "RAW_IMU"), 10.0)]
+    assert restoring(leftover, now, WANTED) == [StreamRequest(RAW, 0.0), StreamRequest(Stream(None, "RAW_IMU"), 10.0)]
 
 
 def test_a_message_goes_back_to_the_vehicles_default_or_to_what_we_ask_for() -> None:
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 50.0}, WANTED) == [Request(ATTITUDE, None)]
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 1.0}), {"ATTITUDE": 50.0}, WANTED) == [Request(ATTITUDE, 1.0)]
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {}, {}) == [Request(ATTITUDE, None)]
+    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 50.0}, WANTED) == [
+        StreamRequest(ATTITUDE, None)
+    ]
+    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 1.0}), {"ATTITUDE": 50.0}, WANTED) == [
+        StreamRequest(ATTITUDE, 1.0)
+    ]
+    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {}, {}) == [StreamRequest(ATTITUDE, None)]
     assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 19.0}, WANTED) == []
 
 

@@ -16,7 +16,7 @@ from skygcs.errors import LinkError
 from skygcs.ext.corrections.caster import ANSWER_S, read_password
 from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.feeder import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, REFUSED_AGAIN_S
-from skygcs.ext.corrections.gga import Place
+from skygcs.ext.corrections.gga import GgaPosition
 from support.caster import HTTP, ICY, TABLE, Caster, Client, Conduct, never_stops, says, streams
 from support.certificates import Authority
 from support.corrections_bench import CorrectionsBench
@@ -25,10 +25,10 @@ from support.rtcm import STANDARD_1005, rtcm_frame
 pytestmark = pytest.mark.looptime
 
 EPOCHS = [STANDARD_1005 + rtcm_frame(1077, epoch=n, body_bytes=250) for n in range(60)]
-HOME = Place("alpha", 43.78, -79.46, 180.0)
+HOME = GgaPosition("alpha", 43.78, -79.46, 180.0)
 
 
-def bench_of(port: int, *, place: Place | None = HOME, scheme: str = "ntrip", **keys: Any) -> CorrectionsBench:
+def bench_of(port: int, *, place: GgaPosition | None = HOME, scheme: str = "ntrip", **keys: Any) -> CorrectionsBench:
     return CorrectionsBench(lambda last: place, **{"ntrip": f"{scheme}://ada@127.0.0.1:{port}/MOUNT", **keys})
 
 
@@ -83,7 +83,7 @@ async def test_no_position_is_sent_where_none_is_wanted_or_known() -> None:
 
 
 async def test_a_position_that_comes_later_is_sent_then() -> None:
-    places: list[Place | None] = [None]
+    places: list[GgaPosition | None] = [None]
     async with Caster(streams(EPOCHS)) as caster:
         bench = CorrectionsBench(lambda last: places[0], ntrip=f"ntrip://127.0.0.1:{caster.port}/MOUNT")
         task = asyncio.create_task(bench.feeder.run())

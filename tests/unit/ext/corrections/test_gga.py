@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
-from skygcs.ext.corrections.gga import Place, chosen_place, gga_sentence
+from skygcs.ext.corrections.gga import GgaPosition, chosen_place, gga_sentence
 from support.table import each
 
 
@@ -25,7 +25,7 @@ from support.table import each
 def test_an_independent_parser_reads_the_place(
     lat: float, lon: float, alt: float, utc_s: float, satellites: int
 ) -> None:
-    raw = gga_sentence(Place("a", lat, lon, alt, satellites), utc_s)
+    raw = gga_sentence(GgaPosition("a", lat, lon, alt, satellites), utc_s)
     parsed: Any = NMEAReader.parse(raw)  # it checks the checksum
     assert parsed.msgID == "GGA"
     assert (float(parsed.lat), float(parsed.lon)) == pytest.approx((lat, lon), abs=2e-8)
@@ -46,18 +46,18 @@ def fix(fix: str | None = "3d", lat: float | None = 1.0, **more: Any) -> dict[st
 
 def test_the_first_with_a_fix_is_taken_and_stays() -> None:
     fixes = [("alpha", fix("none")), ("bravo", fix()), ("charlie", fix("rtk_fixed"))]
-    assert chosen_place(fixes) == Place("bravo", 1.0, 2.0, 3.0, 9)
-    assert chosen_place(fixes, last="charlie") == Place("charlie", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes) == GgaPosition("bravo", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes, last="charlie") == GgaPosition("charlie", 1.0, 2.0, 3.0, 9)
     fixes[0] = ("alpha", fix())
-    assert chosen_place(fixes, last="bravo") == Place("bravo", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes, last="bravo") == GgaPosition("bravo", 1.0, 2.0, 3.0, 9)
     fixes[1] = ("bravo", fix("2d"))
-    assert chosen_place(fixes, last="bravo") == Place("alpha", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes, last="bravo") == GgaPosition("alpha", 1.0, 2.0, 3.0, 9)
 
 
 def test_a_vehicle_that_was_chosen_is_the_only_one() -> None:
     fixes = [("alpha", fix()), ("bravo", fix("none"))]
     assert chosen_place(fixes, only="bravo") is None
-    assert chosen_place(fixes, only="alpha") == Place("alpha", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes, only="alpha") == GgaPosition("alpha", 1.0, 2.0, 3.0, 9)
 
 
 @each(
@@ -69,4 +69,4 @@ def test_what_is_no_position_is_not_sent(gps: dict[str, Any]) -> None:
 
 
 def test_a_place_without_height_or_satellites() -> None:
-    assert chosen_place([("a", fix(alt_amsl_m=None, satellites=None))]) == Place("a", 1.0, 2.0, 0.0, 12)
+    assert chosen_place([("a", fix(alt_amsl_m=None, satellites=None))]) == GgaPosition("a", 1.0, 2.0, 0.0, 12)

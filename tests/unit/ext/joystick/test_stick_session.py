@@ -16,8 +16,8 @@ from skygcs.ext.joystick.stick_session import (
     Effect,
     Engage,
     Finish,
-    Report,
     Send,
+    SessionReport,
     SessionState,
     StickSession,
     Stop,
@@ -68,7 +68,7 @@ def kinds(effects: Iterable[Effect]) -> list[type]:
 def test_all_that_is_needed_must_be_there_centred_and_released() -> None:
     rig = Rig()
     assert rig.events(*CENTRED) == [], "the button is still missing"
-    assert kinds(rig.events(RELEASE)) == [Report]
+    assert kinds(rig.events(RELEASE)) == [SessionReport]
     assert rig.session.state is SessionState.READY
 
 
@@ -94,7 +94,7 @@ def test_an_axis_that_does_not_exist_is_named() -> None:
 
 def test_a_press_with_a_stick_off_its_centre_does_not_count() -> None:
     rig = Rig().ready()
-    assert kinds(rig.events(FORWARD, PRESS)) == [Report]
+    assert kinds(rig.events(FORWARD, PRESS)) == [SessionReport]
     assert rig.events(CENTRE) == [], "centring it under the same press is not enough"
     assert rig.events(RELEASE, PRESS) == [Engage()]
 
@@ -113,7 +113,7 @@ def test_it_flies_while_the_button_is_held_and_a_stick_held_still_goes_on() -> N
 def test_engaging_fails_and_wants_a_new_press() -> None:
     rig = Rig().engaging()
     (report,) = rig.session.on_engaged(False, "not airborne", rig.now)
-    assert isinstance(report, Report) and "not airborne" in report.text
+    assert isinstance(report, SessionReport) and "not airborne" in report.text
     assert rig.tick() == [] and rig.events(RELEASE) == []
     assert rig.events(PRESS) == [Engage()]
 
@@ -122,7 +122,7 @@ def test_a_release_while_engaging_stops_and_a_late_answer_does_not_fly() -> None
     rig = Rig().engaging()
     assert rig.events(RELEASE) == [Stop(False)]
     assert rig.session.on_engaged(True, "", rig.now) == [] and rig.tick() == []
-    assert kinds(rig.session.on_stopped(True, "holds")) == [Report]
+    assert kinds(rig.session.on_stopped(True, "holds")) == [SessionReport]
     assert rig.session.state is SessionState.READY
 
 
@@ -173,7 +173,7 @@ def test_after_a_standstill_of_the_program_the_same_press_does_not_fly_on() -> N
     rig = Rig().flying()
     rig.events(FORWARD)
     rig.tick()
-    assert kinds(rig.tick(GAP_S + 0.1)) == [Report, Stop]
+    assert kinds(rig.tick(GAP_S + 0.1)) == [SessionReport, Stop]
     rig.session.on_stopped(True, "holds")
     assert rig.tick() == [] and rig.events(CENTRE) == []
 

@@ -36,8 +36,8 @@ from skygcs.ext.federation.protocol.lease import (
     Inspect,
     Lease,
     LeaseConfig,
+    LeaseReport,
     Look,
-    Report,
     Revoke,
     State,
     Write,
@@ -353,7 +353,7 @@ class Leases:
                         self._start(self._inspect_once(), "ask the store of leases")
                 case Ask():
                     self._start(self._ask(name, lease, action), f"ask for {name}")
-                case Report():
+                case LeaseReport():
                     self._report("federation", name, action.text)
                 case Grant() | Revoke():
                     self._queue(name, lease, action)

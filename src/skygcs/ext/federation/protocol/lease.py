@@ -165,13 +165,13 @@ class Revoke:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class LeaseReport:
     """Report this text to people: log and events."""
 
     text: str
 
 
-Action = Write | Look | Inspect | Ask | Grant | Revoke | Report
+Action = Write | Look | Inspect | Ask | Grant | Revoke | LeaseReport
 Answer = Literal["conflict", "failed"] | int
 """Result of a `Write`: the new revision; "conflict": the key had another revision; "failed": no answer, or no hub."""
 
@@ -349,8 +349,8 @@ class Lease:
     # -- people
 
     def take(self, now: float, *, force: bool = False, without_hub: bool = False) -> str | None:
-        """A person asks for the lease. Returns why that is refused, None if it is pursued; `state` and `Report` actions
-        show the result."""
+        """A person asks for the lease. Returns why that is refused, None if it is pursued; `state` and `LeaseReport`
+        actions show the result."""
         if self.state in VALID:
             return None
         if without_hub:
@@ -382,7 +382,7 @@ class Lease:
         if busy is not None and not force:
             return f"{busy}; `--force` takes it all the same", []
         self._released = False
-        return None, [Report(f"{self.config.vehicle} goes to {by}, which asked for it"), *self._begin_release(by)]
+        return None, [LeaseReport(f"{self.config.vehicle} goes to {by}, which asked for it"), *self._begin_release(by)]
 
     def asked(self, refusal: str | None, now: float) -> Actions:
         """The answer to an `Ask`: why the holder refuses, None if it releases the lease. Without an answer do not
@@ -393,7 +393,7 @@ class Lease:
             self._known = False  # read again until the release shows
             return []
         self._requested_until = -math.inf
-        return [Report(f"{self.config.vehicle} was not taken: {refusal}")]
+        return [LeaseReport(f"{self.config.vehicle} was not taken: {refusal}")]
 
     def revoked(self, number: int) -> None:
         """The daemon has closed its gate for this `Revoke`. An older number is ignored: a grant may have opened the
@@ -444,7 +444,7 @@ class Lease:
             self.state = State.LATE
             if config.is_home and config.goes_on_alone and not self._contested:
                 self.state, self._next_grant = State.ALONE, now
-                out.append(Report(f"{config.vehicle}: the hub is away; {config.site} goes on alone, as its home"))
+                out.append(LeaseReport(f"{config.vehicle}: the hub is away; {config.site} goes on alone, as its home"))
                 out += self._go_on_alone(now)
         if not self._connected or self._pending is not None or now < self._next_write:
             return out
@@ -485,9 +485,9 @@ class Lease:
             if self._unwanted:
                 self._unwanted = False
                 return self._begin_release(None)
-            out.append(Report(f"{config.vehicle} is commanded by {config.site}"))
+            out.append(LeaseReport(f"{config.vehicle} is commanded by {config.site}"))
         elif self.state is State.ALONE:
-            out.append(Report(f"{config.vehicle}: the hub is back, and the lease is held"))
+            out.append(LeaseReport(f"{config.vehicle}: the hub is back, and the lease is held"))
         self.state, self.valid_until = State.HELD, sent_s + VALID_S
         self._requested_until, self._forced, self._vanished = -math.inf, False, False
         return [self._grant(sent_s), *out]
@@ -499,7 +499,7 @@ class Lease:
         by = "" if commander is None else f" ({commander})"
         return [
             self._revoke(commander),
-            Report(f"{config.vehicle} is not commanded by {config.site} any more: {why}{by}"),
+            LeaseReport(f"{config.vehicle} is not commanded by {config.site} any more: {why}{by}"),
         ]
 
     def _failed(self, now: float) -> Actions:

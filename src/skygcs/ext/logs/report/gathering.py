@@ -68,7 +68,7 @@ KNOWN_FILES = (
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ReportRequest:
     """The wanted report, and the facts that no log holds."""
 
     folder: Path
@@ -92,19 +92,19 @@ class _Tlog:
         return OWN_TLOG.fullmatch(self.path.name) is not None
 
 
-def gather(wishes: Wishes, dialect: Dialect) -> DayReport:
+def gather(wanted: ReportRequest, dialect: Dialect) -> DayReport:
     """The report of a day. Raises SkygcsError if the folder cannot be read; what is wrong with a file is in `files`."""
-    paths = _listed(wishes.folder)
+    paths = _listed(wanted.folder)
     notes: list[FileNote] = []
     tlogs = _looked_at([p for p in paths if p.suffix.lower() in LOG_SUFFIXES], dialect, notes)
-    chosen = _of_the_day(tlogs, wishes.day, notes)
+    chosen = _of_the_day(tlogs, wanted.day, notes)
     chosen = _without_overlaps(chosen, notes)
-    reader = DayReader(dialect, wishes.origin, wishes.names, wishes.footprint)
+    reader = DayReader(dialect, wanted.origin, wanted.names, wanted.footprint)
     _read_tlogs(chosen, reader, dialect, notes)
-    report = reader.finish(wishes.folder.resolve().name or str(wishes.folder))
+    report = reader.finish(wanted.folder.resolve().name or str(wanted.folder))
     rest = [p for p in paths if p.suffix.lower() not in LOG_SUFFIXES]
     for path in rest:
-        notes.append(_other_file(path, report, wishes))
+        notes.append(_other_file(path, report, wanted))
     report.files = sorted(notes, key=lambda note: note.name)
     report.missing += _missing(report)
     return report
@@ -294,7 +294,7 @@ def _clock(unix_s: float) -> str:
 # -- other files
 
 
-def _other_file(path: Path, report: DayReport, wishes: Wishes) -> FileNote:
+def _other_file(path: Path, report: DayReport, wanted: ReportRequest) -> FileNote:
     """Take what it holds into the report; returns what was made of it."""
     try:
         if path.is_dir():
@@ -308,7 +308,7 @@ def _other_file(path: Path, report: DayReport, wishes: Wishes) -> FileNote:
         if known is not None:
             return FileNote(path.name, FileState.LEFT_OUT, known, size)
         if path.suffix.lower() == ".csv" and head.startswith(TRACE_HEAD):
-            return _trace(path, report, wishes, size)
+            return _trace(path, report, wanted, size)
     except SkygcsError as error:
         return FileNote(path.name, FileState.FAILED, str(error).removeprefix(f"{path}:").strip())
     except OSError as error:
@@ -353,10 +353,10 @@ def _alarms(path: Path, report: DayReport, size: int) -> FileNote:
     return FileNote(path.name, FileState.READ, f"{len(found)} alarms, {len(report.alarms)} of the day", size)
 
 
-def _trace(path: Path, report: DayReport, wishes: Wishes, size: int) -> FileNote:
+def _trace(path: Path, report: DayReport, wanted: ReportRequest, size: int) -> FileNote:
     """Raises SkygcsError for what is no trace."""
     began_s = _stamped_s(path.name)
-    if began_s is not None and not _on_the_day(began_s, report, wishes.day):
+    if began_s is not None and not _on_the_day(began_s, report, wanted.day):
         about = f"of {_date_of(began_s)}: --day {_date_of(began_s)} reports it"
         return FileNote(path.name, FileState.OTHER_DAY, about, size)
     errors_m, ages_ms = array("d"), array("d")
@@ -374,7 +374,7 @@ def _trace(path: Path, report: DayReport, wishes: Wishes, size: int) -> FileNote
         raise SkygcsError("no row in it")
     measured = trace_figures(len(errors_m), last_s - first_s, errors_m, ages_ms, trace.cut_line)
     made = Trace(path.name, trace.head.vehicle, measured)
-    system = system_of(made.vehicle, {name: sysid for sysid, name in wishes.names.items()})
+    system = system_of(made.vehicle, {name: sysid for sysid, name in wanted.names.items()})
     owners = [vehicle for vehicle in report.vehicles if vehicle.key[0] == system]
     (owners[0].traces if owners else report.other_traces).append(made)
     if trace.cut_line is not None:

@@ -18,7 +18,7 @@ from skygcs.core.separation import Footprint
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.commands import dialect_named, origin_of
 from skygcs.ext.logs.report.day_figures import DayReport, FileState
-from skygcs.ext.logs.report.gathering import ALL_DAYS, Wishes, failures, gather
+from skygcs.ext.logs.report.gathering import ALL_DAYS, ReportRequest, failures, gather
 from skygcs.ext.logs.report.report_page import MARK, page
 from skygcs.ext.logs.report.report_tables import FigureTable, all_tables
 from skygcs.ext.logs.tables import VehicleKey
@@ -70,9 +70,9 @@ def report(
     place = None if origin is None else origin_of(origin)
 
     def command() -> int:
-        wishes, names = _wishes(folder, day, place, fleet)
-        wishes, with_plan = _with_plan(wishes, plan or [], names)
-        made = gather(wishes, dialect_named(dialect))
+        wanted, names = _wishes(folder, day, place, fleet)
+        wanted, with_plan = _with_plan(wanted, plan or [], names)
+        made = gather(wanted, dialect_named(dialect))
         with_plan(made)
         typer.echo(write_report(made, output, tables, force=force))
         problems = failures(made)
@@ -140,10 +140,12 @@ def _require_date(text: str) -> None:
         raise typer.BadParameter(f"--day: {text!r} is neither a date (2026-04-01) nor all") from None
 
 
-def _wishes(folder: Path, day: str | None, origin: Origin | None, fleet: Path | None) -> tuple[Wishes, dict[str, int]]:
+def _wishes(
+    folder: Path, day: str | None, origin: Origin | None, fleet: Path | None
+) -> tuple[ReportRequest, dict[str, int]]:
     """With the names, and the system id of each. Raises ConfigError."""
     if fleet is None:
-        return Wishes(folder, day, origin), {}
+        return ReportRequest(folder, day, origin), {}
     from skygcs.config.loader import load_fleet
 
     config = load_fleet(fleet)
@@ -156,27 +158,29 @@ def _wishes(folder: Path, day: str | None, origin: Origin | None, fleet: Path | 
     def footprint(key: VehicleKey) -> Footprint:
         return footprints.get(key[0], Footprint())
 
-    return Wishes(folder, day, origin, {sysid: name for name, sysid in names.items()}, footprint), names
+    return ReportRequest(folder, day, origin, {sysid: name for name, sysid in names.items()}, footprint), names
 
 
-def _with_plan(wishes: Wishes, files: list[Path], names: dict[str, int]) -> tuple[Wishes, Callable[[DayReport], None]]:
-    """The wishes with the plan's origin if it has one and no other is known, and what gives the plan to a report.
+def _with_plan(
+    wanted: ReportRequest, files: list[Path], names: dict[str, int]
+) -> tuple[ReportRequest, Callable[[DayReport], None]]:
+    """The wanted with the plan's origin if it has one and no other is known, and what gives the plan to a report.
     Raises SkygcsError for a plan that cannot be read."""
     if not files:
-        return wishes, lambda _: None
+        return wanted, lambda _: None
     from dataclasses import replace
 
     from skygcs.cli.plan_reading import read_files
     from skygcs.core.trajectory import MotionLimits
     from skygcs.ext.logs.report.planned import add_plan, planned_paths
 
-    found = read_files(files, MotionLimits(), wishes.origin)
+    found = read_files(files, MotionLimits(), wanted.origin)
     paths = planned_paths(found.plan)
-    wishes = replace(wishes, origin=wishes.origin or found.origin)
+    wanted = replace(wanted, origin=wanted.origin or found.origin)
 
     def give(made: DayReport) -> None:
         made.plan_name = ", ".join(file.name for file in files)
-        made.plan_own_origin = wishes.origin is None
+        made.plan_own_origin = wanted.origin is None
         if made.plan_own_origin:
             made.missing.append(
                 f"{made.plan_name}: the place of the plan's origin is not known, so it is drawn beside what was flown; "
@@ -184,7 +188,7 @@ def _with_plan(wishes: Wishes, files: list[Path], names: dict[str, int]) -> tupl
             )
         add_plan(made, paths, names)
 
-    return wishes, give
+    return wanted, give
 
 
 def add_to(app: typer.Typer) -> None:

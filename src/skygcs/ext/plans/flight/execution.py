@@ -39,11 +39,11 @@ In a step that flies (to_starts, returning, flying) and while it is paused:
     has not come to its place at the barrier                         for `BARRIER_S`
 
 By goto and by missions (`flight.guidance`) autopilots fly the legs themselves: there is no clock, but `GotoLegs` are
-shown as one. A vehicle may then be silent for `SILENT_S`, and is in trouble as well when it has denied its leg (`Left`)
-or has not come to its place in the leg's time and `LEG_S`.
+shown as one. A vehicle may then be silent for `SILENT_S`, and is in trouble as well when it has denied its leg
+(`Departure`) or has not come to its place in the leg's time and `LEG_S`.
 
 Trouble stops the clock of all; nothing but an order goes on from there. A barrier opens when every vehicle was measured
-within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle does not follow.
+within its tube of its place, slow, for `SETTLED_S`. `Departure` says why a vehicle does not follow.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ from skygcs.ext.plans.flight.plan_states import (
     OVER,
     STATE_OF,
     STEPPING,
-    Change,
     Order,
     OrderKind,
+    PlanChange,
     PlanState,
 )
-from skygcs.ext.plans.flight.sights import ClockProgress, Left, Pair, Sight, Tubes, pairs_near, pairs_text
+from skygcs.ext.plans.flight.sights import ClockProgress, Departure, Measurement, Pair, Tubes, pairs_near, pairs_text
 
 FAR = 2.0
 """Tubes away from its place a vehicle is in trouble at once."""
@@ -145,10 +145,10 @@ class Execution:
         self.state = PlanState.ARMING if self.grounded else PlanState.ENGAGING
         self.index = 0
         self.reason = ""
-        self.left: dict[str, Left] = {}
+        self.left: dict[str, Departure] = {}
         self.waits_for: tuple[str, ...] = self.names
         self.pairs: tuple[Pair, ...] = ()
-        self.changes: list[Change] = []
+        self.changes: list[PlanChange] = []
         self._ready: set[str] = set()
         """In the mode of their take-off, at the begin."""
         self._done: set[str] = set()
@@ -167,7 +167,7 @@ class Execution:
         """True if the landing's certificate was asked for, or the hold of an abort ordered."""
         self._watch = _Watch()
         self._unexpected_modes: dict[str, str] = {}
-        """`Sight.unexpected_mode` of those that have one, as of the last look."""
+        """`Measurement.unexpected_mode` of those that have one, as of the last look."""
         self._progress = ClockProgress()
 
     # -- what is shown
@@ -187,7 +187,7 @@ class Execution:
         """How far a vehicle is from where it may be in this step, in the metric of the margins."""
         return self.step.off_m(name, place_m, trajectory_s, self.tubes.downwash_ratio)
 
-    def seen_off_m(self, name: str, sight: Sight, now: float, trajectory_s: float) -> float:
+    def seen_off_m(self, name: str, sight: Measurement, now: float, trajectory_s: float) -> float:
         """The same as it was when the vehicle reported its place."""
         if sight.reported_m is None:
             return math.inf if sight.place_m is None else self.off_m(name, sight.place_m, trajectory_s)
@@ -216,7 +216,7 @@ class Execution:
         where = "from where the plan was certified to have it"
         return f"{name} is {off_m:.1f} m {where}; {self._free_m(name):.1f} m are allowed"
 
-    def _displaced(self, now: float, sights: Mapping[str, Sight]) -> tuple[str, str] | None:
+    def _displaced(self, now: float, sights: Mapping[str, Measurement]) -> tuple[str, str] | None:
         """The first vehicle that was moved before it was under control, and by how much."""
         for name in self.names:
             place_m = sights[name].reported_m or sights[name].place_m
@@ -264,7 +264,7 @@ class Execution:
         if not self._started:
             raise RefusedError("it was stopped before it flew: `plan abort`, then `plan run` from where they are")
 
-    def away(self, trajectory_s: float, sights: Mapping[str, Sight]) -> list[str]:
+    def away(self, trajectory_s: float, sights: Mapping[str, Measurement]) -> list[str]:
         """The vehicles that are not within their tubes, as far as it is known."""
         found = []
         for name in self.names:
@@ -317,7 +317,7 @@ class Execution:
     def outcome(
         self, kind: OrderKind, name: str, ok: bool, text: str, unexpected_mode: str | None = None
     ) -> list[Order]:
-        """An order to one vehicle has ended; ``unexpected_mode``: as `Sight` has it, by now."""
+        """An order to one vehicle has ended; ``unexpected_mode``: as `Measurement` has it, by now."""
         self._unexpected_modes.pop(name, None)
         if unexpected_mode is not None:
             self._unexpected_modes[name] = unexpected_mode
@@ -351,7 +351,7 @@ class Execution:
         return self._stop(None, text) if self.state in STEPPING else []
 
     def tick(
-        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
+        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Measurement]
     ) -> list[Order]:
         """``clock``: the state of the step's clock; None: none runs."""
         self._progress.note(now, trajectory_s)
@@ -382,7 +382,7 @@ class Execution:
 
     # -- before the flight
 
-    def _tick_arming(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_arming(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         """The outcome of an order to arm may never come from a vehicle that is gone."""
         for name in self.names:
             if (left := sights[name].left) is not None:
@@ -444,7 +444,7 @@ class Execution:
             self._enter(PlanState.ABORTED, "nobody follows it any more" if climbing else "nobody took off")
         return [*standing, *holding]
 
-    def _tick_takeoff(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_takeoff(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         waits = []
         for name in self.names:
             if (left := sights[name].left) is not None:
@@ -467,7 +467,7 @@ class Execution:
         self.waits_for = self.names
         return [Order(OrderKind.ENGAGE, self.names)]
 
-    def _tick_engaging(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_engaging(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         for name in self.names:
             left = sights[name].left
             if left is not None:
@@ -496,7 +496,7 @@ class Execution:
         return [Order(OrderKind.FLY, self.names)]
 
     def _tick_step(
-        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
+        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Measurement]
     ) -> list[Order]:
         if (trouble := self._trouble(now, trajectory_s, sights)) is not None:
             return self._stop(*trouble)
@@ -519,7 +519,7 @@ class Execution:
         self._enter(PlanState.FINISHED, "all are at their goals and hold")
         return [] if self.by is Guidance.GOTO else self._hold(self.names)
 
-    def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Measurement]) -> list[Order]:
         """Paused or stopped: report who leaves meanwhile."""
         if not self._started:
             return []
@@ -532,8 +532,8 @@ class Execution:
         return []
 
     def _trouble(
-        self, now: float, trajectory_s: float, sights: Mapping[str, Sight]
-    ) -> tuple[str, str, Mapping[str, Sight]] | None:
+        self, now: float, trajectory_s: float, sights: Mapping[str, Measurement]
+    ) -> tuple[str, str, Mapping[str, Measurement]] | None:
         """The first vehicle in trouble, and what it is."""
         for name in self.names:
             sight = sights[name]
@@ -554,7 +554,7 @@ class Execution:
                 return name, f"{name} is {off_m:.2f} m {what}; {tube_m:.2f} m are allowed", sights
         return None
 
-    def _all_at(self, now: float, places: Mapping[str, Vector], sights: Mapping[str, Sight]) -> bool:
+    def _all_at(self, now: float, places: Mapping[str, Vector], sights: Mapping[str, Measurement]) -> bool:
         """The barrier: whether all were measured at their places for a moment."""
         waits = []
         for name, place in places.items():
@@ -572,7 +572,7 @@ class Execution:
         self.waits_for = tuple(waits)
         return not waits
 
-    def _leg_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _leg_trouble(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         """One may never hear its order."""
         if self._watch.step_since is None:
             self._watch.step_since = now
@@ -583,7 +583,7 @@ class Execution:
         name = self.waits_for[0]
         return self._stop(name, f"{_named(self.waits_for)} did not fly its leg in {took_s:.0f} s", sights)
 
-    def _barrier_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+    def _barrier_trouble(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         if self._watch.barrier_since is None:
             self._watch.barrier_since = now
         waited_s = now - self._watch.barrier_since
@@ -594,7 +594,7 @@ class Execution:
 
     # -- trouble
 
-    def _stop(self, name: str | None, text: str, sights: Mapping[str, Sight] | None = None) -> list[Order]:
+    def _stop(self, name: str | None, text: str, sights: Mapping[str, Measurement] | None = None) -> list[Order]:
         """Stop the clock of all, and name the pairs in danger."""
         ours = {} if sights is None else {n: sights[n] for n in self.names}
         self.pairs = () if name is None or sights is None else pairs_near(name, ours, self.tubes)
@@ -602,7 +602,7 @@ class Execution:
         self._enter(PlanState.STOPPED, text + pairs_text(self.pairs), name, self.pairs)
         return [Order(OrderKind.STOP_CLOCK)] if self._started else standing
 
-    def _leave(self, name: str, left: Left, sights: Mapping[str, Sight]) -> list[Order]:
+    def _leave(self, name: str, left: Departure, sights: Mapping[str, Measurement]) -> list[Order]:
         self.left[name] = left
         return self._stop(name, f"{name} left: {left.text}", sights)
 
@@ -628,7 +628,7 @@ class Execution:
         ours = tuple(name for name in names if name not in self._unexpected_modes)
         return [Order(OrderKind.HOLD, ours)] if ours else []
 
-    def _tick_holding(self, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_holding(self, sights: Mapping[str, Measurement]) -> list[Order]:
         """Not wait for the hold of a vehicle that is forgotten."""
         if self.state is PlanState.ABORTING and self._asked:
             for name in self.names:
@@ -645,7 +645,7 @@ class Execution:
             self._enter(PlanState.ABORTED, "aborted: they hold where they are")
         return []
 
-    def _tick_landing(self, clock: ClockState | None, sights: Mapping[str, Sight]) -> list[Order]:
+    def _tick_landing(self, clock: ClockState | None, sights: Mapping[str, Measurement]) -> list[Order]:
         if self._rounds is None:
             still = clock not in (ClockState.RUNNING, ClockState.PAUSING, ClockState.ABORTING)
             if still and not self._asked:
@@ -685,7 +685,7 @@ class Execution:
         self._report(text, vehicle, pairs)
 
     def _report(self, text: str, vehicle: str | None = None, pairs: tuple[Pair, ...] = ()) -> None:
-        self.changes.append(Change(self.state, text, vehicle, pairs))
+        self.changes.append(PlanChange(self.state, text, vehicle, pairs))
 
 
 def _named(names: Sequence[str]) -> str:

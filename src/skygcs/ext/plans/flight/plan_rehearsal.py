@@ -30,7 +30,7 @@ from skygcs.core.vehicle.way_out import LossReach, fence_ahead
 from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState
-from skygcs.ext.plans.flight.sights import Sight, Tubes
+from skygcs.ext.plans.flight.sights import Measurement, Tubes
 
 TICK_S = 0.2
 """Seconds between two looks at its vehicles, and between two position setpoints, as in `PlanFlight`."""
@@ -114,7 +114,7 @@ def rehearse(steps: Sequence[FlightStep], loaded: Sequence[Loaded], tubes: Tubes
                 return ahead
             places = ahead
         # what they see there, and the next orders
-        sights = {name: Sight(places[name], reported_m=places[name]) for name in names}
+        sights = {name: Measurement(places[name], reported_m=places[name]) for name in names}
         orders = execution.tick(now, clock if flights else None, trajectory_s, sights)
         if execution.state is PlanState.STOPPED:
             return Stopped(execution.step.name, None, execution.reason)

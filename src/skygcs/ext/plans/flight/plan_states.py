@@ -62,7 +62,7 @@ class Order(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class PlanChange:
     """A state change, to be reported once."""
 
     state: PlanState

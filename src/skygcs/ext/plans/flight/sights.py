@@ -21,7 +21,7 @@ PROGRESS = 32
 """Ticks that are remembered: at five a second longer than `POSITION_SILENT_S`."""
 
 
-class Why(StrEnum):
+class DepartureCause(StrEnum):
     """Why a vehicle does not follow any more."""
 
     LOST = "lost"
@@ -30,12 +30,12 @@ class Why(StrEnum):
     ORDER = "order"
 
 
-class Left(NamedTuple):
-    why: Why
+class Departure(NamedTuple):
+    why: DepartureCause
     text: str
 
 
-class Sight(NamedTuple):
+class Measurement(NamedTuple):
     """A vehicle as it was measured, in the frame of the plan; the place is carried on to now."""
 
     place_m: Vector | None
@@ -45,7 +45,7 @@ class Sight(NamedTuple):
     on_ground: bool = False
     takeoff: str | None = None
     """climbs, reached, or what disturbed it; None: no take-off of this plan."""
-    left: Left | None = None
+    left: Departure | None = None
     """Set where it should follow and does not."""
     reported_m: Vector | None = None
     """The newest place as it was reported, and ``before_s``, how long ago it was there: what is compared with the
@@ -110,7 +110,7 @@ class ClockProgress:
         return later_s
 
 
-def pairs_near(name: str, sights: Mapping[str, Sight], tubes: Tubes) -> tuple[Pair, ...]:
+def pairs_near(name: str, sights: Mapping[str, Measurement], tubes: Tubes) -> tuple[Pair, ...]:
     """The pairs of this vehicle with those near it, the nearest first; as they were measured."""
     here = sights[name].place_m
     if here is None:

@@ -12,8 +12,8 @@ from skygcs.ext.federation.protocol.lease import (
     Inspect,
     Lease,
     LeaseConfig,
+    LeaseReport,
     Look,
-    Report,
     Revoke,
     State,
     Write,
@@ -43,7 +43,7 @@ def held(*, goes_on_alone: bool = True) -> Lease:
     """By its home since 0 s with revision 5."""
     made = connected(goes_on_alone=goes_on_alone)
     assert made.tick(0.0) == [Write(1, "north", RUN, None, None)]
-    assert made.answered(1, 5, 0.1) == [Grant(0.0, 5, "hub"), Report("alpha is commanded by north")]
+    assert made.answered(1, 5, 0.1) == [Grant(0.0, 5, "hub"), LeaseReport("alpha is commanded by north")]
     assert (made.state, made.valid_until, made.holder) == (State.HELD, 2.5, "north")
     return made
 
@@ -91,7 +91,7 @@ def test_a_home_that_goes_on_alone_does_so_1_s_before_the_end_and_grants_each_ha
     made = held()
     assert made.tick(1.0) == [Write(2, "north", RUN, None, 5)]
     assert made.tick(1.49) == []
-    alone = Report("alpha: the hub is away; north goes on alone, as its home")
+    alone = LeaseReport("alpha: the hub is away; north goes on alone, as its home")
     assert made.tick(1.5) == [alone, Grant(1.5, 5, "hub")]
     assert (made.state, made.valid_until) == (State.ALONE, 4.0)
     assert made.tick(1.99) == [] and made.valid_until == 4.49
@@ -101,7 +101,10 @@ def test_a_home_that_goes_on_alone_does_so_1_s_before_the_end_and_grants_each_ha
     assert made.tick(2.25) == [Look()]
     assert made.seen(Entry(6, "north", RUN), 2.3) == []
     assert made.tick(2.4) == [Write(3, "north", RUN, None, 6)]
-    assert made.answered(3, 7, 2.45) == [Grant(2.4, 7, "hub"), Report("alpha: the hub is back, and the lease is held")]
+    assert made.answered(3, 7, 2.45) == [
+        Grant(2.4, 7, "hub"),
+        LeaseReport("alpha: the hub is back, and the lease is held"),
+    ]
     assert (made.state, made.valid_until) == (State.HELD, 4.9)
 
 
@@ -113,7 +116,7 @@ def test_a_home_that_stops_loses_it_when_its_validity_is_over() -> None:
     assert ticks(made, 1.5) == [] and made.state is State.LATE
     assert ticks(made, 2.49) == []
     assert made.status(2.49)["held"] is True and made.holder == "north"
-    lost = Report("alpha is not commanded by north any more: its lease was not renewed in time")
+    lost = LeaseReport("alpha is not commanded by north any more: its lease was not renewed in time")
     assert made.tick(2.5) == [Revoke(5, "hub", None), lost]
     assert (made.state, made.holder) == (State.OBSERVED, None)
     status = made.status(2.5)
@@ -146,7 +149,7 @@ def test_a_home_whose_write_met_another_revision_does_not_go_on_alone_before_it_
     made.hub_up("hub", 2.4)
     assert made.seen(Entry(6, "north", RUN), 2.41) == [], "it is ours: the answer was lost"
     assert made.tick(2.42) == [
-        Report("alpha: the hub is away; north goes on alone, as its home"),
+        LeaseReport("alpha: the hub is away; north goes on alone, as its home"),
         Grant(2.42, 6, "hub"),
         Write(3, "north", RUN, None, 6),
     ], "with the token that it read"
@@ -154,7 +157,7 @@ def test_a_home_whose_write_met_another_revision_does_not_go_on_alone_before_it_
     made = held()
     made.tick(1.0)
     made.answered(2, "conflict", 1.2)
-    gone = Report("alpha is not commanded by north any more: another site has taken it (south)")
+    gone = LeaseReport("alpha is not commanded by north any more: another site has taken it (south)")
     assert made.seen(Entry(6, "south", "x"), 1.3) == [Revoke(5, "hub", "south"), gone]
     assert (made.state, made.holder) == (State.OBSERVED, "south")
 
@@ -269,7 +272,7 @@ def test_a_holder_releases_what_another_site_asks_for_unless_it_is_busy() -> Non
     refusal, actions = made.requested("south", 0.5, busy="alpha is flown by anna")
     assert (refusal, actions) == ("alpha is flown by anna; `--force` takes it all the same", [])
     assert made.state is State.HELD
-    asked = Report("alpha goes to south, which asked for it")
+    asked = LeaseReport("alpha goes to south, which asked for it")
     assert made.requested("south", 0.5, busy="x", force=True) == (None, [asked, Revoke(5, "hub", "south")])
     made.revoked(1)
     assert made.tick(0.6) == [Write(2, None, RUN, "south", 5)]
@@ -290,7 +293,7 @@ def test_a_person_takes_it_from_its_holder_by_asking_each_second() -> None:
     assert made.tick(1.22) == [Look()]
     assert made.seen(Entry(10, None, "run of north", "south"), 1.23) == [Revoke(0, "", None)]
     assert made.tick(1.24) == [Write(1, "south", RUN, None, 10)]
-    assert made.answered(1, 11, 1.3) == [Grant(1.24, 11, "hub"), Report("alpha is commanded by south")]
+    assert made.answered(1, 11, 1.3) == [Grant(1.24, 11, "hub"), LeaseReport("alpha is commanded by south")]
     assert made.take(1.4) is None and made.state is State.HELD
 
 
@@ -298,7 +301,7 @@ def test_a_request_that_is_refused_ends_and_one_without_an_answer_after_8_s() ->
     made = connected("south", NORTH)
     made.take(0.0)
     assert made.tick(0.0) == [Ask("north", False)]
-    assert made.asked("it is flown", 0.1) == [Report("alpha was not taken: it is flown")]
+    assert made.asked("it is flown", 0.1) == [LeaseReport("alpha was not taken: it is flown")]
     assert made.asked("it is flown", 0.15) != [] and made.tick(0.2) == []
     assert made.state is State.OBSERVED
     assert made.asked("it is flown", 0.3) == [], "an answer to a request that has ended"

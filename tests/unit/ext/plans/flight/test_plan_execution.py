@@ -17,7 +17,7 @@ from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight.execution import BARRIER_S, LATE_S, POSITION_SILENT_S, SETTLED_S, Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
 from skygcs.ext.plans.flight.plan_states import Order, OrderKind, PlanState
-from skygcs.ext.plans.flight.sights import Left, Pair, Sight, Tubes, Why, pairs_near, pairs_text
+from skygcs.ext.plans.flight.sights import Departure, DepartureCause, Measurement, Pair, Tubes, pairs_near, pairs_text
 from support.examples import examples
 from support.table import each
 
@@ -58,9 +58,9 @@ class Told:
         self.clock: ClockState | None = None
         self.s = 0.0
         self.orders: list[Order] = []
-        ground = {n: Sight(GROUND[n], armed=False, on_ground=True) for n in NAMES}
-        air = {n: Sight(self.execution.step.starts()[n]) for n in NAMES}
-        self.sights: dict[str, Sight] = {n: ground[n] if n in grounded else air[n] for n in NAMES}
+        ground = {n: Measurement(GROUND[n], armed=False, on_ground=True) for n in NAMES}
+        air = {n: Measurement(self.execution.step.starts()[n]) for n in NAMES}
+        self.sights: dict[str, Measurement] = {n: ground[n] if n in grounded else air[n] for n in NAMES}
         self.take(self.execution.begin())
 
     @property
@@ -316,8 +316,8 @@ def test_on_a_straight_way_it_may_be_anywhere_but_beside_it() -> None:
     [
         ({"age_s": POSITION_SILENT_S + 0.1}, "silent"),
         ({"place_m": None}, "silent"),
-        ({"left": Left(Why.PILOT, "its mode became POSCTL")}, "POSCTL"),
-        ({"left": Left(Why.GUARD, "the guard holds it")}, "guard"),
+        ({"left": Departure(DepartureCause.PILOT, "its mode became POSCTL")}, "POSCTL"),
+        ({"left": Departure(DepartureCause.GUARD, "the guard holds it")}, "guard"),
     ],
 )
 def test_each_trouble_stops_the_clock_of_all_at_once(change: dict[str, Any], text: str) -> None:
@@ -360,7 +360,7 @@ def test_pause_and_resume_by_order_and_a_vehicle_that_leaves_meanwhile() -> None
     assert told.take(told.execution.pause()) == [Order(OrderKind.STOP_CLOCK)]
     assert told.take(told.execution.go_on()) == [Order(OrderKind.GO_ON)] and told.state is PlanState.FLYING
     told.take(told.execution.pause())
-    told.see("alpha", left=Left(Why.ORDER, "land was ordered"))
+    told.see("alpha", left=Departure(DepartureCause.ORDER, "land was ordered"))
     told.tick()
     assert told.state is PlanState.STOPPED
     with pytest.raises(RefusedError, match="alpha left"):
@@ -416,7 +416,7 @@ WHATS = st.one_of(
     st.tuples(st.just("outcome"), st.sampled_from(list(OrderKind)), st.sampled_from(NAMES), st.booleans()),
     st.tuples(st.just("place"), st.sampled_from(NAMES), PLACES),
     st.tuples(st.just("age"), st.sampled_from(NAMES), st.sampled_from([0.1, 10.0])),
-    st.tuples(st.just("left"), st.sampled_from(NAMES), st.sampled_from([None, *Why])),
+    st.tuples(st.just("left"), st.sampled_from(NAMES), st.sampled_from([None, *DepartureCause])),
     st.tuples(st.just("takeoff"), st.sampled_from(NAMES), st.sampled_from([None, "climbs", "reached", "mode"])),
     st.tuples(st.just("armed"), st.sampled_from(NAMES), st.booleans()),
     st.tuples(st.just("unexpected_mode"), st.sampled_from(NAMES), st.sampled_from([None, "POSCTL"])),
@@ -500,7 +500,7 @@ class Judged(Told):
             case ("age" | "takeoff" | "armed" | "unexpected_mode", name, value):
                 self.see(name, **{"age": {"age_s": value}}.get(what[0], {what[0]: value}))
             case ("left", name, why):
-                self.see(name, left=None if why is None else Left(why, "so"))
+                self.see(name, left=None if why is None else Departure(why, "so"))
             case ("clock", clock):
                 self.clock = clock
             case ("order", order):
@@ -539,7 +539,7 @@ def test_whatever_comes_in_whatever_order(
         judged.do(what)
     # trouble stops, always
     if judged.state in (PlanState.TO_STARTS, PlanState.FLYING):
-        judged.see("alpha", left=Left(Why.LOST, "gone"))
+        judged.see("alpha", left=Departure(DepartureCause.LOST, "gone"))
         assert judged.tick() == [Order(OrderKind.STOP_CLOCK)]
         assert judged.state is PlanState.STOPPED
     # and so does an abort
@@ -555,12 +555,12 @@ def test_whatever_comes_in_whatever_order(
 def test_a_step_of_one_vehicle_that_stands_has_no_pairs() -> None:
     step = replace(steps()[0], trajectories={"alpha": steps()[0].trajectories["alpha"]})
     execution = Execution([step], (), tubes(("alpha",)), step.starts())
-    assert pairs_near("alpha", {"alpha": Sight((0.0, 0.0, 10.0))}, execution.tubes) == ()
+    assert pairs_near("alpha", {"alpha": Measurement((0.0, 0.0, 10.0))}, execution.tubes) == ()
 
 
 # --- a vehicle that is gone -------------------------------------------------------------------------------------------
 
-GONE = Left(Why.LOST, "it was forgotten")
+GONE = Departure(DepartureCause.LOST, "it was forgotten")
 
 
 def test_one_that_is_gone_while_they_arm_keeps_all_on_the_ground() -> None:

@@ -6,7 +6,7 @@ from skygcs.core.trajectory import ClockState, Piece, Trajectory
 from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind
 from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState
-from skygcs.ext.plans.flight.sights import Sight, Tubes
+from skygcs.ext.plans.flight.sights import Measurement, Tubes
 
 TUBES = Tubes({"v1": 1.65}, {"v1": 0.4}, {"v1": 0.4}, 2.0)
 
@@ -20,7 +20,7 @@ def flying(*, timed: bool) -> Execution:
     execution.begin()
     execution.outcome(OrderKind.ENGAGE, "v1", True, "")
     for at in (98.0, 99.0, 100.0):
-        execution.tick(at, None, 0.0, {"v1": Sight((0.0, 0.0, 10.0))})
+        execution.tick(at, None, 0.0, {"v1": Measurement((0.0, 0.0, 10.0))})
     assert execution.state is PlanState.FLYING
     return execution
 
@@ -28,7 +28,7 @@ def flying(*, timed: bool) -> Execution:
 def test_a_gap_at_the_end_of_a_leg_is_no_trouble() -> None:
     execution = flying(timed=False)
     for n in range(1, 9):  # 1.6 s without a position: carried on, it is 2 m beyond the end
-        sight = Sight((20.0 + 0.3 * n, 0.0, 10.0), 0.2 * n, 2.0, reported_m=(19.8, 0.0, 10.0), before_s=0.2 * n)
+        sight = Measurement((20.0 + 0.3 * n, 0.0, 10.0), 0.2 * n, 2.0, reported_m=(19.8, 0.0, 10.0), before_s=0.2 * n)
         execution.tick(109.9 + 0.2 * n, ClockState.RUNNING, 9.95, {"v1": sight})
     assert execution.state is PlanState.FLYING
 
@@ -43,7 +43,7 @@ def test_a_gap_is_compared_with_the_reference_of_that_time() -> None:
             now,
             ClockState.RUNNING,
             s,
-            {"v1": Sight((seen + 9.0, 0.0, 10.0), age_s, 2.0, reported_m=(seen, 0.0, 10.0), before_s=age_s)},
+            {"v1": Measurement((seen + 9.0, 0.0, 10.0), age_s, 2.0, reported_m=(seen, 0.0, 10.0), before_s=age_s)},
         )
     assert execution.state is PlanState.FLYING
 
@@ -52,6 +52,6 @@ def test_one_that_was_late_when_it_reported_is_in_trouble() -> None:
     execution = flying(timed=True)
     for n in range(1, 16):
         now, s = 100.0 + 0.2 * n, 0.2 * n
-        sight = Sight((2.0 * s, 0.0, 10.0), 0.2, 2.0, reported_m=(2.0 * s - 1.0, 0.0, 10.0), before_s=0.2)
+        sight = Measurement((2.0 * s, 0.0, 10.0), 0.2, 2.0, reported_m=(2.0 * s - 1.0, 0.0, 10.0), before_s=0.2)
         execution.tick(now, ClockState.RUNNING, s, {"v1": sight})
     assert execution.state is PlanState.STOPPED and "from its reference" in execution.reason
