@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, cast
 from skygcs import __version__
 from skygcs.config.checks import control_place_problems
 from skygcs.config.extension_tables import find_owners
+from skygcs.config.files import read_token
 from skygcs.config.models import NO_TABLES, FleetConfig
-from skygcs.config.token_file import read_token
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS

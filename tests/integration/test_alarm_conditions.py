@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import math
+import os
 import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.alarms import kinds
+from skygcs.runtime.recorder import TlogFiles
 from support.flown import Flown, flown
 from support.planned import run, state, timed
 from support.pymav import PymavPeer
@@ -160,6 +164,25 @@ async def gone(gcs: Flown) -> None:
     gcs.other_one.cancel()  # type: ignore[attr-defined]
 
 
+async def a_full_disk(gcs: Flown) -> None:
+    """Every write fails from now on, as `write` and `ftruncate` do on a full disk or beyond RLIMIT_FSIZE."""
+    assert gcs.daemon.recorder is not None
+    full = mock.patch.object(TlogFiles, "write", side_effect=OSError(errno.EFBIG, os.strerror(errno.EFBIG)))
+    full.start()
+    gcs.full_disk = full  # type: ignore[attr-defined]
+    await gcs.until(lambda: recorder_state(gcs) == "failing", 30.0)
+
+
+async def room_again(gcs: Flown) -> None:
+    gcs.full_disk.stop()  # type: ignore[attr-defined]
+    await gcs.until(lambda: recorder_state(gcs) == "recording", 30.0)
+
+
+def recorder_state(gcs: Flown) -> str:
+    assert gcs.daemon.recorder is not None
+    return str(gcs.daemon.recorder.status()["state"])
+
+
 CONDITIONS: dict[str, tuple[str | None, Step, Step]] = {
     "lost": ("v2", now(lambda gcs: gcs.muted.add(2)), now(lambda gcs: gcs.muted.clear())),
     "deaf": (
@@ -180,6 +203,7 @@ CONDITIONS: dict[str, tuple[str | None, Step, Step]] = {
         now(lambda gcs: setattr(gcs.sim("v2").faults, "gps_lost", True)),
         now(lambda gcs: setattr(gcs.sim("v2").faults, "gps_lost", False)),
     ),
+    "recorder": (None, a_full_disk, room_again),
     "unattended": ("v2", nobody_flies_it, nothing),
     "operator": (None, flown_by_nobody_at_the_controls, nothing),
     "autopilot": ("v2", now(lambda gcs: gcs.sim("v2").tx.say(2, "Potential Thrust Loss (1)")), nothing),
@@ -196,8 +220,9 @@ ELSEWHERE = {
 @pytest.mark.parametrize("kind", CONDITIONS)
 async def test_the_condition_raises_its_alarm_and_its_end_ends_it(kind: str, tmp_path: Path) -> None:
     name, begin, end = CONDITIONS[kind]
+    settings = {**SETTINGS, "record": kind == "recorder"}
     async with flown(
-        tmp_path, px4=1, ardupilot=1, settings=SETTINGS, tables={"alarms": BATTERY}, setpoints_end=False
+        tmp_path, px4=1, ardupilot=1, settings=settings, tables={"alarms": BATTERY}, setpoints_end=False
     ) as gcs:
         client = asyncio.create_task(present(gcs, away=kind == "operator"))
         try:
@@ -209,6 +234,7 @@ async def test_the_condition_raises_its_alarm_and_its_end_ends_it(kind: str, tmp
                 await gone_by(gcs, kind, name)
         finally:
             client.cancel()
+            mock.patch.stopall()
 
 
 async def present(gcs: Flown, *, away: bool) -> None:

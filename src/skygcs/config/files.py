@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import BinaryIO
 
-from skygcs.errors import KeyFileError
+from skygcs.errors import KeyFileError, LinkError
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -115,3 +115,28 @@ def require_private(path: Path, status: os.stat_result) -> None:
         )
     if status.st_uid not in (os.geteuid(), 0):
         raise KeyFileError(str(path), f"belongs to another user (uid {status.st_uid}); it must be your own")
+
+
+MAX_TOKEN_BYTES = 4096
+
+
+def read_token(table: str, path: Path | None) -> str | None:
+    """The token of a table of the fleet file: of the daemon's TCP socket, or of what Prometheus scrapes.
+
+    Raises LinkError if the file is missing, empty or readable by others.
+    """
+    if path is None:
+        return None
+    try:
+        with open_regular(path) as file:
+            mode = os.fstat(file.fileno()).st_mode
+            token = file.read(MAX_TOKEN_BYTES).decode().strip()
+    except OSError as error:
+        raise LinkError(f"{table}.token_file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise LinkError(f"{table}.token_file {path}: is not text") from None
+    if mode & 0o077:
+        raise LinkError(f"{table}.token_file {path}: others can read it; chmod 600 {path}")
+    if len(token) < 16:
+        raise LinkError(f"{table}.token_file {path}: the token needs at least 16 characters")
+    return token

@@ -98,6 +98,11 @@ class Context(Protocol):
         """Where to report each vehicle's outcome as it comes; None: the client did not ask for it."""
         ...
 
+    @property
+    def client(self) -> object:
+        """Identity of the client, the same for all of its requests."""
+        ...
+
     def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
     def relay_operator(self) -> None: ...
@@ -121,6 +126,10 @@ class ReportingContext:
     @property
     def services(self) -> Services:
         return self._session.services
+
+    @property
+    def client(self) -> object:
+        return self._session.client
 
     @property
     def slices(self) -> Slices:

@@ -71,7 +71,7 @@ class InvalidParams(SkygcsError):
 
 
 class LimitExceeded(SkygcsError):
-    """A client has reached a limit per client; the text names it."""
+    """A client has reached a limit, its own or that of all clients together; the text names it."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,11 @@ class Method(Generic[C]):
     always: bool = False
     while_stopping: bool = False
     unique_keys: bool = False
+
+    @property
+    def ends_flight(self) -> bool:
+        """True for an order that ends a flight: it is always answered, and carried out without its client."""
+        return self.always and self.outlives_client
 
 
 class Later(NamedTuple):
@@ -207,6 +212,35 @@ class OnDemand(Protocol):
         ...
 
 
+class Gate(Protocol):
+    """Way of all calls to their handlers; `rpc.work_gate.WorkGate`."""
+
+    def asked(self, method: Method[Any]) -> None:
+        """A method whose handler is a plain function is about to be called."""
+        ...
+
+    async def carry_out(self, method: Method[Any], context: Any, params: MethodParams) -> Any:
+        """Await a handler that is a coroutine, and return its result. Raises LimitExceeded, and what it raises."""
+        ...
+
+    def stats(self) -> dict[str, Any]:
+        """JSON-able counters."""
+        ...
+
+
+class OpenGate:
+    """`Gate` that carries out everything."""
+
+    def asked(self, method: Method[Any]) -> None:
+        return
+
+    async def carry_out(self, method: Method[Any], context: Any, params: MethodParams) -> Any:
+        return await method.handler(context, params)
+
+    def stats(self) -> dict[str, Any]:
+        return {}
+
+
 Admit = Callable[[Mapping[str, Any]], bytes | None]
 """The encoded refusal of a request that is not to be carried out now; None: it is."""
 
@@ -217,8 +251,11 @@ Reply = bytes | Coroutine[Any, Any, bytes] | None
 class Dispatcher(Generic[C]):
     """Finds the method, checks its parameters, runs it, encodes the reply. Never raises for what a client sent."""
 
-    def __init__(self, methods: Mapping[str, Method[C]], on_demand: OnDemand | None = None) -> None:
+    def __init__(
+        self, methods: Mapping[str, Method[C]], on_demand: OnDemand | None = None, gate: Gate | None = None
+    ) -> None:
         """``on_demand`` adds to ``methods``, a `MethodTable`."""
+        self.gate = gate or OpenGate()
         self._methods = methods if isinstance(methods, MethodTable) else MethodTable(methods.values())
         self._on_demand = on_demand
         self.always = self._methods.always
@@ -258,6 +295,7 @@ class Dispatcher(Generic[C]):
             params = _check(method.params, request.get("params"))
             if name in self._methods.coroutines:
                 return self._finish(method, context, params, request_id, notification)
+            self.gate.asked(method)
             result = method.handler(context, params)
         except Exception as error:
             return None if notification else failure_reply(request_id, name, error)
@@ -296,7 +334,7 @@ class Dispatcher(Generic[C]):
         self, method: Method[C], context: C, params: MethodParams, request_id: object, notification: bool
     ) -> bytes:
         try:
-            result = await method.handler(context, params)
+            result = await self.gate.carry_out(method, context, params)
         except asyncio.CancelledError:
             end_if_cancelled()  # its client is gone, or the daemon ends
             # what it waited for was cancelled by something else: the client is there and waits for an answer

@@ -19,7 +19,7 @@ ERRORS: dict[int, str] = {
     error_codes.REFUSED: "skygcs refuses the order itself; the text says why.",
     error_codes.LINK_ERROR: "A link could not be opened, changed or sent on.",
     error_codes.NOT_AUTHENTICATED: "TCP only: the first request must be auth with the token.",
-    error_codes.LIMIT_EXCEEDED: "A limit per client is reached; the text names it.",
+    error_codes.LIMIT_EXCEEDED: "A limit per client, or of all clients together, is reached; the text names it.",
 }
 
 

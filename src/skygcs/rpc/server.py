@@ -96,11 +96,13 @@ class RpcServer:
             from skygcs.rpc.methods import METHODS
             from skygcs.rpc.methods_on_demand import MethodsOnDemand
             from skygcs.rpc.sessions import Session, Sessions
+            from skygcs.rpc.work_gate import WorkGate
 
             extensions = self._services.extensions
             methods = METHODS.table()
             methods.add(extensions.methods)
-            dispatcher = Dispatcher(methods, MethodsOnDemand(methods, extensions, imports.call_beside, loop))
+            on_demand = MethodsOnDemand(methods, extensions, imports.call_beside, loop)
+            dispatcher = Dispatcher(methods, on_demand, WorkGate(self._services.fleet.resolve_any))
             self._hub = hub = Sessions(self._services, dispatcher, loop)
             listener = self._unix.bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)

@@ -92,7 +92,8 @@ MAX_BATCH = 128
 
 
 MAX_IN_FLIGHT = 64
-"""Orders that one client waits for at the same time; one order to 250 vehicles is one of them."""
+"""Requests that one client waits for at the same time. Their orders to single vehicles have a bound of their own
+(`rpc.work_gate`)."""
 
 
 MAX_SUBSCRIPTIONS = 32
@@ -165,6 +166,10 @@ class Session(ClientPeer):
         self._hub.turns.add(self)
 
     # -- the session as methods see it (Context) and as subscriptions see it (Sink)
+
+    @property
+    def client(self) -> object:
+        return self
 
     def subscribe(self, params: SubscribeParams) -> int:
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
@@ -655,6 +660,7 @@ class Sessions:
             "restricted": len(self._reserve),
             "unauthenticated": len(self._unauthenticated),
             **self.counters,
+            **self.dispatcher.gate.stats(),
         }
 
     async def close(self) -> None:

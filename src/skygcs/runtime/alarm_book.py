@@ -13,7 +13,7 @@ from typing import Any
 from skygcs.config.files import make_log_folder, open_regular, write_whole
 from skygcs.config.models import AlarmsConfig
 from skygcs.core.alarms.alarms import Alarm, Alarms
-from skygcs.core.alarms.kinds import RULES, Signal, VehicleFacts, battery, signals
+from skygcs.core.alarms.kinds import OF_THE_PROCESS, RULES, Signal, VehicleFacts, battery, signals
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
@@ -62,6 +62,8 @@ class AlarmBook:
             return
         except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             self._report(f"{self._path} cannot be read: {error}; alarms of before the restart are not known")
+        for kind in OF_THE_PROCESS:
+            self._take(Signal(kind, None, False), logged=False)
 
     def all(self) -> list[dict[str, Any]]:
         """List all alarms for alarms.list."""

@@ -324,7 +324,11 @@ class Recorder:
             self._fault_since = asyncio.get_running_loop().time()
             self._retry_s = RETRY_FIRST_S
             self._fault = reason
-            self._report(f"recording to {self._log_dir} stopped: {reason}; everything else goes on", error=reason)
+            self._report(
+                f"recording to {self._log_dir} stopped: {reason}; everything else goes on",
+                error=reason,
+                recording=False,
+            )
         self._fault = reason
 
     def _recovered(self) -> None:
@@ -333,7 +337,10 @@ class Recorder:
         seconds = asyncio.get_running_loop().time() - self._fault_since
         lost, self._lost_in_fault, self._fault = self._lost_in_fault, 0, None
         self._report(
-            f"recording again after {seconds:.0f} s; {lost} records lost", lost=lost, seconds=round(seconds, 1)
+            f"recording again after {seconds:.0f} s; {lost} records lost",
+            lost=lost,
+            seconds=round(seconds, 1),
+            recording=True,
         )
 
     def _report(self, text: str, **data: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skygcs.rpc import client_peer, openrpc, sessions
+from skygcs.rpc import client_peer, openrpc, sessions, work_gate
 from support.extension_parts import ALL_METHODS
 from support.rpc_reference import reference
 
@@ -24,6 +24,8 @@ def test_the_limits_are_those_of_the_server() -> None:
         f"| connections beyond | {sessions.MAX_RESERVE} |",
         f"| TCP clients before authentication | {sessions.MAX_UNAUTHENTICATED} |",
         f"| pending requests of one client | {sessions.MAX_IN_FLIGHT} |",
+        f"| orders to single vehicles that one client waits for | {work_gate.MAX_ITEMS_OF_A_CLIENT}, and one call |",
+        f"| the same of all clients together | {work_gate.MAX_ITEMS}, and one call each |",
         f"| subscriptions of one client | {sessions.MAX_SUBSCRIPTIONS} |",
         f"| unread output of one client | {client_peer.MAX_OUTPUT_BYTES >> 20} MiB |",
     ):

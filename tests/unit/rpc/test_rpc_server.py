@@ -310,8 +310,8 @@ async def test_orders_without_client_are_bounded_and_end_with_the_daemon(
     peer = await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
     alpha.delay_s = 30.0
-    land = {"jsonrpc": "2.0", "id": 1, "method": "vehicles.land", "params": {"targets": "alpha"}}
-    peer.send(land, land, land)
+    one = {"jsonrpc": "2.0", "id": 1, "params": {"targets": "alpha"}}
+    peer.send(*({**one, "method": f"vehicles.{order}"} for order in ("land", "rtl", "hold")))
     await bench.until(lambda: len(alpha.orders) == 3)
     peer.writer.transport.abort()
     await bench.until(lambda: alpha.cancelled == 1)

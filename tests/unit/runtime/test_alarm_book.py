@@ -107,3 +107,18 @@ async def test_a_recording_raises_no_alarm(tmp_path: Path) -> None:
     bench.book.tick()
     assert bench.book.all() == []
     bench.book.close()
+
+
+async def test_an_alarm_of_the_recorder_is_over_when_the_daemon_starts_anew(tmp_path: Path) -> None:
+    """The next daemon's recorder fails or works by itself; nobody would end the alarm of the last one's."""
+    bench = Bench(tmp_path)
+    full = Event("recorder", None, None, "recording stopped: No space left on device", {"recording": False})
+    bench.events.publish(full)
+    bench.events.publish(full)
+    bench.events.publish(Event("recorder", None, None, "x.tlog cannot be written", {"error": "x"}))
+    assert [(a["kind"], a["severity"], a["active"]) for a in bench.book.all()] == [("recorder", "alarm", True)]
+    await bench.settled(tmp_path / FILE, lambda content: b"No space left" in content)
+    again = Bench(tmp_path)
+    assert [(a["kind"], a["active"]) for a in again.book.all()] == [("recorder", False)]
+    again.events.publish(full)
+    assert [a["active"] for a in again.book.all()] == [True]

@@ -16,6 +16,7 @@
     duplicate     two vehicles with one system id                only one is left                          alarm
     plan          a plan stopped or aborted                      a plan flies again, or is over            alarm
     ground        a companion has lost its ground                at once                                   alarm
+    recorder      the disk is full or fails: no recording        it records again, or skygcs restarts      alarm
     operator      nobody at the controls, and vehicles flew      at once                                   alarm
     autopilot     a text of level critical and above             at once                                   warning
     fault         a fault inside skygcs                          at once                                   alarm
@@ -55,6 +56,10 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
 }
 """Kinds that follow from a cause, by kind of the cause, for the same vehicle. They are counted with it and raise no
 alarms."""
+
+
+OF_THE_PROCESS = frozenset({"recorder"})
+"""Kinds whose condition ends with the daemon that has it; the next one raises them anew."""
 
 
 class VehicleFacts(NamedTuple):
@@ -162,6 +167,11 @@ def _plan(event: Event, _: VehicleFacts) -> list[Signal]:
     return [Signal("plan", None, state in ("stopped", "aborting", "aborted"), event.text)]
 
 
+def _recorder(event: Event, _: VehicleFacts) -> list[Signal]:
+    recording = event.data.get("recording")
+    return [] if recording is None else [Signal("recorder", None, not recording, event.text)]
+
+
 def _warning(event: Event, _: VehicleFacts) -> list[Signal]:
     if "action" not in event.data or "vehicles" not in event.data:
         return []
@@ -201,6 +211,7 @@ RULES: Mapping[str, Rule] = {
     "separation": _separation,
     "duplicate": _duplicate,
     "plan": _plan,
+    "recorder": _recorder,
     "ground_lost": _lasting("ground"),
     "warning": _warning,
     "statustext": _statustext,

@@ -7,8 +7,8 @@ import importlib
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from skygcs.config.files import read_token
 from skygcs.config.metrics import MetricsConfig
-from skygcs.config.token_file import read_token
 from skygcs.ext.metrics.order_results import OrderResults
 from skygcs.extension import Extension
 from skygcs.metrics.endpoint import MetricsEndpoint

@@ -42,6 +42,7 @@ CASES = {
         event("separation", level="warning", **{"with": "b"}),
         event("separation", level=None, **{"with": "b"}),
     ),
+    "recorder": (event("recorder", None, recording=False), event("recorder", None, recording=True)),
     "unwatched": (event("separation", watched=False), event("separation", watched=True)),
     "duplicate": (event("duplicate", change="duplicate"), event("duplicate", change="duplicate_over")),
     "plan": (event("plan", None, state="stopped"), event("plan", None, state="flying")),

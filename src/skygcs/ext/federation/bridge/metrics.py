@@ -13,7 +13,7 @@ from typing import Any
 from prometheus_client.process_collector import ProcessCollector
 
 from skygcs import __version__
-from skygcs.config.token_file import read_token
+from skygcs.config.files import read_token
 from skygcs.ext.federation.bridge.station import Part, Station
 from skygcs.ext.federation.config import FederationMetricsConfig
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
