@@ -89,11 +89,12 @@ class Bridge:
             known = {message["name"] for message in await gcs.call("messages.list")}
             for state in await gcs.vehicles():
                 self.on_state(state)
-            requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
+            rates = {name: hz for name, hz in self.config.rates.items() if name in known}
             work = (
                 self._messages(gcs, [name for name in self._sources if name in known]),
                 self._states(gcs),
-                self._reports(gcs, requests),
+                self._reports(gcs),
+                self._rates(gcs, rates),
                 self._count_readers(),
                 self.fleet.follow_events(gcs),
                 self.fleet.follow_plan(gcs),
@@ -211,7 +212,25 @@ class Bridge:
                 control.step()
             await asyncio.sleep(COUNT_S)
 
-    async def _reports(self, gcs: Client, requests: RateRequests) -> None:
+    async def _rates(self, gcs: Client, rates: Mapping[str, float]) -> None:
+        """A task of its own: vehicles that answer slowly must keep nothing else."""
+        requests = RateRequests(gcs, asyncio.get_running_loop().time, self._rates_of_setpoints)
+        while True:
+            await requests.update(
+                {
+                    vehicle.name: {name: rates[name] for name in vehicle.wanted_messages() if name in rates}
+                    for vehicle in self.vehicles.values()
+                    if vehicle.connected
+                }
+            )
+            await asyncio.sleep(REPORT_S)
+
+    def _rates_of_setpoints(self) -> dict[str, dict[str, float]]:
+        """Rates that the setpoints of nodes need, of the vehicles that are connected."""
+        wanted = {name: control.stream.wanted_rates() for name, control in self.controls.items()}
+        return {name: rates for name, rates in wanted.items() if rates and self.vehicles[name].connected}
+
+    async def _reports(self, gcs: Client) -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
         while True:
@@ -229,8 +248,6 @@ class Bridge:
                     _log.warning("the daemon did not take the report of ROS", error=str(error))
             began = loop.time()
             self.shared.diagnose(self._unix_ns(), self.diagnostics())
-            wanted = {v.name: v.wanted_messages() for v in self.vehicles.values() if v.connected}
-            await requests.update(wanted, loop.time())
             await asyncio.sleep(REPORT_S)
 
     def report(self, period_s: float) -> dict[str, Any]:
