@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic, world_from_enu, wrap_deg_180
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.rotations import Quaternion, Vector, quaternion_of, rotated, vector_of, yaw_of
 from skygcs.core.ros.topics import Topic
 
@@ -106,6 +107,16 @@ class LocalFrame:
     def turn_deg(self) -> float:
         """Yaw of true east from the fleet's x axis."""
         return 0.0 if self.origin is None else self.origin.x_heading_deg - EAST_DEG
+
+
+def origin_of(known: FleetOrigin | None, position: Fields | None) -> Origin | None:
+    """The origin by which a vehicle is led whose state has this ``position``. Raises SetpointError while it is not
+    known, or not the one by which the daemon has the vehicle."""
+    if known is None:
+        raise SetpointError("the fleet's origin has not been read yet: send on")
+    if not known.is_of(position):
+        raise SetpointError("the fleet's origin has just been changed, and is read anew: send on")
+    return known.origin
 
 
 def pose_local(fields: Fields, frame: LocalFrame) -> Demand:

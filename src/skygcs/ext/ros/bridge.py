@@ -12,13 +12,14 @@ Tasks of one connection:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import structlog
 
-from skygcs.core.geo import Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.interfaces import InterfaceError, Interfaces, ros2_interfaces
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES
 from skygcs.core.ros.ros_names import vehicle_root
@@ -35,6 +36,12 @@ from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
 
 REPORT_S = 1.0
+
+ORIGIN_S = 1.0
+"""The fleet's origin is read so often, and at once when a state names another than the one that is known."""
+
+ORIGIN_AGAIN_S = 0.1
+"""Between two readings at least: states that were sent before a change arrive after it."""
 
 COUNT_S = 0.25
 """From a new reader to its first message at most; 400 topics are counted in 2 ms."""
@@ -74,7 +81,10 @@ class Bridge:
         self._unix_ns = unix_ns
         self._refused: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._origin: Origin | None = None
+        self._origin: FleetOrigin | None = None
+        """None: it has not been read over this connection. After another start of the daemon its generations are
+        others."""
+        self._origin_is_old = asyncio.Event()
         self._settings: Mapping[str, Mapping[str, Any]] = {}
         """Settings of the fleet file for each vehicle, by name (ros.settings)."""
         self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
@@ -87,6 +97,7 @@ class Bridge:
         tasks: list[asyncio.Future[None]] = []
         try:  # from here on orders are given over this connection
             known = {message["name"] for message in await gcs.call("messages.list")}
+            await self._read_origin(gcs)
             for state in await gcs.vehicles():
                 self.on_state(state)
             rates = {name: hz for name, hz in self.config.rates.items() if name in known}
@@ -94,6 +105,7 @@ class Bridge:
                 self._messages(gcs, [name for name in self._sources if name in known]),
                 self._states(gcs),
                 self._reports(gcs),
+                self._follow_origin(gcs),
                 self._rates(gcs, rates),
                 self._count_readers(),
                 self.fleet.follow_events(gcs),
@@ -109,7 +121,7 @@ class Bridge:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._gcs = None
+            self._gcs = self._origin = None
             for control in self.controls.values():
                 control.lost()
             for vehicle in self.vehicles.values():  # nothing is known of any vehicle without the daemon
@@ -157,10 +169,12 @@ class Bridge:
             control.on_state()
         if not state["connected"]:
             vehicle.on_lost(self._unix_ns())
-        place = state.get("ekf_origin")
-        if self._origin is not None and place is not None and self.config.frame_prefix:
+        place, known = state.get("ekf_origin"), self._origin
+        if known is None or not known.is_of(state.get("position")):
+            self._origin_is_old.set()
+        elif known.origin is not None and place is not None and self.config.frame_prefix:
             frame = vehicle.memory.frames.map
-            self.shared.fix_transforms(map_transform(place, self._origin, frame, self._unix_ns()))
+            self.shared.fix_transforms(map_transform(place, known.origin, frame, self._unix_ns()))
 
     def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
         name = state["name"]
@@ -195,6 +209,19 @@ class Bridge:
         vehicle.px4 = Px4Topics(self.node, known, vehicle.root, vehicle.sysid)
         if (control := self.controls.get(vehicle.name)) is not None:
             control.add_px4(known, vehicle.px4)
+
+    async def _follow_origin(self, gcs: Client) -> None:
+        """A task of its own: by it the places of setpoints are those of the fleet's frame."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._origin_is_old.wait(), ORIGIN_S)
+            await self._read_origin(gcs)
+            await asyncio.sleep(ORIGIN_AGAIN_S)
+
+    async def _read_origin(self, gcs: Client) -> None:
+        self._origin_is_old.clear()
+        self._origin = FleetOrigin.read(await gcs.call("origin.get"))
+        self.fleet.has_origin = self._origin.origin is not None
 
     async def _outcomes(self, gcs: Client) -> None:
         """A subscription of its own: no flood of other events pushes an outcome out."""
@@ -234,11 +261,8 @@ class Bridge:
         loop = asyncio.get_running_loop()
         began = loop.time()
         while True:
-            origin = (await gcs.call("origin.get"))["origin"]
-            self._origin = None if origin is None else Origin(**origin)
             if not self.vehicles.keys() <= self._settings.keys():
                 self._settings = {**self._settings, **(await gcs.call("ros.settings"))["vehicles"]}
-            self.fleet.has_origin = origin is not None
             self.fleet.fences = {name: settings["fence"] for name, settings in self._settings.items()}
             try:
                 await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))

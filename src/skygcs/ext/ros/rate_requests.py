@@ -1,4 +1,4 @@
-"""Requests vehicles' messages: what setpoints need, and at the rates of [ros.rates] what topics are made of that are read.
+"""Requests for messages: those that setpoints need, and those that topics are made of while somebody reads them.
 
 wanted by                                              rate                          asked
 ----------------------------------------------------   ---------------------------   -------------------------

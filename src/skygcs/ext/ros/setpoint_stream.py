@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from skygcs.core.geo import Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.setpoints import (
     ATTITUDE_FRESH_S,
     ATTITUDE_HZ,
@@ -23,6 +23,7 @@ from skygcs.core.ros.setpoints import (
     Demand,
     LocalFrame,
     SetpointError,
+    origin_of,
 )
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.graph import Node
@@ -51,7 +52,7 @@ class SetpointStream:
         node: Node,
         vehicle: VehicleTopics,
         gcs: Callable[[], Client | None],
-        origin: Callable[[], Origin | None],
+        origin: Callable[[], FleetOrigin | None],
         clock: Callable[[], float],
         unix_ns: Callable[[], int],
     ) -> None:
@@ -113,13 +114,14 @@ class SetpointStream:
         return on_message
 
     def frame(self) -> LocalFrame:
-        """Where the vehicle's local frame lies now."""
+        """Where the vehicle's local frame lies now. Raises SetpointError while the fleet's origin changes."""
         state = self._vehicle.state
+        origin = origin_of(self._origin(), state.get("position"))
         ekf, home = state.get("ekf_origin"), state.get("home")
         place = None if ekf is None else (ekf["lat_deg"], ekf["lon_deg"], ekf["alt_amsl_m"])
         home_m = None if home is None else home["alt_amsl_m"]
         yaw_rad = self._vehicle.memory.yaw_enu_rad(self._unix_ns(), round(ATTITUDE_FRESH_S * 1e9))
-        return LocalFrame(self._origin(), place, home_m, yaw_rad)
+        return LocalFrame(origin, place, home_m, yaw_rad)
 
     def wanted_rates(self) -> dict[str, float]:
         """MAVLink messages that the demands need and that did not come often enough, with their rates in Hz."""

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from skygcs.core.geo import Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.interfaces import Interfaces
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.config import RosConfig
@@ -33,7 +33,7 @@ class VehicleControl:
         config: RosConfig,
         vehicle: VehicleTopics,
         gcs: Callable[[], Client | None],
-        origin: Callable[[], Origin | None],
+        origin: Callable[[], FleetOrigin | None],
         unix_ns: Callable[[], int],
         takeoff_height_m: Callable[[], float | None],
     ) -> None:
