@@ -183,8 +183,8 @@ def _of_body(fields: Fields, mask: int, frame: LocalFrame) -> tuple[Fields, int]
     alone the other is 0. Raises AttitudeError."""
     if frame.yaw_enu_rad is None:
         raise AttitudeError(
-            f"no attitude of the last {ATTITUDE_FRESH_S} s is known, by which a velocity of the body's frame is turned; "
-            "it is requested: send on, or use LOCAL_NED (1)"
+            f"no attitude of the last {ATTITUDE_FRESH_S} s is known, by which a velocity of the body's frame "
+            "is turned; it is requested: send on, or use LOCAL_NED (1)"
         )
     velocity = _of_axes(fields["velocity"], mask, (*IGNORE_BODY_VXY, IGNORE_VXYZ[2]), FASTEST_MPS, "velocity")
     nose = (math.cos(frame.yaw_enu_rad / 2), 0.0, 0.0, math.sin(frame.yaw_enu_rad / 2))

@@ -31,7 +31,8 @@ from skygcs.ext.ros.fleet_topics import FleetTopics
 from skygcs.ext.ros.graph import Node, SharedTopics
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
-from skygcs.ext.ros.vehicle_control import VehicleControl
+from skygcs.ext.ros.vehicle_control import EVENTS, VehicleControl
+from skygcs.ext.ros.vehicle_services import MISSION_ACK
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
 
@@ -88,8 +89,8 @@ class Bridge:
         self._settings: Mapping[str, Mapping[str, Any]] = {}
         """Settings of the fleet file for each vehicle, by name (ros.settings)."""
         self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
-        self._sources = list(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES})
-        """Names of the messages that topics are made of."""
+        self._sources = [*(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES}), MISSION_ACK]
+        """Names of the messages that topics are made of, and of those that services follow."""
 
     async def serve(self, gcs: Client) -> None:
         """Until the connection ends. Raises DaemonUnreachable, RpcError."""
@@ -146,6 +147,8 @@ class Bridge:
         for vehicle in readers:
             try:
                 vehicle.on_message(name, message["fields"], arrival_ns)
+                if (control := self.controls.get(vehicle.name)) is not None:
+                    control.on_message(name, message["fields"], message["age_s"])
             except (InterfaceError, KeyError, TypeError, ValueError, OverflowError) as error:
                 self.faults += 1
                 if self.faults == 1:
@@ -225,10 +228,9 @@ class Bridge:
 
     async def _outcomes(self, gcs: Client) -> None:
         """A subscription of its own: no flood of other events pushes an outcome out."""
-        async for event in gcs.events(kinds=["command"]):
+        async for event in gcs.events(kinds=EVENTS):
             for control in self.controls.values():
-                if control.actions is not None:
-                    control.actions.on_event(event)
+                control.on_event(event)
 
     # -- reports
 
