@@ -9,7 +9,7 @@ from skygcs.core.geo import Origin
 
 
 class FleetOrigin(NamedTuple):
-    """What origin.get answered. ``origin``: None if none is set; ``generation``: increases with every change."""
+    """The result of origin.get. ``origin``: None if none is set; ``generation``: increases with every change."""
 
     origin: Origin | None
     generation: int

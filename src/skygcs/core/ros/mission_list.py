@@ -39,7 +39,7 @@ class MissionList:
         """Number of transfers that ended and were no node's own."""
         self._waypoints: list[Fields] | None = None
         self._lengths: frozenset[int] = frozenset()
-        """What the vehicle may report as the list's length."""
+        """Numbers of items that the vehicle may report for it."""
         self._current_seq = 0
         self._count: int | None = None
         self._own_until = -math.inf
