@@ -46,7 +46,7 @@ def _data(fields: dict[str, Any], q_ned: Quaternion, arrival_ns: int, memory: Ve
     memory.orientation = enu_orientation(q_ned)
     memory.angular_flu = flu_from_frd(fields["rollspeed"], fields["pitchspeed"], fields["yawspeed"])
     linear = diagonal(LINEAR_VARIANCE)
-    stamp_ns = memory.clock.stamp_ns(fields["time_boot_ms"] * 1000, arrival_ns)
+    stamp_ns = memory.orientation_ns = memory.clock.stamp_ns(fields["time_boot_ms"] * 1000, arrival_ns)
     yield Sample(
         "imu/data",
         {

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import EnuFrame
-from skygcs.core.ros.rotations import Quaternion, Vector
+from skygcs.core.ros.rotations import Quaternion, Vector, yaw_of
 from skygcs.core.ros.stamps import VehicleClock
 
 STATUS_NO_FIX, STATUS_FIX = -1, 0
@@ -48,6 +48,8 @@ class VehicleMemory:
     # attitude and inertial measurement
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """FLU to ENU; before the first attitude as MAVROS' message has it."""
+    orientation_ns: int | None = None
+    """When it was measured, in nanoseconds since 1970; None: it was not, since the connection came up."""
     angular_flu: Vector = (0.0, 0.0, 0.0)
     accel_flu: Vector = (0.0, 0.0, 0.0)
     has_accel: bool = False
@@ -73,9 +75,10 @@ class VehicleMemory:
     def after_loss(self) -> VehicleMemory:
         """Memory after the connection was lost: what MAVROS' plugins imu, sys_status and rc_io forget then
         (connection_cb) is gone. The rest stays: the origin of global_position/local does not move in a pause of the
-        radio."""
+        radio. The orientation stays for MAVROS' messages, and was measured at no known time."""
         return replace(
             self,
+            orientation_ns=None,
             has_highres_imu=False,
             has_scaled_imu=False,
             has_attitude_quaternion=False,
@@ -84,6 +87,14 @@ class VehicleMemory:
             rc_in=[],
             rc_out=[],
         )
+
+    def yaw_enu_rad(self, now_ns: int, fresh_ns: int) -> float | None:
+        """Yaw from east if it was measured in the last ``fresh_ns``; None: it was not, or is not finite. After a step
+        of this computer's clock it is not known until the next attitude."""
+        if self.orientation_ns is None or abs(now_ns - self.orientation_ns) > fresh_ns:
+            return None
+        yaw_rad = yaw_of(self.orientation)
+        return yaw_rad if math.isfinite(yaw_rad) else None
 
     @property
     def undulation_m(self) -> float:

@@ -40,10 +40,6 @@ FRESH_NS = 3_000_000_000
 MOVING_FRESH_NS = 500_000_000
 """The same for an attitude that completes a position: at 2 Hz, the slowest that is planned for a radio."""
 
-FLAGS_FRESH_NS = 10_000_000_000
-"""The same for what an estimator calls valid: at 0.5 Hz, as over a radio, five messages that are lost. Afterwards all
-counts as valid, so what is invalid must not become it because one was lost."""
-
 NAN3 = (math.nan,) * 3
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -115,23 +111,33 @@ VELOCITY_FRAMES = {1: 1, 20: 2, 12: 3, 8: 3}
 POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Variances in the upper right triangle of a covariance of 6 by 6, row by row."""
 
-VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_ABS, POS_VERT_AGL = 1 << 1, 1 << 2, 1 << 4, 1 << 6
+VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_ABS, POS_VERT_ABS, POS_VERT_AGL = 1 << 1, 1 << 2, 1 << 4, 1 << 5, 1 << 6
 """ESTIMATOR_STATUS_FLAGS. A PX4 fills them of the same conditions as its positions: the first two are xy_valid and
-z_valid, with those of the velocities; the others lat_lon_valid and terrain_alt_valid (Ekf::get_ekf_soln_status,
-EKF2::PublishLocalPosition and PublishGlobalPosition, 1.16)."""
+z_valid, with those of the velocities; POS_HORIZ_ABS and POS_VERT_AGL lat_lon_valid and terrain_alt_valid; POS_VERT_ABS
+means that a height or a vertical velocity is fused (Ekf::get_ekf_soln_status, EKF2::PublishLocalPosition and
+PublishGlobalPosition, 1.16)."""
 
-NOT_KNOWN_INVALID = 0xFFFF
-"""Flags of an estimator that has not said: what it sends is taken as valid."""
+ALTITUDE_FLAGS = POS_VERT_ABS | VELOCITY_VERT
+"""The nearest to alt_valid, which is isGlobalVerticalPositionValid: no bit is of the vertical position alone."""
+
+NEVER_SENT_FLAGS = 0xFFFF
+"""Flags of an estimator that has never sent any: what it sends is taken as valid."""
 
 
 @dataclass(slots=True)
 class Px4Memory:
-    """Memory of one PX4; a new one after its connection was lost, but for ``clock``."""
+    """Memory of one PX4."""
 
     sysid: int
     clock: VehicleClock = field(default_factory=VehicleClock)
     messages: dict[str, tuple[int, Fields]] = field(default_factory=dict)
     """The newest of each message of PX4_SOURCES: its arrival and its fields."""
+    estimator_flags: int = NEVER_SENT_FLAGS
+    """ESTIMATOR_STATUS.flags as they came last: what is invalid does not become valid by silence."""
+
+    def after_loss(self) -> Px4Memory:
+        """Memory after the connection was lost: its clock, and what its estimator called valid."""
+        return Px4Memory(self.sysid, self.clock, estimator_flags=self.estimator_flags)
 
     def kept(self, name: str, now_ns: int, fresh_ns: int = FRESH_NS) -> Fields | None:
         """The newest message of this name; None: none came, or it is too old."""
@@ -212,7 +218,7 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
     geoid_m = math.nan if fix is None else (ellipsoid_mm - fix["alt"]) / 1e3
     bottom_m = _bottom_m(altitude)
     terrain_m = math.nan if altitude is None else altitude["altitude_amsl"] - bottom_m
-    has_place, flags = (fields["lat"], fields["lon"]) != (0, 0), _estimator_flags(arrival_ns, memory)
+    has_place, flags = (fields["lat"], fields["lon"]) != (0, 0), memory.estimator_flags
     yield Sample(
         "vehicle_global_position",
         {
@@ -222,7 +228,7 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
             "alt": alt_m,
             "alt_ellipsoid": alt_m + geoid_m,
             "lat_lon_valid": has_place and bool(flags & POS_HORIZ_ABS),
-            "alt_valid": has_place and bool(flags & VELOCITY_VERT),
+            "alt_valid": has_place and flags & ALTITUDE_FLAGS == ALTITUDE_FLAGS,
             **_accuracy(arrival_ns, memory),
             "terrain_alt": terrain_m,
             "terrain_alt_valid": bool(flags & POS_VERT_AGL) and not math.isnan(terrain_m),
@@ -230,9 +236,10 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
     )
 
 
-def _estimator_flags(arrival_ns: int, memory: Px4Memory) -> int:
-    status = memory.kept("ESTIMATOR_STATUS", arrival_ns, FLAGS_FRESH_NS)
-    return NOT_KNOWN_INVALID if status is None else int(status["flags"])
+def estimator_status(fields: Fields, arrival_ns: int, memory: Px4Memory) -> Iterator[Sample]:
+    """ESTIMATOR_STATUS, which completes the positions."""
+    memory.estimator_flags = int(fields["flags"])
+    return iter(())
 
 
 def _bottom_m(altitude: Fields | None) -> float:
@@ -253,7 +260,7 @@ def local_position_ned(fields: Fields, arrival_ns: int, memory: Px4Memory) -> It
     odometry, unless ODOMETRY comes."""
     stamps = _stamps(fields["time_boot_ms"] * 1000, arrival_ns, memory)
     velocity = {name: fields[name] for name in ("vx", "vy", "vz")}
-    flags = _estimator_flags(arrival_ns, memory)
+    flags = memory.estimator_flags
     has_xy, has_z = bool(flags & VELOCITY_HORIZ), bool(flags & VELOCITY_VERT)
     turned = _attitude_now(arrival_ns, memory)
     bottom_m = _bottom_m(memory.kept("ALTITUDE", arrival_ns))
@@ -456,7 +463,7 @@ PX4_SOURCES: Mapping[str, Px4Source] = {
     "GLOBAL_POSITION_INT": Px4Source(global_position_int, ("vehicle_global_position",)),
     "GPS_RAW_INT": Px4Source(_only_kept, ("vehicle_global_position",)),
     "ALTITUDE": Px4Source(_only_kept, _POSITIONS),
-    "ESTIMATOR_STATUS": Px4Source(_only_kept, _POSITIONS),
+    "ESTIMATOR_STATUS": Px4Source(estimator_status, _POSITIONS),
     "LOCAL_POSITION_NED": Px4Source(local_position_ned, ("vehicle_local_position", "vehicle_odometry")),
     "GPS_GLOBAL_ORIGIN": Px4Source(_only_kept, ("vehicle_local_position",)),
     "ODOMETRY": Px4Source(odometry, ("vehicle_odometry",)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -41,6 +42,11 @@ ROS1_SERVICES = SERVICES | {"param/set": "mavros_msgs/srv/ParamSet"}
 ARM_DISARM = 400
 ORDERS = {20: "vehicles.rtl", 21: "vehicles.land"}
 """MAV_CMD: COMPONENT_ARM_DISARM, NAV_RETURN_TO_LAUNCH, NAV_LAND."""
+
+MODE_NUMBER = re.compile(r"0|[1-9][0-9]{0,19}|0X[0-9A-F]{1,19}")
+"""A number with a 0 before it is none: MAVROS reads it to the base of 8, which few mean."""
+LARGEST_MODE = 0xFFFFFFFF
+"""HEARTBEAT.custom_mode has 32 bits."""
 
 INTEGER, DOUBLE = 2, 3
 """rcl_interfaces' ParameterType."""
@@ -112,13 +118,12 @@ def mode_asked(custom_mode: str, autopilot: int, mav_type: int) -> str:
     text = custom_mode.strip().upper()
     if not text:
         raise RequestError("give custom_mode: base_mode alone names no mode of these autopilots")
-    try:
-        number = int(text, 0)
-    except ValueError:
+    if "A" <= text[0] <= "Z":
         return text
-    name = mode_name(autopilot, mav_type, CUSTOM_MODE_ENABLED, number)
-    if number < 0 or name.startswith("UNKNOWN"):
-        raise RequestError(f"{text} is the number of no mode of this vehicle")
+    number = int(text, 0) if MODE_NUMBER.fullmatch(text) else LARGEST_MODE + 1
+    name = "UNKNOWN" if number > LARGEST_MODE else mode_name(autopilot, mav_type, CUSTOM_MODE_ENABLED, number)
+    if name.startswith("UNKNOWN"):
+        raise RequestError(f"{text[:20]} is the number of no mode of this vehicle")
     return name
 
 
@@ -148,17 +153,17 @@ def wpl_text(waypoints: Sequence[Fields], home_first: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def waypoint_messages(items: Sequence[Fields], current: int | None, home: Fields | None) -> list[dict[str, Any]]:
-    """The items that missions.download answers, as mavros_msgs' Waypoints. ``current``: counted from 1. ``home``: of an
-    ArduPilot, whose lists begin with it."""
-    made = [] if home is None else [_home_waypoint(home)]
+def waypoint_messages(items: Sequence[Fields], current_seq: int | None, home: Fields | None) -> list[dict[str, Any]]:
+    """The items that missions.download answers, as mavros_msgs' Waypoints, numbered as on the wire: ``current_seq`` is
+    the current one. ``home``: of an ArduPilot, whose lists begin with it; None: the first item has number 0."""
+    made = [] if home is None else [_home_waypoint(home) | {"is_current": current_seq == 0}]
     for item in items:
         params = [math.nan if value is None else value for value in item["params"]]
         made.append(
             {
                 "frame": item["frame"],
                 "command": item["command"],
-                "is_current": item["number"] == current,
+                "is_current": len(made) == current_seq,
                 "autocontinue": item["autocontinue"],
                 **{f"param{n}": value for n, value in enumerate(params[:4], 1)},
                 **dict(zip(("x_lat", "y_long", "z_alt"), params[4:], strict=True)),

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic, world_from_enu, wrap_deg_180
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.rotations import Quaternion, Vector, quaternion_of, rotated, vector_of, yaw_of
 from skygcs.core.ros.topics import Topic
 
@@ -47,8 +48,20 @@ THRUST_FRESH_S = 0.2
 """An attitude of setpoint_attitude goes with a thrust that is no older: at 50 Hz each, ten of them."""
 
 
+ATTITUDE_FRESH_S = 0.5
+"""A demand in the body's frame is turned by an attitude that was measured no longer ago. A setpoint is good for so
+long, and a vehicle that turns with 90 deg/s has turned by 45 deg then: with an older one it would fly elsewhere."""
+
+ATTITUDE_HZ = 5.0
+"""Attitude that is requested while such demands come and it is not fresh: one may be lost, and come late by 0.1 s."""
+
+
 class SetpointError(ValueError):
     """Why a message is no setpoint, for the log."""
+
+
+class AttitudeError(SetpointError):
+    """A demand in the body's frame while the vehicle's attitude is not known."""
 
 
 class Demand(NamedTuple):
@@ -58,6 +71,8 @@ class Demand(NamedTuple):
     params: dict[str, Any]
     climbs_m: float | None = None
     """Height above the vehicle's local origin that is asked for; None: none is."""
+    by_attitude: bool = False
+    """True if it was turned by the vehicle's attitude."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +82,8 @@ class LocalFrame:
     origin: Origin | None
     ekf_origin: Vector | None
     home_alt_amsl_m: float | None
-    yaw_enu_rad: float
-    """Yaw of the vehicle's nose, from east."""
+    yaw_enu_rad: float | None
+    """Yaw of the vehicle's nose, from east, measured in the last ATTITUDE_FRESH_S; None: it is not known."""
 
     def place(self, local_m: Vector) -> list[float]:
         """A place of the local frame in the fleet's. Raises SetpointError."""
@@ -92,6 +107,16 @@ class LocalFrame:
     def turn_deg(self) -> float:
         """Yaw of true east from the fleet's x axis."""
         return 0.0 if self.origin is None else self.origin.x_heading_deg - EAST_DEG
+
+
+def origin_of(known: FleetOrigin | None, position: Fields | None) -> Origin | None:
+    """The origin by which a vehicle is led whose state has this ``position``. Raises SetpointError while it is not
+    known, or not the one by which the daemon has the vehicle."""
+    if known is None:
+        raise SetpointError("the fleet's origin has not been read yet: send on")
+    if not known.is_of(position):
+        raise SetpointError("the fleet's origin has just been changed, and is read anew: send on")
+    return known.origin
 
 
 def pose_local(fields: Fields, frame: LocalFrame) -> Demand:
@@ -133,7 +158,8 @@ def raw_local(fields: Fields, frame: LocalFrame) -> Demand:
     has_place, has_velocity, has_acc = (not _ignored(mask, bits) for bits in (IGNORE_XYZ, IGNORE_VXYZ, IGNORE_AXYZ))
     if mask & FORCE:
         raise SetpointError("forces (type_mask 512) are not supported")
-    if kind == BODY_NED and not has_place and not has_acc:
+    is_body = kind == BODY_NED and not has_place and not has_acc
+    if is_body:
         fields, mask = _of_body(fields, mask, frame)
         if not mask & IGNORE_YAW:
             raise SetpointError("a yaw in the body's frame is not supported: give a yaw rate")
@@ -149,12 +175,17 @@ def raw_local(fields: Fields, frame: LocalFrame) -> Demand:
     if has_velocity:
         velocity = _of_axes(fields["velocity"], mask, IGNORE_VXYZ, FASTEST_MPS, "velocity")
         params["vel_enu_mps"] = _only(list(frame.turned(velocity)), mask, IGNORE_VXYZ, frame)
-    return _with_rest(params, fields, mask, has_acc, frame)._replace(climbs_m=climbs_m)
+    return _with_rest(params, fields, mask, has_acc, frame)._replace(climbs_m=climbs_m, by_attitude=is_body)
 
 
 def _of_body(fields: Fields, mask: int, frame: LocalFrame) -> tuple[Fields, int]:
     """A velocity of the body's frame turned by the vehicle's yaw, and its mask. Of one that gives forward or left
-    alone the other is 0."""
+    alone the other is 0. Raises AttitudeError."""
+    if frame.yaw_enu_rad is None:
+        raise AttitudeError(
+            f"no attitude of the last {ATTITUDE_FRESH_S} s is known, by which a velocity of the body's frame "
+            "is turned; it is requested: send on, or use LOCAL_NED (1)"
+        )
     velocity = _of_axes(fields["velocity"], mask, (*IGNORE_BODY_VXY, IGNORE_VXYZ[2]), FASTEST_MPS, "velocity")
     nose = (math.cos(frame.yaw_enu_rad / 2), 0.0, 0.0, math.sin(frame.yaw_enu_rad / 2))
     if not _ignored(mask, IGNORE_BODY_VXY):

@@ -12,13 +12,14 @@ Tasks of one connection:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import structlog
 
-from skygcs.core.geo import Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.interfaces import InterfaceError, Interfaces, ros2_interfaces
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES
 from skygcs.core.ros.ros_names import vehicle_root
@@ -30,11 +31,18 @@ from skygcs.ext.ros.fleet_topics import FleetTopics
 from skygcs.ext.ros.graph import Node, SharedTopics
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
-from skygcs.ext.ros.vehicle_control import VehicleControl
+from skygcs.ext.ros.vehicle_control import EVENTS, VehicleControl
+from skygcs.ext.ros.vehicle_services import MISSION_ACK
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
 
 REPORT_S = 1.0
+
+ORIGIN_S = 1.0
+"""The fleet's origin is read so often, and at once when a state names another than the one that is known."""
+
+ORIGIN_AGAIN_S = 0.1
+"""Between two readings at least: states that were sent before a change arrive after it."""
 
 COUNT_S = 0.25
 """From a new reader to its first message at most; 400 topics are counted in 2 ms."""
@@ -74,12 +82,15 @@ class Bridge:
         self._unix_ns = unix_ns
         self._refused: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._origin: Origin | None = None
+        self._origin: FleetOrigin | None = None
+        """None: it has not been read over this connection. After another start of the daemon its generations are
+        others."""
+        self._origin_is_old = asyncio.Event()
         self._settings: Mapping[str, Mapping[str, Any]] = {}
         """Settings of the fleet file for each vehicle, by name (ros.settings)."""
         self._px4 = None if config.px4_msgs == "none" else ros2_interfaces(config.px4_msgs)
-        self._sources = list(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES})
-        """Names of the messages that topics are made of."""
+        self._sources = [*(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES}), MISSION_ACK]
+        """Names of the messages that topics are made of, and of those that services follow."""
 
     async def serve(self, gcs: Client) -> None:
         """Until the connection ends. Raises DaemonUnreachable, RpcError."""
@@ -87,13 +98,16 @@ class Bridge:
         tasks: list[asyncio.Future[None]] = []
         try:  # from here on orders are given over this connection
             known = {message["name"] for message in await gcs.call("messages.list")}
+            await self._read_origin(gcs)
             for state in await gcs.vehicles():
                 self.on_state(state)
-            requests = RateRequests(gcs, {name: hz for name, hz in self.config.rates.items() if name in known})
+            rates = {name: hz for name, hz in self.config.rates.items() if name in known}
             work = (
                 self._messages(gcs, [name for name in self._sources if name in known]),
                 self._states(gcs),
-                self._reports(gcs, requests),
+                self._reports(gcs),
+                self._follow_origin(gcs),
+                self._rates(gcs, rates),
                 self._count_readers(),
                 self.fleet.follow_events(gcs),
                 self.fleet.follow_plan(gcs),
@@ -108,7 +122,7 @@ class Bridge:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._gcs = None
+            self._gcs = self._origin = None
             for control in self.controls.values():
                 control.lost()
             for vehicle in self.vehicles.values():  # nothing is known of any vehicle without the daemon
@@ -133,6 +147,8 @@ class Bridge:
         for vehicle in readers:
             try:
                 vehicle.on_message(name, message["fields"], arrival_ns)
+                if (control := self.controls.get(vehicle.name)) is not None:
+                    control.on_message(name, message["fields"], message["age_s"])
             except (InterfaceError, KeyError, TypeError, ValueError, OverflowError) as error:
                 self.faults += 1
                 if self.faults == 1:
@@ -156,10 +172,12 @@ class Bridge:
             control.on_state()
         if not state["connected"]:
             vehicle.on_lost(self._unix_ns())
-        place = state.get("ekf_origin")
-        if self._origin is not None and place is not None and self.config.frame_prefix:
+        place, known = state.get("ekf_origin"), self._origin
+        if known is None or not known.is_of(state.get("position")):
+            self._origin_is_old.set()
+        elif known.origin is not None and place is not None and self.config.frame_prefix:
             frame = vehicle.memory.frames.map
-            self.shared.fix_transforms(map_transform(place, self._origin, frame, self._unix_ns()))
+            self.shared.fix_transforms(map_transform(place, known.origin, frame, self._unix_ns()))
 
     def _add(self, state: Mapping[str, Any]) -> VehicleTopics | None:
         name = state["name"]
@@ -195,12 +213,24 @@ class Bridge:
         if (control := self.controls.get(vehicle.name)) is not None:
             control.add_px4(known, vehicle.px4)
 
+    async def _follow_origin(self, gcs: Client) -> None:
+        """A task of its own: by it the places of setpoints are those of the fleet's frame."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._origin_is_old.wait(), ORIGIN_S)
+            await self._read_origin(gcs)
+            await asyncio.sleep(ORIGIN_AGAIN_S)
+
+    async def _read_origin(self, gcs: Client) -> None:
+        self._origin_is_old.clear()
+        self._origin = FleetOrigin.read(await gcs.call("origin.get"))
+        self.fleet.has_origin = self._origin.origin is not None
+
     async def _outcomes(self, gcs: Client) -> None:
         """A subscription of its own: no flood of other events pushes an outcome out."""
-        async for event in gcs.events(kinds=["command"]):
+        async for event in gcs.events(kinds=EVENTS):
             for control in self.controls.values():
-                if control.actions is not None:
-                    control.actions.on_event(event)
+                control.on_event(event)
 
     # -- reports
 
@@ -211,15 +241,30 @@ class Bridge:
                 control.step()
             await asyncio.sleep(COUNT_S)
 
-    async def _reports(self, gcs: Client, requests: RateRequests) -> None:
+    async def _rates(self, gcs: Client, rates: Mapping[str, float]) -> None:
+        """A task of its own: vehicles that answer slowly must keep nothing else."""
+        requests = RateRequests(gcs, asyncio.get_running_loop().time, self._rates_of_setpoints)
+        while True:
+            await requests.update(
+                {
+                    vehicle.name: {name: rates[name] for name in vehicle.wanted_messages() if name in rates}
+                    for vehicle in self.vehicles.values()
+                    if vehicle.connected
+                }
+            )
+            await asyncio.sleep(REPORT_S)
+
+    def _rates_of_setpoints(self) -> dict[str, dict[str, float]]:
+        """Rates that the setpoints of nodes need, of the vehicles that are connected."""
+        wanted = {name: control.stream.wanted_rates() for name, control in self.controls.items()}
+        return {name: rates for name, rates in wanted.items() if rates and self.vehicles[name].connected}
+
+    async def _reports(self, gcs: Client) -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
         while True:
-            origin = (await gcs.call("origin.get"))["origin"]
-            self._origin = None if origin is None else Origin(**origin)
             if not self.vehicles.keys() <= self._settings.keys():
                 self._settings = {**self._settings, **(await gcs.call("ros.settings"))["vehicles"]}
-            self.fleet.has_origin = origin is not None
             self.fleet.fences = {name: settings["fence"] for name, settings in self._settings.items()}
             try:
                 await gcs.call("ros.report", **self.report(max(loop.time() - began, 1e-3)))
@@ -229,8 +274,6 @@ class Bridge:
                     _log.warning("the daemon did not take the report of ROS", error=str(error))
             began = loop.time()
             self.shared.diagnose(self._unix_ns(), self.diagnostics())
-            wanted = {v.name: v.wanted_messages() for v in self.vehicles.values() if v.connected}
-            await requests.update(wanted, loop.time())
             await asyncio.sleep(REPORT_S)
 
     def report(self, period_s: float) -> dict[str, Any]:

@@ -99,9 +99,11 @@ class SharedTopics:
 
     def fix_transforms(self, *transforms: dict[str, Any]) -> None:
         """Some that stay, until they are given again for the same children; each message has all of them."""
-        before = {child: transform["transform"] for child, transform in self._fixed.items()}
         new = {
-            one["child_frame_id"]: one for one in transforms if before.get(one["child_frame_id"]) != one["transform"]
+            child: one
+            for one in transforms
+            if (before := self._fixed.get(child := one["child_frame_id"])) is None
+            or before["transform"] != one["transform"]
         }
         if new:
             self._fixed |= new

@@ -39,7 +39,7 @@ class Px4Topics:
 
     def on_lost(self) -> None:
         """It is not heard any more."""
-        self.memory = Px4Memory(self.memory.sysid, self.memory.clock)
+        self.memory = self.memory.after_loss()
 
     def wanted_messages(self) -> set[str]:
         """MAVLink messages of which somebody reads a topic now."""

@@ -13,9 +13,18 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from skygcs.core.geo import Origin
-from skygcs.core.ros.rotations import yaw_of
-from skygcs.core.ros.setpoints import SETPOINTS, AttitudePair, Demand, LocalFrame, SetpointError
+from skygcs.core.ros.fleet_origin import FleetOrigin
+from skygcs.core.ros.setpoints import (
+    ATTITUDE_FRESH_S,
+    ATTITUDE_HZ,
+    SETPOINTS,
+    AttitudeError,
+    AttitudePair,
+    Demand,
+    LocalFrame,
+    SetpointError,
+    origin_of,
+)
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.graph import Node
 from skygcs.ext.ros.offboard import UNDER_CONTROL, Offboard
@@ -27,6 +36,9 @@ VALID_S = 0.5
 
 SETTLED_S = 5.0
 """A setpoint that is refused now and then, between others that are followed, is logged once."""
+
+BODY_S = 5.0
+"""Attitude that was requested for demands in the body's frame is kept so long after the last of them."""
 
 WARNING = 4
 """MAV_SEVERITY of a refusal."""
@@ -40,7 +52,7 @@ class SetpointStream:
         node: Node,
         vehicle: VehicleTopics,
         gcs: Callable[[], Client | None],
-        origin: Callable[[], Origin | None],
+        origin: Callable[[], FleetOrigin | None],
         clock: Callable[[], float],
         unix_ns: Callable[[], int],
     ) -> None:
@@ -57,6 +69,10 @@ class SetpointStream:
         self._clock = clock
         self._unix_ns = unix_ns
         self._pair = AttitudePair()
+        self._by_attitude_at = -math.inf
+        """When the last demand in the body's frame came."""
+        self._lacked_attitude = False
+        """One of those that came since had no attitude."""
         self._waiting: Demand | None = None
         self._sending: asyncio.Task[None] | None = None
         for name, (topic, convert) in SETPOINTS.items():
@@ -85,19 +101,36 @@ class SetpointStream:
 
         def on_message(fields: dict[str, Any]) -> None:
             try:
-                self.take(convert(fields, self.frame()))
+                demand = convert(fields, self.frame())
             except SetpointError as error:
+                if isinstance(error, AttitudeError):
+                    self._lacked_attitude, self._by_attitude_at = True, self._clock()
                 self._refuse(str(error))
+                return
+            if demand.by_attitude:
+                self._by_attitude_at = self._clock()
+            self.take(demand)
 
         return on_message
 
     def frame(self) -> LocalFrame:
-        """Where the vehicle's local frame lies now."""
+        """Where the vehicle's local frame lies now. Raises SetpointError while the fleet's origin changes."""
         state = self._vehicle.state
+        origin = origin_of(self._origin(), state.get("position"))
         ekf, home = state.get("ekf_origin"), state.get("home")
         place = None if ekf is None else (ekf["lat_deg"], ekf["lon_deg"], ekf["alt_amsl_m"])
         home_m = None if home is None else home["alt_amsl_m"]
-        return LocalFrame(self._origin(), place, home_m, yaw_of(self._vehicle.memory.orientation))
+        yaw_rad = self._vehicle.memory.yaw_enu_rad(self._unix_ns(), round(ATTITUDE_FRESH_S * 1e9))
+        return LocalFrame(origin, place, home_m, yaw_rad)
+
+    def wanted_rates(self) -> dict[str, float]:
+        """MAVLink messages that the demands need and that did not come often enough, with their rates in Hz."""
+        if self._clock() - self._by_attitude_at > BODY_S:
+            self._lacked_attitude = False
+        if not self._lacked_attitude:
+            return {}
+        has_quaternion = self._vehicle.memory.has_attitude_quaternion
+        return {"ATTITUDE_QUATERNION" if has_quaternion else "ATTITUDE": ATTITUDE_HZ}
 
     def take(self, demand: Demand) -> None:
         """A setpoint that came."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
-from skygcs.core.geo import Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.core.ros.interfaces import Interfaces
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.config import RosConfig
@@ -19,6 +19,9 @@ from skygcs.ext.ros.vehicle_actions import VehicleActions
 from skygcs.ext.ros.vehicle_services import VehicleServices
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
+
+EVENTS = ("command", "reboot")
+"""Kinds of events that control by nodes follows."""
 
 ERROR, INFO = 3, 6
 """MAV_SEVERITY."""
@@ -33,7 +36,7 @@ class VehicleControl:
         config: RosConfig,
         vehicle: VehicleTopics,
         gcs: Callable[[], Client | None],
-        origin: Callable[[], Origin | None],
+        origin: Callable[[], FleetOrigin | None],
         unix_ns: Callable[[], int],
         takeoff_height_m: Callable[[], float | None],
     ) -> None:
@@ -81,6 +84,19 @@ class VehicleControl:
             self.actions.on_state(self._vehicle.state)
         self.step()
 
+    def on_message(self, name: str, fields: Mapping[str, Any], age_s: float) -> None:
+        """A MAVLink message of the vehicle's autopilot, to any station."""
+        if self._services is not None:
+            self._services.on_message(name, fields, age_s)
+
+    def on_event(self, event: Mapping[str, Any]) -> None:
+        """An event of the daemon of the kinds in EVENTS."""
+        if event["kind"] == "reboot":
+            if self._services is not None and event["vehicle"] == self._vehicle.name:
+                self._services.forget_mission()
+        elif self.actions is not None:
+            self.actions.on_event(event)
+
     def step(self) -> None:
         """Do what is due."""
         if self.actions is not None:
@@ -106,6 +122,8 @@ class VehicleControl:
             task.cancel()
         if self._px4_commands is not None:
             self._px4_commands.cancel()
+        if self._services is not None:
+            self._services.forget_mission()
         if self.actions is not None:
             self.actions.lost()
 

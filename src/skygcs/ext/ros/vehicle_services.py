@@ -5,7 +5,7 @@ What the daemon refuses is the response's failure, and its reason a message on /
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,6 +22,8 @@ OFFBOARD_MODES = frozenset({"OFFBOARD", "GUIDED"})
 
 READY_MODES = {"px4": "AUTO.LOITER", "ardupilot": "GUIDED"}
 """By autopilot: the mode in which it waits on the ground for OFFBOARD by skygcs."""
+
+MISSION_ACK = "MISSION_ACK"
 
 ERROR, INFO = 3, 6
 """MAV_SEVERITY."""
@@ -83,9 +85,19 @@ class VehicleServices:
 
     def on_state(self) -> None:
         """A state of the vehicle has come: another item of its mission may be current."""
-        listed = self._mission.on_current((self._vehicle.state.get("mission") or {}).get("seq"))
+        self._mission.on_state(self._vehicle.state.get("mission"))
+        listed = self._mission.due(self._waypoints.readers > 0, self._clock())
         if listed is not None:
             self._waypoints.write(listed)
+
+    def on_message(self, name: str, fields: Fields, age_s: float) -> None:
+        """A MAVLink message of its autopilot, to any station. Raises KeyError."""
+        if name == MISSION_ACK:
+            self._mission.on_transfer_ended(fields.get("mission_type", 0), self._clock() - age_s)
+
+    def forget_mission(self) -> None:
+        """The vehicle has rebooted, or the connection to the daemon has ended: its mission may be another."""
+        self._mission.forget()
 
     async def _call(self, method: str, **params: Any) -> Any:
         gcs = self._gcs()
@@ -219,28 +231,50 @@ class VehicleServices:
     async def _mission_push(self, request: Fields) -> dict[str, Any]:
         if request["start_index"]:
             raise RequestError("a part of a mission (start_index) is not supported: push all of it")
-        text = services.wpl_text(request["waypoints"], self._home_is_first())
-        outcome = await self._order("missions.upload", plan=text, name=f"{self._vehicle.name}.waypoints")
-        if not outcome["ok"]:
+        home_first = self._home_is_first()
+        text = services.wpl_text(request["waypoints"], home_first)
+        if not await self._transfer("missions.upload", plan=text, name=f"{self._vehicle.name}.waypoints"):
             return {}
-        self._waypoints.write(self._mission.replaced(request["waypoints"]))
+        self._publish_mission(request["waypoints"], home_first)
         return {"success": True, "wp_transfered": len(request["waypoints"])}
 
+    async def _transfer(self, method: str, **params: Any) -> bool:
+        """An order that replaces the mission. True if it succeeded."""
+        ok, was_sent = False, True
+        self._mission.own_begins()
+        try:
+            outcome = await self._order(method, **params)
+            ok, was_sent = bool(outcome["ok"]), outcome["result"] != "refused"
+        finally:
+            self._mission.own_ended(ok, was_sent, self._clock())
+        return ok
+
+    def _publish_mission(self, waypoints: Sequence[Fields], home_first: bool) -> None:
+        self._waypoints.write(self._mission.replaced(waypoints, home_first, self._clock()))
+
     async def _mission_pull(self, request: Fields) -> dict[str, Any]:
+        home_first, home = self._home_is_first(), self._vehicle.state.get("home")
+        if home_first and home is None:
+            raise RequestError(
+                "the vehicle's home is not known, with which an ArduPilot's list begins: "
+                "call home_position/req_update, then pull again"
+            )
+        before = self._mission.foreign_transfers
         answer = await self._call("missions.download", target=self._vehicle.name, lists=["mission"])
         if not answer["outcome"]["ok"]:
             self._log(ERROR, f"missions.download: {answer['outcome']['message']}")
             return {}
+        if self._mission.foreign_transfers != before:
+            raise RequestError("somebody replaced the mission while it was pulled: pull again")
         mission = self._vehicle.state.get("mission") or {}
-        home = self._vehicle.state.get("home") if self._home_is_first() else None
-        listed = services.waypoint_messages(answer["mission"], mission.get("item"), home)
-        self._waypoints.write(self._mission.replaced(listed))
+        listed = services.waypoint_messages(answer["mission"], mission.get("seq"), home if home_first else None)
+        self._publish_mission(listed, home_first)
         return {"success": True, "wp_received": len(listed)}
 
     async def _mission_clear(self, request: Fields) -> dict[str, Any]:
-        ok = bool((await self._order("missions.clear"))["ok"])
+        ok = await self._transfer("missions.clear")
         if ok:
-            self._waypoints.write(self._mission.replaced([]))
+            self._publish_mission([], self._home_is_first())
         return {"success": ok}
 
     async def _mission_set_current(self, request: Fields) -> dict[str, Any]:

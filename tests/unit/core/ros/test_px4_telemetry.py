@@ -140,10 +140,11 @@ def altitude_of(z: float, ref_alt: float, dist_bottom: float | None) -> dict[str
     return {"altitude_amsl": -z + ref_alt, "altitude_local": -z, **bottom}
 
 
-@pytest.mark.parametrize("flags", [0, *(1 << bit for bit in range(12)), 0xFFF])
+@pytest.mark.parametrize("flags", [0, *(1 << bit for bit in range(12)), 0x24, 0xFFF])
 def test_what_is_valid_is_what_the_estimator_says(flags: int) -> None:
     """get_ekf_soln_status: bit 1 is isLocalHorizontalPositionValid, bit 2 is that of the vertical position or velocity,
-    bit 4 isGlobalHorizontalPositionValid, bit 6 isTerrainEstimateValid."""
+    bit 4 isGlobalHorizontalPositionValid, bit 6 isTerrainEstimateValid; bit 5 isVerticalAidingActive, without which a
+    vertical velocity alone would show an altitude as valid."""
     memory = Px4Memory(1)
     px4_samples("ESTIMATOR_STATUS", {"flags": flags, "pos_horiz_accuracy": 1, "pos_vert_accuracy": 1}, NOW, memory)
     px4_samples("ALTITUDE", altitude_of(-4.5, 180.0, 3.0), NOW, memory)
@@ -151,12 +152,23 @@ def test_what_is_valid_is_what_the_estimator_says(flags: int) -> None:
     assert local["xy_valid"] == local["v_xy_valid"] == bool(flags & 2)
     assert local["z_valid"] == local["v_z_valid"] == bool(flags & 4)
     place = made("GLOBAL_POSITION_INT", GLOBAL, memory)["vehicle_global_position"]
-    assert (place["lat_lon_valid"], place["alt_valid"]) == (bool(flags & 16), bool(flags & 4))
+    assert (place["lat_lon_valid"], place["alt_valid"]) == (bool(flags & 16), flags & 0x24 == 0x24)
     assert place["terrain_alt_valid"] == bool(flags & 64)
-    for later_s, valid in ((9, bool(flags & 2)), (11, True)):  # a lost message changes nothing, a stream that ends does
+    for later_s in (9, 11, 3600):  # silence makes nothing valid
         later = LOCAL | {"time_boot_ms": 5000 + 1000 * later_s}
         local = made("LOCAL_POSITION_NED", later, memory, NOW + later_s * 10**9)["vehicle_local_position"]
-        assert local["xy_valid"] == valid
+        assert local["xy_valid"] == bool(flags & 2)
+    heard_again = memory.after_loss()
+    assert heard_again.clock is memory.clock and heard_again.messages == {}
+    local = made("LOCAL_POSITION_NED", LOCAL, heard_again)["vehicle_local_position"]
+    assert (local["xy_valid"], local["z_valid"]) == (bool(flags & 2), bool(flags & 4))
+
+
+def test_what_an_estimator_that_never_spoke_sends_is_taken_as_valid() -> None:
+    local = made("LOCAL_POSITION_NED", LOCAL, Px4Memory(1).after_loss())["vehicle_local_position"]
+    assert local["xy_valid"] and local["z_valid"]
+    place = made("GLOBAL_POSITION_INT", GLOBAL, Px4Memory(1))["vehicle_global_position"]
+    assert place["lat_lon_valid"] and place["alt_valid"]
 
 
 def test_a_global_position_has_the_geoid_of_the_receiver_and_the_terrain() -> None:

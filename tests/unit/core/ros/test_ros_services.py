@@ -45,8 +45,9 @@ def test_a_mission_that_was_read_is_a_list() -> None:
     home = {"lat_deg": 43.5, "lon_deg": -79.5, "alt_amsl_m": 180.0}
     for first, current in ((None, 0), (home, 1)):
         mission = MissionList()
-        assert mission.on_current(current) is None  # no list is known yet
-        listed = mission.replaced(services.waypoint_messages(items, 1, first))
+        mission.on_state({"seq": current, "count": 1})
+        assert mission.due(True, 0.0) is None  # no list is known yet
+        listed = mission.replaced(services.waypoint_messages(items, current, first), first is not None, 0.0)
         ros2_interfaces().encode("mavros_msgs/msg/WaypointList", listed)
         assert listed["current_seq"] == current and listed["waypoints"][-1]["is_current"]
         assert len(listed["waypoints"]) == 1 + current
@@ -55,13 +56,89 @@ def test_a_mission_that_was_read_is_a_list() -> None:
 def test_a_list_is_shown_again_when_another_item_is_current() -> None:
     """mission_protocol_base: handle_mission_current."""
     mission = MissionList()
-    assert mission.on_current(None) is None and mission.on_current(0) is None
-    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10), waypoint(16, 3, 43.2, -79.1, 10)])
-    listed = mission.on_current(1)
+    mission.on_state(None)
+    mission.on_state({"seq": 0, "count": 2})
+    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10), waypoint(16, 3, 43.2, -79.1, 10)], False, 0.0)
+    assert mission.due(True, 5.0) is None
+    mission.on_state({"seq": 1, "count": 2})
+    listed = mission.due(True, 5.0)
     assert listed is not None and listed["current_seq"] == 1
     assert [item["is_current"] for item in listed["waypoints"]] == [False, True]
-    assert mission.on_current(1) is None
-    assert mission.replaced([]) == {"current_seq": 1, "waypoints": []}
+    assert mission.due(True, 10.0) is None
+    assert mission.replaced([], False, 10.0) == {"current_seq": 1, "waypoints": []}
+
+
+def test_a_list_is_shown_once_a_second_and_only_to_readers() -> None:
+    mission, shown = MissionList(), []
+    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10)] * 50, False, 0.0)
+    for tick in range(100):  # the current item is another one ten times a second
+        mission.on_state({"seq": tick % 49 + 1, "count": 50})
+        if (listed := mission.due(tick >= 30, tick / 10)) is not None:
+            shown.append((tick / 10, listed["current_seq"]))
+    assert [at for at, _ in shown] == [3.0 + n for n in range(7)]
+    assert shown[0][1] == 31  # the newest
+    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10)] * 50, False, 10.0)
+    mission.on_state({"seq": 7, "count": 50})
+    assert mission.due(True, 10.9) is None and mission.due(True, 11.0) is not None
+
+
+def known(mission: MissionList) -> bool:
+    """True if another current item would be published."""
+    mission.on_state({"seq": mission._current_seq + 1, "count": mission._count})
+    return mission.due(True, 1e9) is not None
+
+
+def listed(count: int, home_first: bool = False) -> MissionList:
+    """A list of so many waypoints, home included, of a vehicle that still reports the one before."""
+    mission = MissionList()
+    mission.on_state({"seq": 0, "count": 9})
+    mission.own_begins()
+    mission.on_transfer_ended(0, 10.0)
+    mission.own_ended(True, True, 10.1)
+    mission.replaced([waypoint(16, 3, 43.1, -79.1, 10)] * count, home_first, 10.1)
+    mission.on_state({"seq": 0, "count": 9})
+    return mission
+
+
+def test_a_list_is_forgotten_when_somebody_else_replaces_it() -> None:
+    assert known(listed(3))
+    for mission_type, is_forgotten in ((0, True), (255, True), (1, False), (2, False)):
+        mission = listed(3)
+        mission.on_transfer_ended(mission_type, 20.0)
+        assert known(mission) is not is_forgotten and mission.foreign_transfers == is_forgotten
+    repeated = listed(3)
+    repeated.on_transfer_ended(0, 10.9)
+    assert known(repeated)
+    repeated.on_transfer_ended(0, 11.2)
+    assert not known(repeated)
+    for count, home_first, reported, is_kept in (
+        (3, False, 3, True),
+        (3, False, 2, False),
+        (3, False, 4, False),
+        (3, True, 2, True),
+        (3, True, 3, True),  # MISSION_COUNT counts home, MISSION_CURRENT.total does not
+        (3, True, 1, False),
+        (0, False, 0, True),
+        (3, False, None, True),  # it reports none any more
+    ):
+        mission = listed(count, home_first)
+        mission.on_state({"seq": 0, "count": reported})
+        assert known(mission) is is_kept, (count, home_first, reported)
+
+
+def test_a_list_is_forgotten_after_an_own_transfer_that_failed_on_its_way() -> None:
+    for was_sent, acks, is_kept in ((True, 0, False), (False, 0, True), (False, 1, False)):
+        mission = listed(3)
+        mission.own_begins()
+        for _ in range(acks):
+            mission.on_transfer_ended(0, 20.0)
+        mission.own_ended(False, was_sent, 21.0)
+        assert known(mission) is is_kept
+    late = listed(3)
+    late.own_begins()
+    late.own_ended(False, False, 21.0)
+    late.on_transfer_ended(0, 20.0)  # another's, heard meanwhile
+    assert not known(late)
 
 
 def test_a_mode_by_name_or_by_number() -> None:
@@ -69,7 +146,21 @@ def test_a_mode_by_name_or_by_number() -> None:
     assert services.mode_asked(" auto.land ", 12, 2) == "AUTO.LAND"
     assert services.mode_asked("4", 3, 2) == "GUIDED" and services.mode_asked("15", 3, 1) == "GUIDED"
     assert services.mode_asked("0x60000", 12, 2) == services.mode_asked(str(6 << 16), 12, 2) == "OFFBOARD"
-    for text in ("", "77", "-4"):
+    for text in (
+        "",
+        "77",
+        "-4",
+        "+4",
+        "0b100",
+        "0o4",
+        "4_0",
+        "\u0664",
+        "04",
+        "4.0",
+        str(2**32 + 4),
+        hex(2**32 + 4),
+        "9" * 5000,
+    ):
         with pytest.raises(RequestError):
             services.mode_asked(text, 3, 2)
 

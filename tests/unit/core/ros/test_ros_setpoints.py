@@ -12,7 +12,9 @@ import pytest
 from skygcs.core.geo import Origin
 from skygcs.core.ros import setpoints
 from skygcs.core.ros.interfaces import ros2_interfaces
-from skygcs.core.ros.setpoints import SETPOINTS, AttitudePair, LocalFrame, SetpointError
+from skygcs.core.ros.memory import VehicleMemory
+from skygcs.core.ros.setpoints import SETPOINTS, AttitudeError, AttitudePair, LocalFrame, SetpointError
+from skygcs.core.ros.topics import samples
 
 FLEET = Origin(43.7806, -79.4653, 180.0, 60.0)
 EKF = (43.7810, -79.4660, 182.0)
@@ -117,6 +119,31 @@ def test_a_mask_in_the_bodys_frame_is_of_its_axes() -> None:
     assert forward.params["vel_enu_mps"] == pytest.approx(nose)
     level = demand("setpoint_raw/local", coordinate_frame=8, type_mask=0x5E7, velocity=xyz(1, 0, 9))  # not up
     assert level.params["vel_enu_mps"][:2] == pytest.approx(nose[:2]) and level.params["vel_enu_mps"][2] is None
+
+
+def test_without_an_attitude_nothing_is_turned_out_of_the_bodys_frame() -> None:
+    unknown = LocalFrame(FLEET, EKF, 181.0, None)
+    with pytest.raises(AttitudeError, match="attitude"):
+        demand("setpoint_raw/local", unknown, coordinate_frame=8, type_mask=0x5C7, velocity=xyz(5, 0, 0))
+    assert demand("setpoint_raw/local", coordinate_frame=8, type_mask=0x5C7, velocity=xyz(5, 0, 0)).by_attitude
+    assert not demand("setpoint_raw/local", unknown, coordinate_frame=1, type_mask=0x5C7).by_attitude
+
+
+def test_a_yaw_is_known_while_its_attitude_is_fresh() -> None:
+    """The nose to the south: MAVLink's yaw of 180 degrees is -90 degrees from east."""
+    memory, fresh_ns = VehicleMemory(), 500_000_000
+    angles = {"roll": 0.0, "pitch": 0.0, "yaw": math.pi, "rollspeed": 0.0, "pitchspeed": 0.0, "yawspeed": 0.0}
+    assert memory.yaw_enu_rad(0, fresh_ns) is None  # before the first
+    samples("ATTITUDE", angles | {"time_boot_ms": 1000}, 10 * 10**9, memory)
+    assert memory.yaw_enu_rad(10 * 10**9 + fresh_ns, fresh_ns) == pytest.approx(-math.pi / 2)
+    assert memory.yaw_enu_rad(10 * 10**9 + fresh_ns + 1, fresh_ns) is None
+    samples("ATTITUDE", angles | {"time_boot_ms": 2000}, 11_600_000_000, memory)  # 0.6 s late: it is of 11.0 s
+    assert memory.yaw_enu_rad(11_600_000_000, fresh_ns) is None
+    samples("ATTITUDE", angles | {"time_boot_ms": 3000}, 12 * 10**9, memory)
+    assert memory.yaw_enu_rad(12 * 10**9, fresh_ns) is not None
+    assert memory.after_loss().yaw_enu_rad(12 * 10**9, fresh_ns) is None
+    samples("ATTITUDE", angles | {"time_boot_ms": 3100, "yaw": math.nan}, 12_100_000_000, memory)
+    assert memory.yaw_enu_rad(12_100_000_000, fresh_ns) is None
 
 
 def test_rates_of_setpoint_attitude_are_about_right_forward_up() -> None:

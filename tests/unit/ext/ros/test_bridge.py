@@ -9,6 +9,7 @@ import pytest
 
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.graph import SharedTopics
 from skygcs.ext.ros.methods import RosReport
 from support.ros_node import KeptNode
 
@@ -77,6 +78,29 @@ def test_mavlinks_frames_are_turned_as_in_mavros() -> None:
         v = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         turn = np.eye(3) + 2 * w * v + 2 * v @ v
         assert np.abs(turn.T - vectors).max() < 1e-12  # columns are the child's axes in the parent
+
+
+def test_transforms_that_stay_are_sent_when_they_change_and_looked_up_by_their_children() -> None:
+    class Fixed(dict[str, Any]):
+        """The transforms that were sent; going through all of them is an error."""
+
+        def items(self) -> Any:
+            raise AssertionError("each state would cost a look at every vehicle")
+
+        __iter__ = keys = items
+
+    node = KeptNode()
+    shared = SharedTopics(node)
+    one, other = ({"child_frame_id": name, "transform": {"translation": {"x": 1.0}}} for name in ("a", "b"))
+    shared.fix_transforms(one, other)
+    assert [t["child_frame_id"] for t in node.last("/tf_static")["transforms"]] == ["a", "b"]
+    shared._fixed = Fixed(shared._fixed)
+    shared.fix_transforms(other)
+    shared._fixed = dict(zip("ab", dict.values(shared._fixed), strict=True))
+    assert node.publications["/tf_static"].sent == 1
+    shared.fix_transforms({**other, "transform": {"translation": {"x": 2.0}}})
+    found = node.last("/tf_static")["transforms"]
+    assert [t["transform"]["translation"]["x"] for t in found] == [1.0, 2.0]
 
 
 def test_a_vehicle_that_is_not_heard_is_disconnected_once_and_forgets_what_mavros_does() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from skygcs.core.geo import EAST_DEG, Origin
+from skygcs.core.ros.fleet_origin import FleetOrigin
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.commands import status_lines
 from skygcs.ext.ros.config import RosConfig
@@ -52,7 +53,7 @@ class Rig:
         self.daemon = Daemon()
         self.bridge = Bridge(self.node, RosConfig(**{"px4_msgs": "1.16", "commands": "all", **config}), lambda: NOW_NS)
         self.bridge._gcs = self.daemon  # type: ignore[assignment]
-        self.bridge._origin = Origin(**PLACE, x_heading_deg=EAST_DEG)
+        self.bridge._origin = FleetOrigin(Origin(**PLACE, x_heading_deg=EAST_DEG), 1)
         self.state("alpha", 1, "px4")
         self.state("charlie", 3, "ardupilot")
 
