@@ -2,7 +2,7 @@
 // drawing keeps its places on earth. Pure.
 
 import type { Origin, Vec3 } from "./types.ts";
-import { frameAt, fromGeodetic, toGeodetic } from "./view/frame.ts";
+import { drawnToGeodetic, frameAt, geodeticToDrawn } from "./view/frame.ts";
 
 /** Names a frame: metres from another origin, or along another x axis, are another place. */
 export function frameKey(origin: Origin | null): string {
@@ -20,13 +20,15 @@ export function valueIn<T>(kept: Framed<T> | null, frame: string, none: T): T {
 }
 
 /** Points of one frame in another one: at the same places on earth, their third number as it was. Null: one of the frames has no
- *  origin, and so no place on earth. */
+ *  origin, and so no place on earth, or the two are on different sides of the earth. */
 export function carriedOver(points: readonly Vec3[], from: Origin | null, to: Origin | null): readonly Vec3[] | null {
   if (points.length === 0 || frameKey(from) === frameKey(to)) return points;
   if (from === null || to === null) return null;
   const [before, now] = [frameAt(from), frameAt(to)];
-  return points.map(([x, y, up]): Vec3 => {
-    const { lat_deg, lon_deg } = toGeodetic(before, x, y);
-    return [...fromGeodetic(now, lat_deg, lon_deg), up];
+  const carried = points.flatMap(([x, y, up]): Vec3[] => {
+    const { lat_deg, lon_deg } = drawnToGeodetic(before, x, y);
+    const at = geodeticToDrawn(now, lat_deg, lon_deg);
+    return at === null ? [] : [[...at, up]];
   });
+  return carried.length === points.length ? carried : null;
 }
