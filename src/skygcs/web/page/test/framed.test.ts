@@ -1,8 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { carriedOver, frameKey, valueIn } from "../src/framed.ts";
+import { carriedOver, frameIsKnown, frameKey, frameKeyOf, valueIn } from "../src/framed.ts";
+import { EMPTY, reduce, type State } from "../src/store.ts";
 import type { Origin, Vec3 } from "../src/types.ts";
 import { frameAt, fromGeodetic, toGeodetic } from "../src/view/frame.ts";
+import { batch, position, vehicle } from "./fleet.ts";
 
 /** What skygcs.core.geo says: EnuFrame(from).to_geodetic(x, y, 0), and the x, y of which EnuFrame(to).to_geodetic(x, y, 0) gives the
  *  same latitude and longitude. That is how the station reads a drawing (skygcs.web.dropped.WorldMap.lat_lon). */
@@ -75,4 +77,25 @@ test("homes and maps lie where the station counts them, at the origin's altitude
     const back = toGeodetic(frame, x, y);
     assert.ok(Math.abs(back.lat_deg - lat_deg) < 1e-10 && Math.abs(back.lon_deg - lon_deg) < 1e-10);
   }
+});
+
+test("the frame is known while each place is counted from the origin that the page has", () => {
+  const place = (more: object) => vehicle("a", 1, { position: position(1, 2, 3, more) });
+  const with_ = (origin: Origin | null, generation: number, more: object): State =>
+    reduce(reduce(EMPTY, { type: "origin", origin, generation }), { type: "batch", batch: batch([vehicle("b", 2, { position: null }), place(more)]), atMs: 0 });
+  assert.equal(frameIsKnown(EMPTY), false);
+  const known = with_(ORIGIN, 3, { origin_generation: 3 });
+  assert.equal(frameIsKnown(known), true);
+  assert.equal(frameKeyOf(known), frameKey(ORIGIN));
+  assert.equal(frameIsKnown(with_(ORIGIN, 3, { origin_generation: null })), true); // of another site, or in brief
+  for (const generation of [2, 4]) assert.equal(frameIsKnown(with_(ORIGIN, 3, { origin_generation: generation })), false);
+  assert.equal(frameIsKnown(with_(null, 0, { origin_generation: 0, enu_m: null })), true);
+  assert.equal(frameIsKnown(with_(null, 0, { origin_generation: 0 })), false); // a recording has found its origin
+  const changed = reduce(known, { type: "originChanged" });
+  assert.equal(frameIsKnown(changed), false);
+  assert.notEqual(frameKeyOf(changed), frameKey(ORIGIN));
+  // the next daemon counts its origins anew
+  const gone = reduce(known, { type: "daemon", daemon: { connected: false, slow: false, error: null } as never });
+  assert.equal(frameIsKnown(gone), true);
+  assert.equal(frameIsKnown(reduce(gone, { type: "daemon", daemon: { connected: true, slow: false, error: null } as never })), false);
 });

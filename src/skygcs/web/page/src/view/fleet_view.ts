@@ -1,5 +1,6 @@
 // The fleet view: one canvas, drawn when something changed and only then. Pan, zoom, fit, follow, and the tools of panels.
 
+import { frameIsKnown, frameKey } from "../framed.ts";
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
@@ -59,7 +60,9 @@ export class FleetView {
   /** Of the part above the side view. */
   camera: Camera = START;
   follow = false;
+  /** Null while it is not known: what is known by degrees alone has no place then. */
   frame: Frame | null = null;
+  private lastFrame: Frame | null = null;
   options: ViewOptions = { side: true, labels: true, trails: true, map: true, ...recalledOptions() };
   readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0, faults: 0 };
   tool: Tool | null = null;
@@ -246,17 +249,13 @@ export class FleetView {
 
   private onState(state: State): void {
     const origin = state.origin ?? standInOrigin(state);
-    const same =
-      this.frame !== null &&
-      origin !== null &&
-      this.frame.lat_deg === origin.lat_deg &&
-      this.frame.lon_deg === origin.lon_deg &&
-      this.frame.x_heading_deg === origin.x_heading_deg;
     // what stands in for an origin stays where it was: else the whole view would move with a vehicle
-    if (!same && origin !== null && !(state.origin === null && this.frame?.standIn === true)) {
-      this.frame = frameAt(origin, state.origin === null);
+    const stays = state.origin === null && this.lastFrame?.standIn === true;
+    if (origin !== null && !stays && (this.lastFrame === null || frameKey(this.lastFrame) !== frameKey(origin))) {
+      this.lastFrame = frameAt(origin, state.origin === null);
       this.trailsDrawn = null; // the old trails are in metres of the frame before
     }
+    this.frame = frameIsKnown(state) ? this.lastFrame : null;
     this.map.show(state.hello);
   }
 
