@@ -329,7 +329,8 @@ export function isHeardAfter({ connected }: Pick<Vehicle, "connected">, silence:
   return connected && silence !== null && silence < SILENT_S;
 }
 
-export type Listener = (state: State) => void;
+/** ``inFrame``: it is called in a frame of the screen, and may draw; otherwise in the handler of a key or a click. */
+export type Listener = (state: State, inFrame: boolean) => void;
 
 /** Holds the state. Listeners are called once for each animation frame in which it changed, and at once when the selection
  * does: the next key or click must find the orders drawn for it. `onAction` at once. */
@@ -349,19 +350,19 @@ export class Store {
     if (action.type === "batch") this.trails.take(action.batch);
     for (const listener of this.actionListeners) listener(action, this.state);
     if (action.type === "select") {
-      this.notify();
+      this.notify(false);
       return;
     }
     if (this.scheduled) return;
     this.scheduled = true;
     this.schedule(() => {
       this.scheduled = false;
-      this.notify();
+      this.notify(true);
     });
   }
 
-  private notify(): void {
-    for (const listener of this.listeners) listener(this.state);
+  private notify(inFrame: boolean): void {
+    for (const listener of this.listeners) listener(this.state, inFrame);
   }
 
   subscribe(listener: Listener): () => void {

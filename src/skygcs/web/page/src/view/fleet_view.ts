@@ -77,6 +77,8 @@ export class FleetView {
   private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0 };
   private arrows: readonly Arrow[] = [];
   private requested = false;
+  /** The frame of the screen that was drawn last: none is drawn twice. */
+  private frameDrawn: number | null = null;
   /** A frame that is drawn later unless another one comes first. */
   private later: ReturnType<typeof setTimeout> | undefined;
   private laterAtMs = Infinity;
@@ -96,10 +98,11 @@ export class FleetView {
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
   constructor(readonly store: Store) {
-    store.subscribe((state) => {
+    store.subscribe((state, inFrame) => {
       this.onState(state);
-      if (this.canvas === null || this.requested || this.laterAtMs - performance.now() < SOON_MS) return;
-      this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
+      // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
+      if (!inFrame || this.frameDrawn === screenFrame()) this.redraw();
+      else if (this.canvas !== null && !this.requested && this.laterAtMs - performance.now() >= SOON_MS) this.drawTimed();
     });
     const anew = (): void => {
       this.palette = null;
@@ -295,6 +298,7 @@ export class FleetView {
   private drawTimed(): void {
     clearTimeout(this.later);
     this.laterAtMs = Infinity;
+    this.frameDrawn = screenFrame();
     const begun = performance.now();
     try {
       this.drawAll(begun);
@@ -480,6 +484,12 @@ export class FleetView {
     });
     pen.imageSmoothingEnabled = true;
   }
+}
+
+/** The time of the screen's present frame: one for all that is called in it. */
+function screenFrame(): number | null {
+  const time = document.timeline.currentTime;
+  return time === null ? null : Number(time);
 }
 
 /** Until what moves at so many pixels of the screen a second has moved one: no frame before would differ. */
