@@ -189,3 +189,77 @@ def test_nothing_is_drawn_while_nothing_changes(
     page.wait_for_timeout(2000)
     assert page.evaluate("skygcs.view.figures.frames") - before <= 4
     shot(page, "view-no-daemon")
+
+
+def test_a_selection_by_a_key_is_answered_before_the_canvas_is_drawn(page: Page) -> None:
+    """Orders and table have it at once, the canvas with the next frame of the screen."""
+    drawn, selected, marked = page.evaluate(
+        """async () => {
+            const { view, store } = skygcs, before = view.figures.frames;
+            dispatchEvent(new KeyboardEvent('keydown', {key: 'a', ctrlKey: true, bubbles: true, cancelable: true}));
+            const drawn = view.figures.frames - before, selected = store.state.selection.size;
+            await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+            return [drawn, selected, view.scene.bodies.filter(body => body.selected).length];
+        }"""
+    )
+    assert (drawn, selected, marked) == (0, 3, 3)
+
+
+def test_no_frame_of_the_screen_is_drawn_twice_when_a_state_comes_after_a_hand_has_moved_the_view(page: Page) -> None:
+    counts = page.evaluate(
+        """async () => {
+            const { view, store } = skygcs, counts = new Map();
+            let frames = view.figures.frames;
+            Object.defineProperty(view.figures, 'frames', {
+                get: () => frames,
+                set: value => {
+                    const at = document.timeline.currentTime;
+                    counts.set(at, (counts.get(at) ?? 0) + value - frames);
+                    frames = value;
+                },
+            });
+            for (let i = 0; i < 30; i++) {
+                await new Promise(done => setTimeout(done, 20));
+                view.zoom(i % 2 ? 1.1 : 1 / 1.1);
+                store.dispatch({type: 'search', search: ''});
+            }
+            await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+            return [...counts.values()];
+        }"""
+    )
+    assert len(counts) >= 10
+    assert max(counts) == 1
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        "delete globalThis.OffscreenCanvas",
+        "OffscreenCanvas.prototype.getContext = () => null",
+    ],
+)
+def test_a_browser_whose_offscreen_canvas_draws_nothing_shows_vehicles_and_labels(page: Page, missing: str) -> None:
+    page.add_init_script(missing)
+    page.reload()
+    expect(page.locator("tr.row")).to_have_count(3)
+    until(page, "globalThis.skygcs?.view.scene.bodies.length === 3 && skygcs.view.placements.size === 3")
+    page.wait_for_timeout(500)
+    assert page.evaluate("skygcs.view.figures.faults") == 0
+    pictures = page.evaluate(
+        "[skygcs.view.labels, skygcs.view.sprites].flatMap(one => [...(one.sprites ?? one.sheets).values()])"
+        ".map(({ picture }) => picture.constructor.name)"
+    )
+    assert len(pictures) > 3
+    assert set(pictures) == {"HTMLCanvasElement"}
+    for name in ("v1", "v2", "v3"):
+        x, y = page.evaluate(SCREEN_OF, name)
+        colours = {canvas_colour(page, x + dx, y + dy) for dx in range(-6, 7, 2) for dy in range(-6, 7, 2)}
+        assert len(colours) > 2, name
+        box, (dx, dy) = (
+            page.locator("canvas").first.bounding_box(),
+            page.evaluate("name => [skygcs.view.placements.get(name).dx, skygcs.view.placements.get(name).dy]", name),
+        )
+        assert box is not None
+        label = {canvas_colour(page, x + dx + i, y + dy + 8) for i in range(1, 20)}
+        assert len(label) > 2, name
+    assert not page.errors  # type: ignore[attr-defined]

@@ -2,13 +2,13 @@
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { fixed } from "./format.ts";
-import { frameKey } from "./framed.ts";
+import { frameKeyOf } from "./framed.ts";
 import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
 import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useFramed, useStore } from "./hooks.ts";
 import { OrderChain } from "./order_chains.ts";
-import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
+import { FrameNote, Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { engage } from "./setpoint_orders.ts";
 import { isSeen, isTextField } from "./stop_key.ts";
 import type { Store, Vehicle } from "./store.ts";
@@ -62,6 +62,7 @@ export function Goto({ store, connection, view, targets, enabled, send }: Button
       <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${at.x}, y ${at.y}${up}${kept ? ", by setpoints until Off" : ""}`} act={act}>
         <span>Send there</span>
       </HoldButton>
+      <FrameNote store={store} />
       {targets.length > 1 && <p class="muted small">They keep their formation; its middle flies there.</p>}
     </section>
   );
@@ -80,7 +81,7 @@ type At = typeof NOWHERE;
 
 /** The place shown in the view while it is chosen; `at` null: there is none in this frame. */
 function useGotoDraft({ store, view }: Pick<ButtonsProps, "store" | "view">, at: At | null, targets: readonly string[], setAt: (at: At) => void) {
-  const frame = useStore(store, (state) => frameKey(state.origin));
+  const frame = useStore(store, frameKeyOf);
   const [draft, setDraft] = useState<GotoDraft | null>(null);
   useEffect(() => () => draft?.end(), [draft]);
   useEffect(() => setDraft(null), [frame]);

@@ -1,7 +1,7 @@
 // Parts of the store as component state.
 
 import { useCallback, useEffect, useLayoutEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
-import { frameKey, valueIn, type Framed } from "./framed.ts";
+import { frameIsKnown, frameKeyOf, valueIn, type Framed } from "./framed.ts";
 import type { State, Store } from "./store.ts";
 import type { FleetView } from "./view/fleet_view.ts";
 import type { Overlay } from "./view/overlays.ts";
@@ -26,15 +26,20 @@ export function useStore<T>(store: Store, pick: (state: State) => T): T {
 
 /** A choice in metres of the fleet's frame, and how to change it: `none` as soon as the frame is another one. */
 export function useFramed<T>(store: Store, none: T): [value: T, set: (next: T | ((before: T) => T)) => void] {
-  const frame = useStore(store, (state) => frameKey(state.origin));
+  const frame = useStore(store, frameKeyOf);
   const [kept, setKept] = useState<Framed<T> | null>(null);
   const otherwise = useRef(none);
   otherwise.current = none;
   const set = useCallback((next: T | ((before: T) => T)): void => {
-    const now = frameKey(store.state.origin);
+    const now = frameKeyOf(store.state);
     setKept((before) => ({ frame: now, value: typeof next === "function" ? (next as (before: T) => T)(valueIn(before, now, otherwise.current)) : next }));
   }, [store]);
   return [valueIn(kept, frame, none), set];
+}
+
+/** False while the frame that places are counted in is not known: nothing in metres may be chosen, checked or sent. */
+export function useFrameKnown(store: Store): boolean {
+  return useStore(store, frameIsKnown);
 }
 
 /** Shows an overlay of the view while the component is there; null: none. */

@@ -1,7 +1,8 @@
 // What the parts of the orders' panel share.
 
 import { namesText } from "./format.ts";
-import { useStore } from "./hooks.ts";
+import { FRAME_UNKNOWN } from "./framed.ts";
+import { useFrameKnown, useStore } from "./hooks.ts";
 import { fullName } from "./levels.ts";
 import type { OrderRequest } from "./orders.ts";
 import type { PanelProps } from "./panels/registry.ts";
@@ -21,4 +22,10 @@ export function useTargetsText({ store, targets }: Pick<ButtonsProps, "store" | 
 
 export function Key({ letter }: { letter: string }) {
   return <kbd aria-hidden="true">{letter}</kbd>;
+}
+
+/** Why no place can be sent now, if that is so. */
+export function FrameNote({ store }: Pick<ButtonsProps, "store">) {
+  const orders = useStore(store, (state) => state.phase.kind === "open" && state.daemon?.connected === true);
+  return useFrameKnown(store) || !orders ? null : <p class="note" role="status">{FRAME_UNKNOWN}</p>;
 }

@@ -1,6 +1,7 @@
 // What follows each new connection: hello, subscription, origin, recent events. Everything is shown anew.
 
 import type { Connection } from "./connection.ts";
+import { frameIsKnown } from "./framed.ts";
 import { viewParams } from "./levels.ts";
 import type { Store } from "./store.ts";
 import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
@@ -8,14 +9,16 @@ import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBat
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
 const ALARM = "alarm";
+const ORIGIN = "origin";
 const ALARMS_AFTER_MS = 50;
 const GREET_AGAIN_MS = 1_000;
+const ORIGIN_AGAIN_MS = 1_000;
 const VIEW_EVERY_MS = 250;
 
 /** Joins the connection and the store; returns what ends it. */
 export function beginSession(connection: Connection, store: Store, nowMs: () => number): () => void {
   let seq: number | null = null;
-  let originGeneration: number | null = null;
+  let originFollowed = false;
   let view = "";
   let alarmsAsked = false;
 
@@ -24,8 +27,19 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   }
 
   async function fetchOrigin(): Promise<void> {
-    const { origin } = await connection.call<{ origin: Origin | null }>("origin.get");
-    store.dispatch({ type: "origin", origin });
+    const { origin, generation } = await connection.call<{ origin: Origin | null; generation: number }>("origin.get");
+    store.dispatch({ type: "origin", origin, generation });
+  }
+
+  /** Asks for the origin until it is that of the places: a refusal, or an answer that does not fit, is followed by a pause. */
+  async function followOrigin(): Promise<void> {
+    if (originFollowed) return;
+    originFollowed = true;
+    while (connection.phase.kind === "open" && store.state.daemon?.connected === true && !frameIsKnown(store.state)) {
+      await fetchOrigin().catch(ignore);
+      if (!frameIsKnown(store.state)) await new Promise((resolve) => setTimeout(resolve, ORIGIN_AGAIN_MS));
+    }
+    originFollowed = false;
   }
 
   async function fetchEvents(): Promise<void> {
@@ -48,7 +62,6 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     const hello = await connection.call<Hello>("web.hello");
     store.dispatch({ type: "hello", hello, atMs: nowMs() });
     seq = null;
-    originGeneration = null;
     view = "";
     await subscribe();
     connection.settled();
@@ -66,7 +79,8 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
 
   /** Without a daemon these are refused; they are asked for again when it is there. */
   async function fetchFromDaemon(): Promise<void> {
-    await Promise.allSettled([fetchOrigin(), fetchEvents(), fetchAlarms()]);
+    void followOrigin();
+    await Promise.allSettled([fetchEvents(), fetchAlarms()]);
   }
 
   function onBatch(batch: StateBatch): void {
@@ -77,11 +91,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     }
     seq = batch.seq;
     store.dispatch({ type: "batch", batch, atMs: nowMs() });
-    const generation = batch.vehicles.find((v) => v.position?.origin_generation != null)?.position?.origin_generation;
-    if (generation !== undefined && generation !== null && generation !== originGeneration) {
-      originGeneration = generation;
-      fetchOrigin().catch(ignore);
-    }
+    void followOrigin();
   }
 
   /** Of a large fleet: what this page shows in full. */
@@ -110,6 +120,10 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     connection.on<{ event: FleetEvent }>("event", ({ event }) => {
       if (event.kind === ALARM) fetchAlarms().catch(ignore);
       else store.dispatch({ type: "event", event });
+      if (event.kind === ORIGIN && event.data["generation"] !== store.state.originGeneration) {
+        store.dispatch({ type: "originChanged" });
+        void followOrigin();
+      }
     }),
   ];
   const viewing = setInterval(sendView, VIEW_EVERY_MS);

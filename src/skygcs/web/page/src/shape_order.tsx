@@ -2,9 +2,9 @@
 
 import { useMemo, useState } from "preact/hooks";
 import { toDecimetre } from "./format.ts";
-import { frameKey } from "./framed.ts";
+import { frameIsKnown, frameKeyOf } from "./framed.ts";
 import { HoldButton } from "./hold_button.tsx";
-import { useFramed, useOverlay, useStore, useTick } from "./hooks.ts";
+import { useFramed, useFrameKnown, useOverlay, useStore, useTick } from "./hooks.ts";
 import { OrderChain } from "./order_chains.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { readOutcomes, runOrder } from "./orders.ts";
@@ -65,7 +65,8 @@ function ShapeForm(props: ButtonsProps) {
     click: ({ x, y }) => setPoints((before) => [...before, [toDecimetre(x), toDecimetre(y), 0]]),
   });
   const what = { square: "the square", circle: "the circle", path: "these points", loaded: "what is loaded" }[kind];
-  const ready = kind === "loaded" ? targets.length > 0 && found.length === targets.length : drafts.length > 0 && drafts.length === targets.length;
+  const known = useFrameKnown(store);
+  const ready = known && (kind === "loaded" ? targets.length > 0 && found.length === targets.length : drafts.length > 0 && drafts.length === targets.length);
   const { begun, begin: fly } = useChain(targets, (chain) => flyShape(props, kind, made, chain));
   return (
     <>
@@ -83,7 +84,7 @@ function ShapeForm(props: ButtonsProps) {
       )}
       <p class="muted small" role="status">{noteOf(kind, drafts[0]?.[1], found.map(({ vehicle, name }) => `${vehicle}: ${name}`), targets.length, flies)}</p>
       {kind === "loaded" && found.length > 0 && (
-        <HoldButton targets={targets} class="order wide" disabled={!enabled} what={`Send ${who} to where their trajectories begin`} act={() => void toStarts(props, found)}>
+        <HoldButton targets={targets} class="order wide" disabled={!enabled || !known} what={`Send ${who} to where their trajectories begin`} act={() => void toStarts(props, found)}>
           <span>To their first points</span>
         </HoldButton>
       )}
@@ -128,14 +129,15 @@ function OnTheWay(props: ButtonsProps) {
 
 /** Engages setpoints, loads what each is to fly from where it is kept then, and starts all of them. Ends at what fails. */
 async function flyShape({ store, connection, targets, send }: ButtonsProps, kind: Kind, made: Maker | null, chain: OrderChain): Promise<void> {
-  const frame = frameKey(store.state.origin);
+  if (!frameIsKnown(store.state)) return;
+  const frame = frameKeyOf(store.state);
   if (!(await engage(store, connection, targets, chain))) return;
   if (made !== null) {
     const starts = startsOf(store, targets);
     const first = starts[0]?.[1];
     if (first === undefined || starts.length !== targets.length) return;
     for (const [name, start] of starts) {
-      if (frameKey(store.state.origin) !== frame) return; // its places are others now
+      if (frameKeyOf(store.state) !== frame) return; // its places are others now
       const request = { label: `Load a ${kind}`, method: "trajectory.load", params: { target: name, pieces: made(start, first), name: kind }, targets: [name], chain };
       const answer = await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
       if (answer?.outcomes[name]?.ok !== true) return;
@@ -145,10 +147,11 @@ async function flyShape({ store, connection, targets, send }: ButtonsProps, kind
 }
 
 async function toStarts({ store, connection }: ButtonsProps, found: Loaded["trajectories"]): Promise<void> {
-  const frame = frameKey(store.state.origin);
+  if (!frameIsKnown(store.state)) return;
+  const frame = frameKeyOf(store.state);
   const chain = new OrderChain(found.map(({ vehicle }) => vehicle));
   for (const { vehicle, start_enu_m } of found) {
-    if (frameKey(store.state.origin) !== frame) break;
+    if (frameKeyOf(store.state) !== frame) break;
     const request = { label: "Go to the first point", method: "vehicles.goto", params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle], chain };
     await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
   }

@@ -1,6 +1,7 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
+import { frameKey } from "./framed.ts";
 import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
 import { stateOf } from "./outcomes.ts";
 import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, Outcome, PlanStatus, SiteCounts, StateBatch, Vec3, VehicleState } from "./types.ts";
@@ -49,6 +50,8 @@ export interface State {
   hello: Hello | null;
   daemon: DaemonLink | null;
   origin: Origin | null;
+  /** The count of the origin's changes that `origin` is from; null: it has to be asked for. */
+  originGeneration: number | null;
   /** The daemon's plan; null: not known. */
   plan: PlanStatus | null;
   clock: ClockSample | null;
@@ -83,6 +86,7 @@ export const EMPTY: State = {
   hello: null,
   daemon: null,
   origin: null,
+  originGeneration: null,
   plan: null,
   clock: null,
   vehicles: new Map(),
@@ -107,7 +111,8 @@ export type Action =
   | { type: "hello"; hello: Hello; atMs: number }
   | { type: "slept"; ms: number }
   | { type: "daemon"; daemon: DaemonLink }
-  | { type: "origin"; origin: Origin | null }
+  | { type: "origin"; origin: Origin | null; generation: number }
+  | { type: "originChanged" }
   | { type: "plan"; plan: PlanStatus }
   | { type: "batch"; batch: StateBatch; atMs: number }
   | { type: "select"; names: readonly string[]; how: "only" | "add" | "toggle" }
@@ -139,15 +144,28 @@ export function reduce(state: State, action: Action): State {
         ...state,
         hello: action.hello,
         daemon: action.hello.daemon,
+        originGeneration: null,
         plan: null,
         clock: { now_s: action.hello.now_s, atMs: action.atMs },
       };
     case "slept": // the page's clock stood still meanwhile, and the vehicles did not
       return state.clock === null ? state : { ...state, clock: { ...state.clock, atMs: state.clock.atMs - action.ms } };
-    case "daemon": // what a daemon said of its plan is not true of the next one
-      return { ...state, daemon: action.daemon, plan: action.daemon.connected ? state.plan : null };
+    case "daemon": // what a daemon said of its plan is not true of the next one, which counts its origins anew
+      return {
+        ...state,
+        daemon: action.daemon,
+        originGeneration: action.daemon.connected && state.daemon?.connected !== true ? null : state.originGeneration,
+        plan: action.daemon.connected ? state.plan : null,
+      };
     case "origin": // goals are in metres from the one before
-      return { ...state, origin: action.origin, goals: sameOrigin(state.origin, action.origin) ? state.goals : new Map() };
+      return {
+        ...state,
+        origin: action.origin,
+        originGeneration: action.generation,
+        goals: frameKey(state.origin) === frameKey(action.origin) ? state.goals : new Map(),
+      };
+    case "originChanged":
+      return { ...state, originGeneration: null };
     case "plan":
       return { ...state, plan: action.plan };
     case "batch":
@@ -207,10 +225,6 @@ function applyBatch(state: State, batch: StateBatch, atMs: number): State {
     clock: { now_s: batch.now_s, atMs },
     generation: batch.full ? state.generation + 1 : state.generation,
   };
-}
-
-function sameOrigin(a: Origin | null, b: Origin | null): boolean {
-  return a?.lat_deg === b?.lat_deg && a?.lon_deg === b?.lon_deg && a?.x_heading_deg === b?.x_heading_deg;
 }
 
 /** The goal is reached, or the vehicle is gone. */
@@ -315,7 +329,8 @@ export function isHeardAfter({ connected }: Pick<Vehicle, "connected">, silence:
   return connected && silence !== null && silence < SILENT_S;
 }
 
-export type Listener = (state: State) => void;
+/** ``inFrame``: it is called in a frame of the screen, and may draw; otherwise in the handler of a key or a click. */
+export type Listener = (state: State, inFrame: boolean) => void;
 
 /** Holds the state. Listeners are called once for each animation frame in which it changed, and at once when the selection
  * does: the next key or click must find the orders drawn for it. `onAction` at once. */
@@ -335,19 +350,19 @@ export class Store {
     if (action.type === "batch") this.trails.take(action.batch);
     for (const listener of this.actionListeners) listener(action, this.state);
     if (action.type === "select") {
-      this.notify();
+      this.notify(false);
       return;
     }
     if (this.scheduled) return;
     this.scheduled = true;
     this.schedule(() => {
       this.scheduled = false;
-      this.notify();
+      this.notify(true);
     });
   }
 
-  private notify(): void {
-    for (const listener of this.listeners) listener(this.state);
+  private notify(inFrame: boolean): void {
+    for (const listener of this.listeners) listener(this.state, inFrame);
   }
 
   subscribe(listener: Listener): () => void {

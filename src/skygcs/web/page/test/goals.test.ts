@@ -25,10 +25,11 @@ test("a goal is shown until the vehicle is there", () => {
 
 test("another origin ends all goals: their metres were counted from the one before", () => {
   const origin = { lat_deg: 43.7806, lon_deg: -79.4653, alt_amsl_m: 180, x_heading_deg: 90 };
-  const state = reduce(reduce(EMPTY, { type: "origin", origin }), { type: "goals", goals: new Map([["a", [1, 2, 3]]]) });
-  assert.equal(reduce(state, { type: "origin", origin: { ...origin } }).goals.size, 1);
-  assert.equal(reduce(state, { type: "origin", origin: { ...origin, x_heading_deg: 0 } }).goals.size, 0);
-  assert.equal(reduce(state, { type: "origin", origin: null }).goals.size, 0);
+  const state = reduce(reduce(EMPTY, { type: "origin", origin, generation: 1 }), { type: "goals", goals: new Map([["a", [1, 2, 3]]]) });
+  assert.equal(reduce(state, { type: "origin", origin: { ...origin }, generation: 1 }).goals.size, 1);
+  assert.equal(reduce(state, { type: "origin", origin: { ...origin, x_heading_deg: 0 }, generation: 2 }).goals.size, 0);
+  assert.equal(reduce(state, { type: "origin", origin: { ...origin, alt_amsl_m: 2000 }, generation: 2 }).goals.size, 0);
+  assert.equal(reduce(state, { type: "origin", origin: null, generation: 2 }).goals.size, 0);
 });
 
 test("a goal is shown until the vehicle gets another order", () => {

@@ -61,7 +61,7 @@ test("lengths of the scale are 1, 2 or 5", () => {
 });
 
 test("geodetic places as pymap3d computes them", () => {
-  const frame = frameAt(ORIGIN);
+  const frame = frameAt({ ...ORIGIN, alt_amsl_m: 0 });
   // pymap3d.geodetic2enu(lat, lon, 0, 43.7806, -79.4653, 0)
   for (const [lat, lon, east, north] of ORACLE) {
     const [x, y] = fromGeodetic(frame, lat, lon);

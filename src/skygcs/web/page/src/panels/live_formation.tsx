@@ -3,7 +3,7 @@
 import { useMemo, useState } from "preact/hooks";
 import { namesText, toDecimetre } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useFramed, useOverlay, useStore } from "../hooks.ts";
+import { useFramed, useFrameKnown, useOverlay, useStore } from "../hooks.ts";
 import type { Outcome, Vec3 } from "../types.ts";
 import { mayOrder, orderWith } from "./calls.ts";
 import { overlay } from "./drawing.ts";
@@ -92,6 +92,7 @@ function readStatus(): { ok: boolean; outcomes: Readonly<Record<string, Outcome>
 function Flying({ store, connection, view, status }: PanelProps & { status: FormationStatus }) {
   const targets = status.members.map((one) => one.vehicle);
   const [chosen, setChosen] = useFramed<Vec3 | null>(store, null);
+  const known = useFrameKnown(store);
   const middle = status.middle_enu_m ?? [0, 0, 10];
   const to = chosen ?? middle;
   const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
@@ -117,7 +118,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
           <NumberField label="y" unit="m" value={toDecimetre(to[1])} onValue={axis(1)} />
           <NumberField label="Height" unit="m" value={toDecimetre(to[2])} onValue={axis(2)} />
           {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-          <HoldButton targets={targets} disabled={chosen === null} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
+          <HoldButton targets={targets} disabled={chosen === null || !known} what={`Fly the formation of ${namesText(targets)} there`} act={() => order("Move formation", "formation.move", { to_enu_m: to })}>
             Fly there
           </HoldButton>
         </div>

@@ -2,14 +2,14 @@
 
 import { useEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
-import { carriedOver } from "../framed.ts";
 import { HoldButton } from "../hold_button.tsx";
-import { useOverlay, useSelected, useStore } from "../hooks.ts";
+import { useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
 import { refusalText, sendOrder } from "../orders.ts";
 import type { Store } from "../store.ts";
 import type { Origin, Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
-import { drawnShapes, NOTHING_DRAWN, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
+import { NEW_DRAFT, shownDraft, withDrawing, withSettings, type Draft, type DraftSettings, type KeptDraft } from "./drafts.ts";
+import { drawnShapes, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
 import { HomeFencePanel } from "./home_fence.tsx";
 import { ALIKE, arrangementOf, askedPaths, bySystemId, SeveralFields, severalShapes, type Several } from "./mission_several.tsx";
@@ -31,25 +31,8 @@ const TABS: readonly { id: What; title: string }[] = [
   { id: "home", title: "About home" },
 ];
 
-const CARRIED_OVER = "The fleet's origin or x axis has changed. The drawing has kept its places on earth; its x and y are new.";
-const NO_PLACE = "The drawing is gone: it was made without an origin, and has no place on earth.";
-const NO_ORIGIN = "The drawing is hidden while the fleet has no origin; new points take its place.";
-
-type Ending = "return" | "land" | "hold";
-
-/** What a person drew, and how it is meant. */
-interface Draft {
-  drawing: Drawing;
-  heightM: number;
-  takeoffM: number | null;
-  end: Ending;
-  inclusion: boolean;
-  radiusM: number;
-}
-
-const NEW_DRAFT: Draft = { drawing: NOTHING_DRAWN, heightM: 20, takeoffM: 10, end: "return", inclusion: true, radiusM: 50 };
-/** They outlive the panel. Each is in metres of the frame of its origin. */
-const drafts = new Map<What, { draft: Draft; origin: Origin | null }>();
+/** They outlive the panel. */
+const drafts = new Map<What, KeptDraft>();
 let lastTab: What = "file";
 let lastFile: FileContent | null = null;
 let lastSeveral = ALIKE;
@@ -59,7 +42,9 @@ export default function MissionPanel(props: PanelProps) {
   const targets = useSelected(store);
   const [tab, setTab] = useState<What>(lastTab);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
-  const { draft, keep, note } = useDraft(store, tab);
+  const { note, ...keeper } = useDraft(store, tab);
+  const { draft } = keeper;
+  const known = useFrameKnown(store);
   const [several, setSeveral] = useState(lastSeveral);
   const keepSeveral = (next: Several): void => {
     lastSeveral = next;
@@ -88,32 +73,34 @@ export default function MissionPanel(props: PanelProps) {
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
       {tab === "file" && <FromFile {...props} targets={targets} several={several} setChecked={setChecked} />}
       {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
-      {note !== null && <p class="note" role="status">{note}</p>}
-      {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} draft={draft} keep={keep} several={several} setChecked={setChecked} targets={targets} />}
+      {tab !== "home" && note !== null && <p class="note" role="status">{note}</p>}
+      {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} keeper={keeper} several={several} setChecked={setChecked} targets={targets} />}
       {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
-      {checked !== null && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
+      {checked !== null && known && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
       <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
     </div>
   );
 }
 
+interface DraftKeeper {
+  draft: Draft;
+  set: (settings: Partial<DraftSettings>) => void;
+  draw: (drawing: Drawing) => void;
+}
+
 /** What is drawn on this tab, in the frame as it is now, and a word about a frame that has changed since. */
-function useDraft(store: Store, tab: What): { draft: Draft; keep: (next: Draft) => void; note: string | null } {
+function useDraft(store: Store, tab: What): DraftKeeper & { note: string | null } {
   const origin = useStore(store, (state) => state.origin);
+  const known = useFrameKnown(store);
   const [, redraw] = useReducer((n: number) => n + 1, 0);
-  const kept = drafts.get(tab);
-  const shown = useMemo(() => {
-    const { draft, origin: before } = kept ?? { draft: NEW_DRAFT, origin };
-    const points = carriedOver(draft.drawing.points, before, origin);
-    if (points === draft.drawing.points) return { draft, note: null };
-    if (points === null) return { draft: { ...draft, drawing: NOTHING_DRAWN }, note: before === null ? NO_PLACE : NO_ORIGIN };
-    return { draft: { ...draft, drawing: { ...draft.drawing, points } }, note: CARRIED_OVER };
-  }, [kept, origin]);
-  const keep = (next: Draft): void => {
-    drafts.set(tab, { draft: next, origin });
+  const kept = drafts.get(tab) ?? NEW_DRAFT;
+  const shown = useMemo(() => shownDraft(kept, origin, known), [kept, origin, known]);
+  const keep = (next: KeptDraft): void => {
+    drafts.set(tab, next);
     redraw(0);
   };
-  return { ...shown, keep };
+  const last = (): KeptDraft => drafts.get(tab) ?? NEW_DRAFT;
+  return { ...shown, set: (settings) => keep(withSettings(last(), settings)), draw: (drawing) => keep(withDrawing(last(), drawing, store.state)) };
 }
 
 function circleShapes(draft: Draft): Parameters<typeof overlay>[0] {
@@ -144,16 +131,18 @@ function FromFile({ store, connection, targets, several, setChecked }: PanelProp
   const [unread, setUnread] = useState<string | null>(null);
   const origin = useStore(store, (state) => state.origin);
   const [file, setFile] = useState(lastFile);
-  const { run } = check;
+  const known = useFrameKnown(store);
+  const { run, clear } = check;
   // the file is checked again for another vehicle, or about another origin
   useEffect(() => {
-    if (lastFile === null) return;
-    const { text } = lastFile;
+    clear();
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
+    if (lastFile === null || !known) return;
+    const { text } = lastFile;
     void run({ file: lastFile, ...context(store, origin, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
-  }, [run, store, origin, targets, several, file, setChecked]);
+  }, [run, clear, store, origin, known, targets, several, file, setChecked]);
   const take = async (files: File[]): Promise<void> => {
     const [first] = files;
     if (first === undefined) return;
@@ -177,22 +166,23 @@ function FromFile({ store, connection, targets, several, setChecked }: PanelProp
 
 // --- drawn ------------------------------------------------------------------------------------------------------------
 
-function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Draft) => void; several: Several; setChecked: (checked: CheckedMission | null) => void; targets: readonly string[] }) {
-  const { store, connection, view, what, draft, keep, several, setChecked, targets } = props;
+function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: Several; setChecked: (checked: CheckedMission | null) => void; targets: readonly string[] }) {
+  const { store, connection, view, what, keeper, several, setChecked, targets } = props;
+  const { draft, set, draw } = keeper;
   const fence = what !== "mission";
   const check = useAsk<CheckedMission>(store, connection, fence ? "web.fence.check" : "web.mission.check");
   const origin = useStore(store, (state) => state.origin);
-  const latest = useRef({ draft, keep });
-  latest.current = { draft, keep };
+  const latest = useRef(keeper);
+  latest.current = keeper;
   const tool = useTool(
     view,
     () => {
-      const keeper = {
+      const points = {
         get: () => latest.current.draft.drawing,
-        set: (drawing: Drawing) => latest.current.keep({ ...latest.current.draft, drawing }),
+        set: (drawing: Drawing) => latest.current.draw(drawing),
       };
       const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one.";
-      return pointsTool(keeper, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined);
+      return pointsTool(points, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined);
     },
     what,
   );
@@ -216,10 +206,10 @@ function Drawn(props: PanelProps & { what: What; draft: Draft; keep: (draft: Dra
       <p class="muted">{hintOf(what)}</p>
       {!tool.active && <button type="button" onClick={tool.resume}>Draw on</button>}
       {origin === null && <p class="failure">The fleet has no origin yet: what is drawn has no place on earth.</p>}
-      {what === "mission" && <MissionFields draft={draft} keep={keep} />}
-      {what === "circle" && <NumberField label="Radius" unit="m" value={draft.radiusM} least={1} most={100000} onValue={(value) => value !== null && keep({ ...draft, radiusM: value })} />}
-      {fence && <Choice label="Vehicles stay" value={draft.inclusion ? "in" : "out"} options={[["in", "inside"], ["out", "outside"]]} onValue={(value) => keep({ ...draft, inclusion: value === "in" })} />}
-      <Points draft={draft} keep={keep} heights={!fence} />
+      {what === "mission" && <MissionFields draft={draft} set={set} />}
+      {what === "circle" && <NumberField label="Radius" unit="m" value={draft.radiusM} least={1} most={100000} onValue={(value) => value !== null && set({ radiusM: value })} />}
+      {fence && <Choice label="Vehicles stay" value={draft.inclusion ? "in" : "out"} options={[["in", "inside"], ["out", "outside"]]} onValue={(value) => set({ inclusion: value === "in" })} />}
+      <Points drawing={draft.drawing} draw={draw} heights={!fence} />
       {check.busy && <p class="note">Checking …</p>}
       <Failure text={check.error} />
     </>
@@ -251,19 +241,19 @@ function drawnParams(what: What, draft: Draft): object | null {
   }
 }
 
-function MissionFields({ draft, keep }: { draft: Draft; keep: (draft: Draft) => void }) {
+function MissionFields({ draft, set }: Pick<DraftKeeper, "draft" | "set">) {
   return (
     <div class="row wrap">
-      <NumberField label="Height of new points" unit="m" value={draft.heightM} least={1} most={500} onValue={(value) => value !== null && keep({ ...draft, heightM: value })} />
-      <NumberField label="Take off to" unit="m" value={draft.takeoffM} least={1} most={500} placeholder="none" onValue={(value) => keep({ ...draft, takeoffM: value })} />
-      <Choice label="Then" value={draft.end} options={[["return", "return and land"], ["land", "land at the last point"], ["hold", "hold at the last point"]]} onValue={(end) => keep({ ...draft, end })} />
+      <NumberField label="Height of new points" unit="m" value={draft.heightM} least={1} most={500} onValue={(value) => value !== null && set({ heightM: value })} />
+      <NumberField label="Take off to" unit="m" value={draft.takeoffM} least={1} most={500} placeholder="none" onValue={(value) => set({ takeoffM: value })} />
+      <Choice label="Then" value={draft.end} options={[["return", "return and land"], ["land", "land at the last point"], ["hold", "hold at the last point"]]} onValue={(end) => set({ end })} />
     </div>
   );
 }
 
-function Points({ draft, keep, heights }: { draft: Draft; keep: (draft: Draft) => void; heights: boolean }) {
-  const { points, selected } = draft.drawing;
-  const set = (next: readonly Vec3[], index: number | null): void => keep({ ...draft, drawing: { points: next, selected: index } });
+function Points({ drawing, draw, heights }: { drawing: Drawing; draw: (drawing: Drawing) => void; heights: boolean }) {
+  const { points, selected } = drawing;
+  const set = (next: readonly Vec3[], index: number | null): void => draw({ points: next, selected: index });
   if (points.length === 0) return null;
   return (
     <>

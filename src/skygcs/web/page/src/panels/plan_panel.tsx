@@ -2,8 +2,9 @@
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { toDecimetre } from "../format.ts";
-import { frameKey } from "../framed.ts";
-import { useFramed, useOverlay, useSelected, useStore } from "../hooks.ts";
+import { FRAME_UNKNOWN, frameIsKnown, frameKeyOf } from "../framed.ts";
+import { FrameNote } from "../order_parts.tsx";
+import { useFramed, useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
@@ -82,6 +83,7 @@ function FromFiles({ store, connection, take }: PanelProps & { take: (checked: C
       const content: FileContent[] = await Promise.all(files.map(contentOf));
       const { origin } = store.state;
       take(null);
+      if (!frameIsKnown(store.state)) throw new Error(FRAME_UNKNOWN);
       const found = await check.run({ files: content, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) });
       if (found !== null) take(found);
     } catch (error) {
@@ -173,7 +175,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
         <NumberField label="y" unit="m" value={middle[1]} onValue={(value) => value !== null && setMiddle([middle[0], value])} />
       </div>
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-      <PlanButton names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
+      <PlanButton store={store} names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
     </>
   );
 }
@@ -192,7 +194,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
   const [height, setHeight] = useState(20);
   const [exchange, setExchange] = useState(false);
   const [goals, setGoals] = useFramed<ReadonlyMap<string, Vec3>>(store, NO_GOALS);
-  const frame = useStore(store, (state) => frameKey(state.origin));
+  const frame = useStore(store, frameKeyOf);
   const { check, run } = usePlanning({ store, connection, take }, names);
   const unplaced = useUnplaced(store, names);
   // who is selected anew, or has a position only now, begins where it is; who was dragged stays where it was put
@@ -247,12 +249,12 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
         </Scroll>
       )}
       {!tool.active && <button type="button" onClick={tool.resume}>Point on the view</button>}
-      <PlanButton names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
+      <PlanButton store={store} names={names} unplaced={unplaced} busy={check.busy} plan={plan} error={check.error} />
     </>
   );
 }
 
-interface PlanButtonProps {
+interface PlanButtonProps extends Pick<PanelProps, "store"> {
   names: readonly string[];
   unplaced: readonly string[];
   busy: boolean;
@@ -260,12 +262,14 @@ interface PlanButtonProps {
   error: string | null;
 }
 
-function PlanButton({ names, unplaced, busy, plan, error }: PlanButtonProps) {
+function PlanButton({ store, names, unplaced, busy, plan, error }: PlanButtonProps) {
+  const known = useFrameKnown(store);
   return (
     <>
+      <FrameNote store={store} />
       {names.length === 0 && <p class="note">Select the vehicles that take part.</p>}
       {unplaced.length > 0 && <p class="note">No position yet: {unplaced.join(", ")}. A plan starts where the vehicles are.</p>}
-      <button type="button" class="primary" disabled={names.length === 0 || unplaced.length > 0 || busy} onClick={() => void plan()}>
+      <button type="button" class="primary" disabled={!known || names.length === 0 || unplaced.length > 0 || busy} onClick={() => void plan()}>
         {busy ? "Planning …" : `Plan for ${names.length} ${names.length === 1 ? "vehicle" : "vehicles"}`}
       </button>
       <Failure text={error} />

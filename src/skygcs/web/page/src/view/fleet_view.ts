@@ -1,5 +1,6 @@
 // The fleet view: one canvas, drawn when something changed and only then. Pan, zoom, fit, follow, and the tools of panels.
 
+import { frameIsKnown, frameKey } from "../framed.ts";
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
 import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
@@ -59,7 +60,9 @@ export class FleetView {
   /** Of the part above the side view. */
   camera: Camera = START;
   follow = false;
+  /** Null while it is not known: what is known by degrees alone has no place then. */
   frame: Frame | null = null;
+  private lastFrame: Frame | null = null;
   options: ViewOptions = { side: true, labels: true, trails: true, map: true, ...recalledOptions() };
   readonly figures: DrawFigures = { frames: 0, lastMs: 0, longestMs: 0, faults: 0 };
   tool: Tool | null = null;
@@ -74,6 +77,8 @@ export class FleetView {
   private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0 };
   private arrows: readonly Arrow[] = [];
   private requested = false;
+  /** The frame of the screen that was drawn last: none is drawn twice. */
+  private frameDrawn: number | null = null;
   /** A frame that is drawn later unless another one comes first. */
   private later: ReturnType<typeof setTimeout> | undefined;
   private laterAtMs = Infinity;
@@ -93,10 +98,11 @@ export class FleetView {
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
   constructor(readonly store: Store) {
-    store.subscribe((state) => {
+    store.subscribe((state, inFrame) => {
       this.onState(state);
-      if (this.canvas === null || this.requested || this.laterAtMs - performance.now() < SOON_MS) return;
-      this.drawTimed(); // it is called in a frame of the screen: the next one would be one more
+      // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
+      if (!inFrame || this.frameDrawn === screenFrame()) this.redraw();
+      else if (this.canvas !== null && !this.requested && this.laterAtMs - performance.now() >= SOON_MS) this.drawTimed();
     });
     const anew = (): void => {
       this.palette = null;
@@ -246,17 +252,13 @@ export class FleetView {
 
   private onState(state: State): void {
     const origin = state.origin ?? standInOrigin(state);
-    const same =
-      this.frame !== null &&
-      origin !== null &&
-      this.frame.lat_deg === origin.lat_deg &&
-      this.frame.lon_deg === origin.lon_deg &&
-      this.frame.x_heading_deg === origin.x_heading_deg;
     // what stands in for an origin stays where it was: else the whole view would move with a vehicle
-    if (!same && origin !== null && !(state.origin === null && this.frame?.standIn === true)) {
-      this.frame = frameAt(origin, state.origin === null);
+    const stays = state.origin === null && this.lastFrame?.standIn === true;
+    if (origin !== null && !stays && (this.lastFrame === null || frameKey(this.lastFrame) !== frameKey(origin))) {
+      this.lastFrame = frameAt(origin, state.origin === null);
       this.trailsDrawn = null; // the old trails are in metres of the frame before
     }
+    this.frame = frameIsKnown(state) ? this.lastFrame : null;
     this.map.show(state.hello);
   }
 
@@ -296,6 +298,7 @@ export class FleetView {
   private drawTimed(): void {
     clearTimeout(this.later);
     this.laterAtMs = Infinity;
+    this.frameDrawn = screenFrame();
     const begun = performance.now();
     try {
       this.drawAll(begun);
@@ -481,6 +484,12 @@ export class FleetView {
     });
     pen.imageSmoothingEnabled = true;
   }
+}
+
+/** The time of the screen's present frame: one for all that is called in it. */
+function screenFrame(): number | null {
+  const time = document.timeline.currentTime;
+  return time === null ? null : Number(time);
 }
 
 /** Until what moves at so many pixels of the screen a second has moved one: no frame before would differ. */

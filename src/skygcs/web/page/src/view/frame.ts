@@ -8,6 +8,10 @@ const ECCENTRICITY2 = 6.694379990141e-3;
 const RAD = Math.PI / 180;
 /** Each step divides the error of a place by its distance in earth radii: three give micrometres within 100 km. */
 const STEPS = 3;
+/** Two points of a vertical, so far apart, give its direction. */
+const PLUMB_M = 10_000;
+/** The cosine of 60 degrees: farther round the earth a plane about the origin says nothing of a place. */
+const LEAST_RISE = 0.5;
 
 export interface Frame extends Origin {
   /** No origin is set: the place of a vehicle stands in for it. */
@@ -21,12 +25,13 @@ export interface Frame extends Origin {
 export function frameAt(origin: Origin, standIn = false): Frame {
   const sin = Math.sin(origin.lat_deg * RAD);
   const w = 1 - ECCENTRICITY2 * sin * sin;
+  const alt_m = origin.alt_amsl_m;
   return {
     ...origin,
     standIn,
-    metresPerLatDeg: ((SEMI_MAJOR_M * (1 - ECCENTRICITY2)) / w ** 1.5) * RAD,
-    metresPerLonDeg: (SEMI_MAJOR_M / Math.sqrt(w)) * Math.cos(origin.lat_deg * RAD) * RAD,
-    ecef: ecefOf(origin.lat_deg, origin.lon_deg, 0),
+    metresPerLatDeg: ((SEMI_MAJOR_M * (1 - ECCENTRICITY2)) / w ** 1.5 + alt_m) * RAD,
+    metresPerLonDeg: (SEMI_MAJOR_M / Math.sqrt(w) + alt_m) * Math.cos(origin.lat_deg * RAD) * RAD,
+    ecef: ecefOf(origin.lat_deg, origin.lon_deg, alt_m),
   };
 }
 
@@ -41,18 +46,52 @@ function ecefOf(lat_deg: number, lon_deg: number, alt_m: number): Vec3 {
   ];
 }
 
-/** x, y in metres of a place on the ellipsoid. */
+/** x, y in metres of a place at the origin's altitude, as the station counts it (dropped.py, `WorldMap.xy`). */
 export function fromGeodetic(frame: Frame, lat_deg: number, lon_deg: number): [number, number] {
-  const [x, y, z] = ecefOf(lat_deg, lon_deg, 0);
-  const [dx, dy, dz] = [x - frame.ecef[0], y - frame.ecef[1], z - frame.ecef[2]];
-  const [sinLat, cosLat] = [Math.sin(frame.lat_deg * RAD), Math.cos(frame.lat_deg * RAD)];
-  const [sinLon, cosLon] = [Math.sin(frame.lon_deg * RAD), Math.cos(frame.lon_deg * RAD)];
-  const east = -sinLon * dx + cosLon * dy;
-  const north = -sinLat * cosLon * dx - sinLat * sinLon * dy + cosLat * dz;
-  return turned(east, north, frame.x_heading_deg);
+  const [x, y] = fromEcef(frame, ecefOf(lat_deg, lon_deg, frame.alt_amsl_m));
+  return [x, y];
 }
 
-/** The place on the ellipsoid at x, y. */
+function fromEcef(frame: Frame, [x, y, z]: Vec3): Vec3 {
+  const [dx, dy, dz] = [x - frame.ecef[0], y - frame.ecef[1], z - frame.ecef[2]];
+  const { sinLat, cosLat, sinLon, cosLon } = axesOf(frame);
+  const outward = cosLon * dx + sinLon * dy;
+  const [east, north] = [cosLon * dy - sinLon * dx, cosLat * dz - sinLat * outward];
+  return [...turned(east, north, frame.x_heading_deg), cosLat * outward + sinLat * dz];
+}
+
+function axesOf({ lat_deg, lon_deg }: Frame): { sinLat: number; cosLat: number; sinLon: number; cosLon: number } {
+  return { sinLat: Math.sin(lat_deg * RAD), cosLat: Math.cos(lat_deg * RAD), sinLon: Math.sin(lon_deg * RAD), cosLon: Math.cos(lon_deg * RAD) };
+}
+
+/** The place on earth of a drawn point: at x, y of the plane up = 0, as the station reads a drawing (dropped.py,
+ *  `WorldMap.lat_lon`). Bowring's formula (Survey Review 23, 1976), one step. */
+export function drawnToGeodetic(frame: Frame, x: number, y: number): { lat_deg: number; lon_deg: number } {
+  const [east, north] = turned(x, y, 180 - frame.x_heading_deg);
+  const { sinLat, cosLat, sinLon, cosLon } = axesOf(frame);
+  const outward = -sinLat * north;
+  const px = frame.ecef[0] + cosLon * outward - sinLon * east;
+  const py = frame.ecef[1] + sinLon * outward + cosLon * east;
+  const pz = frame.ecef[2] + cosLat * north;
+  const axial = Math.hypot(px, py);
+  const semiMinorM = SEMI_MAJOR_M * Math.sqrt(1 - ECCENTRICITY2);
+  const reduced = Math.atan2(pz * SEMI_MAJOR_M, axial * semiMinorM);
+  const second2 = ECCENTRICITY2 / (1 - ECCENTRICITY2);
+  const lat = Math.atan2(pz + second2 * semiMinorM * Math.sin(reduced) ** 3, axial - ECCENTRICITY2 * SEMI_MAJOR_M * Math.cos(reduced) ** 3);
+  return { lat_deg: lat / RAD, lon_deg: Math.atan2(py, px) / RAD };
+}
+
+/** The inverse of `drawnToGeodetic`; null: the plane does not pass over the place, on another side of the earth. */
+export function geodeticToDrawn(frame: Frame, lat_deg: number, lon_deg: number): [number, number] | null {
+  const low = fromEcef(frame, ecefOf(lat_deg, lon_deg, 0));
+  const high = fromEcef(frame, ecefOf(lat_deg, lon_deg, PLUMB_M));
+  const rises = (high[2] - low[2]) / PLUMB_M; // the cosine between the two verticals
+  if (rises < LEAST_RISE) return null;
+  const share = -low[2] / rises / PLUMB_M;
+  return [low[0] + (high[0] - low[0]) * share, low[1] + (high[1] - low[1]) * share];
+}
+
+/** The place at the origin's altitude that has x, y; the inverse of `fromGeodetic`. */
 export function toGeodetic(frame: Frame, x: number, y: number): { lat_deg: number; lon_deg: number } {
   let lat_deg = frame.lat_deg;
   let lon_deg = frame.lon_deg;

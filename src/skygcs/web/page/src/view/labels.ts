@@ -1,6 +1,8 @@
 // Names and numbers beside vehicles: each drawn once into a small picture of its own, and placed where it covers no other.
 
 import type { Palette } from "./palette.ts";
+import { discard, pictureCanvas, type Picture, type PictureCanvas } from "./picture_canvas.ts";
+import type { Pen } from "./sprites.ts";
 
 const WIDTH_PX = 132;
 const HEIGHT_PX = 32;
@@ -13,8 +15,7 @@ const REWRITE_MS = 250;
 const REWRITES_A_FRAME = 20;
 
 interface Sprite {
-  /** It does not change: of a canvas that might, Chromium takes a copy each time it is drawn. */
-  picture: ImageBitmap;
+  picture: Picture;
   key: string;
   writtenMs: number;
   widthPx: number;
@@ -27,7 +28,7 @@ export type LabelTone = "plain" | "dim" | "danger";
 
 export class LabelSprites {
   private readonly sprites = new Map<string, Sprite>();
-  private pen: OffscreenCanvasRenderingContext2D | null = null;
+  private canvas: PictureCanvas | null = null;
   private ratio = 1;
   private rewritesLeft = 0;
 
@@ -38,7 +39,7 @@ export class LabelSprites {
   /** Colours, fonts or the screen changed. */
   clear(ratio: number): void {
     this.ratio = ratio;
-    this.pen = new OffscreenCanvas(Math.ceil(WIDTH_PX * ratio), Math.ceil(HEIGHT_PX * ratio)).getContext("2d");
+    this.canvas = pictureCanvas(Math.ceil(WIDTH_PX * ratio), Math.ceil(HEIGHT_PX * ratio));
     this.sprites.clear(); // not closed: those of the frame that is being drawn are still needed
   }
 
@@ -52,14 +53,14 @@ export class LabelSprites {
     }
     this.rewritesLeft -= 1;
     if (sprite === undefined && this.sprites.size >= MAX_SPRITES) this.clear(this.ratio);
-    if (this.pen === null) return null;
-    sprite?.picture.close();
-    sprite = { ...this.written(this.pen, first, second, tone, palette), key, writtenMs: nowMs };
+    if (this.canvas === null) return null;
+    if (sprite !== undefined) discard(sprite.picture);
+    sprite = { ...this.written(this.canvas, first, second, tone, palette), key, writtenMs: nowMs };
     this.sprites.set(id, sprite);
     return sprite;
   }
 
-  private written(pen: OffscreenCanvasRenderingContext2D, first: string, second: string, tone: LabelTone, palette: Palette): Omit<Sprite, "key" | "writtenMs"> {
+  private written({ pen, take }: PictureCanvas, first: string, second: string, tone: LabelTone, palette: Palette): Omit<Sprite, "key" | "writtenMs"> {
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     const strong = `600 12px ${palette.font}`;
     const plain = `11px ${palette.font}`;
@@ -80,14 +81,14 @@ export class LabelSprites {
     pen.font = plain;
     pen.fillStyle = { plain: palette.muted, dim: palette.lost, danger: palette.danger }[tone];
     pen.fillText(second, PAD_PX, 3 + LINE_PX, WIDTH_PX - 2 * PAD_PX);
-    return { picture: pen.canvas.transferToImageBitmap(), widthPx, nameWidthPx: over + 2 * PAD_PX };
+    return { picture: take(), widthPx, nameWidthPx: over + 2 * PAD_PX };
   }
 }
 
 export const LABEL_HEIGHT_PX = HEIGHT_PX;
 export const LABEL_WIDTH_PX = WIDTH_PX;
 
-function shortened(pen: OffscreenCanvasRenderingContext2D, text: string, mostPx: number): string {
+function shortened(pen: Pen, text: string, mostPx: number): string {
   if (pen.measureText(text).width <= mostPx) return text;
   let cut = text;
   while (cut.length > 1 && pen.measureText(`${cut}…`).width > mostPx) cut = cut.slice(0, -1);
