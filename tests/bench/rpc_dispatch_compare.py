@@ -15,8 +15,9 @@ from pjrpc.server import AsyncDispatcher, MethodRegistry
 from pjrpc.server import Dispatcher as PlainDispatcher
 from pjrpc.server.validators.pydantic import PydanticValidatorFactory
 
-from skygcs.rpc.dispatch import Dispatcher, Method, parse
+from skygcs.rpc.dispatch import Dispatcher, Method
 from skygcs.rpc.models import TargetParams
+from skygcs.rpc.request_lines import parse
 
 CALLS, ROUNDS = 20_000, 5
 TEXT = '{"jsonrpc":"2.0","id":1,"method":"vehicles.get","params":{"target":"alpha"}}'

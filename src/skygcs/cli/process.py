@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from skygcs.cli.journal import JournalLogger, goes_to_journal
 from skygcs.cli.log_limit import LibraryLog, LogLimit, bounded, readable
@@ -194,13 +194,14 @@ def without_collections() -> Iterator[None]:
 
 
 def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
-    """Log one line per change of state to stderr: coloured on a terminal, else key=value. No log call waits for stderr
-    or raises what is wrong with it."""
+    """Log one line per change of state to stderr: coloured on a terminal, else key=value. From now on `sys.stderr` is a
+    `LogStream`: nothing that this process prints there waits for its reader or raises what is wrong with it."""
     hold_standard()
     structlog = import_structlog()
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr is not None and sys.stderr.isatty()
     stream = LogStream(sys.stderr)
+    sys.stderr = cast("TextIO", stream)  # a TextIO in all but its class
     atexit.register(stream.drain)
     limit = LogLimit()
     within = [bounded(limit, structlog.DropEvent), readable]

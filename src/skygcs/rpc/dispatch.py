@@ -10,9 +10,6 @@ import functools
 import importlib
 import inspect
 import json
-import math
-import re
-from collections import Counter
 from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -20,7 +17,6 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import structlog
 from pydantic import ValidationError
-from pydantic_core import PydanticSerializationError, from_json
 
 from skygcs.cancellation import end_if_cancelled
 from skygcs.errors import (
@@ -46,17 +42,11 @@ from skygcs.rpc.error_codes import (
 )
 from skygcs.rpc.json_lines import id_of, is_id
 from skygcs.rpc.models import MethodParams
-from skygcs.rpc.replies import encode, error_reply, reply_of
+from skygcs.rpc.replies import NotJsonError, encode, error_reply, reply_of
 from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80
 """Most characters of a client's input that an error text repeats."""
-
-_STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
-"""A string without escapes, and the colon after it if it is a key."""
-
-_MAYBE_INFINITE = re.compile(rb"[0-9][eE]\+?[0-9]{3}|(?<![0-9])[0-9]{200}")
-"""In each line with a number beyond the range of a float: with fewer digits and a shorter exponent it is within."""
 
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
@@ -150,6 +140,8 @@ class MethodTable(dict[str, Method[C]]):
 
     def __init__(self, methods: Iterable[Method[C]], later: Mapping[str, Later] = MappingProxyType({})) -> None:
         self.later = dict(later)
+        self._of_the_core = frozenset(later)
+        """First words that no further method may have, whether those of the core were imported or not."""
         self.always: set[str] = set()
         self.while_stopping: set[str] = set()
         """With those that are always answered."""
@@ -158,7 +150,7 @@ class MethodTable(dict[str, Method[C]]):
         self._take(methods)
 
     def add(self, methods: Collection[Method[C]]) -> None:
-        """Take further methods. Raises ValueError if one of them has the name of another."""
+        """Take further methods. Raises ValueError as `require_free` does."""
         self.require_free(methods)
         self._take(methods)
 
@@ -168,9 +160,13 @@ class MethodTable(dict[str, Method[C]]):
         del self.later[word]
 
     def require_free(self, methods: Collection[Method[C]]) -> None:
-        """Raises ValueError if one of these has the name of another, or the first word of some that may come later."""
-        twice = sorted(m.name for m in methods if m.name in self or first_word(m.name) in self.later)
-        if twice:
+        """Raises ValueError if one of these has the name of another, or the first word of a part of the core that is
+        imported when it is first called: before that and after it."""
+        names = sorted(method.name for method in methods)
+        if taken := [name for name in names if first_word(name) in self._of_the_core]:
+            words = ", ".join(sorted({first_word(name) for name in taken}))
+            raise ValueError(f"{', '.join(taken)}: methods that begin with {words} are the core's own")
+        if twice := [name for name in names if name in self]:
             raise ValueError(f"two methods are called {', '.join(twice)}")
 
     def _take(self, methods: Iterable[Method[C]]) -> None:
@@ -200,11 +196,12 @@ class OnDemand(Protocol):
     """Methods that come into the table when one of them is first called."""
 
     def may_have(self, name: str) -> bool:
-        """True if a method that is not in the table may come into it."""
+        """True if a method that is not in the table may come into it, or calls before this one wait for that."""
         ...
 
-    def add(self, name: str) -> Coroutine[Any, Any, None]:
-        """Add it, if it exists. Raises what adding it raises."""
+    async def add(self, name: str) -> None:
+        """Add it, if it exists. It returns to calls of one first word in the order in which they came. Raises what
+        adding it raises."""
         ...
 
     async def add_all(self) -> None:
@@ -270,8 +267,8 @@ class Dispatcher(Generic[C]):
     ) -> Reply:
         """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent.
 
-        ``key_twice``: `key_twice` of the line that the request came in; called where the method needs it. ``admit`` is
-        asked before an import, and again before the handler: much time may pass between.
+        ``key_twice``: `request_lines.key_twice` of the line that the request came in; called where the method needs it.
+        ``admit`` is asked before an import, and again before the handler: much time may pass between.
         """
         if type(request) is not dict:
             return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
@@ -285,7 +282,12 @@ class Dispatcher(Generic[C]):
         if (refusal := admit(request)) is not None:
             return None if notification else refusal
         if self._on_demand is not None and self._on_demand.may_have(name):
-            return self._start_later(self._on_demand.add(name), context, request, key_twice, admit)
+            return self._start_later(self._on_demand, context, request, key_twice, admit)
+        return self._start_now(context, request, key_twice)
+
+    def _start_now(self, context: C, request: dict[str, Any], key_twice: Callable[[], str | None]) -> Reply:
+        """Carry out a well-formed request that is admitted, with the methods that there are."""
+        request_id, name, notification = request.get("id"), request["method"], "id" not in request
         try:
             method = self._methods.get(name)
             if method is None:
@@ -316,18 +318,21 @@ class Dispatcher(Generic[C]):
 
     async def _start_later(
         self,
-        prepare: Coroutine[Any, Any, None],
+        on_demand: OnDemand,
         context: C,
         request: dict[str, Any],
         key_twice: Callable[[], str | None],
         admit: Admit,
     ) -> bytes:
-        """The first calls of methods that are imported for them, beside the loop, in their order."""
+        """The first calls of methods that are imported for them, beside the loop, in their order. Closed before its
+        first step it has begun nothing."""
         try:
-            await prepare
+            await on_demand.add(request["method"])
         except Exception as error:
             return failure_reply(request["id"], request["method"], error) if "id" in request else b""
-        reply = self.start(context, request, key_twice, admit)
+        if (refusal := admit(request)) is not None:
+            return refusal if "id" in request else b""
+        reply = self._start_now(context, request, key_twice)
         return await reply if isinstance(reply, Coroutine) else reply or b""
 
     async def _finish(
@@ -355,41 +360,6 @@ class _MethodNotFound(SkygcsError):
         super().__init__(f"no method {_clip(name)}{hint}")
 
 
-def parse(line: bytes) -> Any:
-    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN, too deep nesting, and a
-    number that no float can hold, as 1e999, which would be read as infinity)."""
-    value = from_json(line, allow_inf_nan=False, cache_strings="keys")
-    if _MAYBE_INFINITE.search(line) is not None:
-        json.loads(line, parse_float=_finite, parse_int=str)  # str: int() refuses numbers that `from_json` accepts
-    return value
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text[:20]} is too large")
-    return value
-
-
-def key_twice(line: bytes) -> str | None:
-    """A key that an object of a line has twice, which `parse` does not report. ``line``: what `parse` accepted."""
-    found: list[str] = []
-    if (
-        b"\\" not in line
-    ):  # most large lines are trajectories, in which no key occurs twice anywhere: 0.4 ms and not 34 for 1 MB
-        seen = [string for string, colon in _STRING.findall(line) if colon]
-        if len(set(seen)) == len(seen):
-            return None
-
-    def collect(pairs: list[tuple[str, Any]]) -> None:
-        keys = [key for key, _ in pairs]
-        if not found and len(set(keys)) < len(keys):
-            found.append(Counter(keys).most_common(1)[0][0])
-
-    json.loads(line, object_pairs_hook=collect, parse_int=str)  # str: int() refuses numbers that `parse` accepts
-    return found[0] if found else None
-
-
 def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
     """The reply to a request whose ``deadline_s`` has passed or is no number; None: it is to be carried out.
 
@@ -408,7 +378,7 @@ def result_reply(request_id: object, name: str, result: object) -> bytes:
     """NaN and Infinity, which JSON lacks, become null."""
     try:
         body = result.body if isinstance(result, Encoded) else encode(result)
-    except PydanticSerializationError as error:
+    except NotJsonError as error:
         return failure_reply(request_id, name, error)
     return reply_of(request_id, body)
 
@@ -493,9 +463,17 @@ def _problems(error: ValidationError) -> list[tuple[str, str]]:
         elif item["type"] == "extra_forbidden":
             text = _UNKNOWN
         elif item["type"] != "value_error":
-            text += f" (got {_clip(json.dumps(item['input'], default=str))})"
+            text += f" (got {_clip(_shown(item['input']))})"
         found.append((".".join(str(part) for part in item["loc"]), text))
     return found
+
+
+def _shown(value: object) -> str:
+    """A client's value as it wrote it. Never raises."""
+    try:
+        return json.dumps(value, default=str)
+    except (TypeError, ValueError, RecursionError):  # a key that is no text, a number of 5,000 digits, a circle
+        return f"a value of type {type(value).__name__}"
 
 
 def _clip(text: str) -> str:

@@ -3,6 +3,7 @@
     the word is one of                      they come from
     the table's ``later``                   a module of the core
     installed extensions without a table    the extension, which is made for it (`skygcs.extension.Extensions.demand`)
+    both                                    the core; the extension's are refused (`MethodTable.require_free`)
     neither                                 the method is refused, at once from the second time on
 
 Modules are imported beside the loop, and so is the packages' metadata read, once.
@@ -48,20 +49,45 @@ class MethodsOnDemand:
         self._words: Collection[str] | None = None
         """First words of extensions' methods that are not in the table yet; None: not known."""
         self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._last_turns: dict[str, asyncio.Future[None]] = {}
+        """By first word the end of the last call that waits; each waits for the one before it. A word without any is
+        not in it."""
 
     def may_have(self, name: str) -> bool:
-        """True if a part that was not imported may have this method."""
-        return name not in self._table and (
-            self._words is None or (word := first_word(name)) in self._words or word in self._table.later
-        )
+        """True if a part that was not imported may have this method, or calls wait for that part."""
+        word = first_word(name)
+        if word in self._last_turns or word in self._tasks:
+            return True
+        return name not in self._table and (self._words is None or word in self._words or word in self._table.later)
 
     async def add(self, name: str) -> None:
-        """Add the methods with the first word of ``name``, if there are any. Raises RefusedError if their extension
-        cannot be made."""
+        """Add the methods with the first word of ``name``, if there are any. It returns to calls of one first word in
+        their order, also to one that comes when the methods are there and others still wait. Raises RefusedError if
+        their extension cannot be made."""
         word = first_word(name)
+        before = self._last_turns.get(word)
+        turn = self._last_turns[word] = self._loop.create_future()
+        try:
+            await self._add(word, name)
+        finally:
+            try:
+                if before is not None and not before.done():
+                    await asyncio.wait((before,))
+            finally:  # cancelled: the next call waits for the one before this one
+                if before is None or before.done():
+                    self._end_turn(word, turn)
+                else:
+                    before.add_done_callback(lambda _: self._end_turn(word, turn))
+
+    def _end_turn(self, word: str, turn: asyncio.Future[None]) -> None:
+        turn.set_result(None)
+        if self._last_turns[word] is turn:
+            del self._last_turns[word]
+
+    async def _add(self, word: str, name: str) -> None:
         if word in self._table.later:
             await self._once(word, lambda: self._import_part(word))
-        elif word in await self._words_of_extensions():
+        if name not in self._table and word in await self._words_of_extensions():
             await self._once(word, lambda: self._import_extension(word))
 
     async def add_all(self) -> None:
@@ -79,7 +105,7 @@ class MethodsOnDemand:
         task = self._tasks.get(word)
         if task is None:
             task = self._tasks[word] = self._loop.create_task(work(), name=f"methods on demand {word}")
-            task.add_done_callback(lambda done: self._tasks.pop(word))
+            task.add_done_callback(lambda _: self._tasks.pop(word))
         await asyncio.shield(task)
 
     async def _look(self) -> None:

@@ -25,12 +25,13 @@ from skygcs.events import Event
 from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, parse
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
 from skygcs.rpc.replies import error_reply
+from skygcs.rpc.request_lines import key_twice, parse
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 
@@ -287,15 +288,15 @@ class Session(ClientPeer):
             if not self.authenticated:
                 self._hang_up()
             return
-        key_twice = functools.cache(functools.partial(dispatch.key_twice, line))  # once for a batch
+        twice = functools.cache(functools.partial(key_twice, line))  # once for a batch
         if not self.authenticated:
             self._authenticate(request)
         elif self._refused_for_now(request):
             pass
         elif type(request) is list:
-            self._on_batch(request, key_twice)
+            self._on_batch(request, twice)
         else:
-            reply = self._start(request, key_twice)
+            reply = self._start(request, twice)
             if isinstance(reply, bytes):
                 self.reply(reply)
             elif reply is not None:
@@ -315,7 +316,7 @@ class Session(ClientPeer):
         self.reply(error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, f"{text} is answered all the same"))
         return True
 
-    def _start(self, request: object, key_twice: Callable[[], str | None]) -> dispatch.Reply:
+    def _start(self, request: object, twice: Callable[[], str | None]) -> dispatch.Reply:
         """Begin one request, unless the client already waits for too many."""
         if self._in_flight >= MAX_IN_FLIGHT:
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
@@ -325,7 +326,7 @@ class Session(ClientPeer):
         context: Context = self
         if isinstance(request, dict) and REPORT in request and (asked := wants_reports(request)) is not None:
             context = ReportingContext(self, asked)
-        reply = self._hub.dispatcher.start(context, request, key_twice, self._admission)
+        reply = self._hub.dispatcher.start(context, request, twice, self._admission)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
             self.slices.order_came()
@@ -345,7 +346,7 @@ class Session(ClientPeer):
             self._hub.counters["requests_late"] += 1
         return refusal
 
-    def _on_batch(self, requests: list[Any], key_twice: Callable[[], str | None]) -> None:
+    def _on_batch(self, requests: list[Any], twice: Callable[[], str | None]) -> None:
         if not requests:
             return self.reply(error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty"))
         if len(requests) > MAX_BATCH:
@@ -354,7 +355,7 @@ class Session(ClientPeer):
         replies: list[dispatch.Reply] = []
         size = 0
         for request in requests:
-            reply = self._start(request, key_twice)
+            reply = self._start(request, twice)
             if isinstance(reply, bytes):
                 size += len(reply)
                 if size > client_peer.MAX_OUTPUT_BYTES // 2:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
+import types
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Method, MethodTable, Reply
+from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Later, Method, MethodTable, Reply
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 from skygcs.rpc.replies import error_reply
@@ -175,6 +177,33 @@ async def test_every_method_is_made_beside_the_loop_and_one_that_cannot_be_is_le
     found.beside.set()
     assert [method.name for method in await asked] == ["daemon.here", "kite.add", "kite.land"]
     assert found.done == ["import kite", "import kite", "make kite"]
+
+
+async def test_an_extension_with_a_first_word_of_the_core_is_refused_at_its_first_call_and_at_its_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = Installed(monkeypatch)
+    module = types.ModuleType("later_kites")
+    module.METHODS = (Method("kite.core", NoParams, lambda calls, _: "core"),)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "later_kites", module)
+    table: MethodTable[list[str]] = MethodTable((HERE,), {"kite": Later("kite", "later_kites")})
+
+    def demand(word: str, accept: Callable[[Any], None]) -> tuple[Method[Any], ...]:
+        try:
+            accept(ADDED)
+        except ValueError as error:
+            raise RefusedError(str(error)) from error
+        return ADDED
+
+    monkeypatch.setattr(found, "demand", demand)
+    loop = asyncio.get_running_loop()
+    dispatcher = Dispatcher(table, MethodsOnDemand(table, found, found._call, loop))
+    for number in (1, 2, 3):
+        request = {"jsonrpc": "2.0", "id": number, "method": "kite.add"}
+        error = (await answered(dispatcher.start([], request)))["error"]
+        assert error["message"] == "kite.add, kite.land: methods that begin with kite are the core's own"
+    core = {"jsonrpc": "2.0", "id": 4, "method": "kite.core"}
+    assert (await answered(dispatcher.start([], core)))["result"] == "core"
 
 
 async def test_a_table_of_one_server_leaves_the_common_one_as_it_is() -> None:

@@ -21,10 +21,9 @@ from skygcs.rpc.dispatch import (
     Method,
     Reply,
     deadline_refusal,
-    key_twice,
-    parse,
 )
 from skygcs.rpc.models import MethodParams, NoParams
+from skygcs.rpc.request_lines import key_twice, parse
 from support.table import each
 
 

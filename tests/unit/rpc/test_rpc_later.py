@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import sys
+import warnings
 from collections.abc import Callable, Collection, Coroutine, Iterator
 from pathlib import Path
 from typing import Any
@@ -109,6 +111,59 @@ async def test_calls_before_the_import_are_carried_out_in_their_order(
     assert isinstance(server.start(calls, "part.none"), bytes)
 
 
+async def test_a_first_call_that_is_closed_before_it_began_leaves_nothing_behind(
+    module: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python would print "never awaited" to stderr, on the thread of the loop."""
+    server = Server(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reply = server.start([], "part.set")
+        assert isinstance(reply, Coroutine)
+        with pytest.MonkeyPatch.context() as patch:
+            unraisable = list[object]()
+            patch.setattr(sys, "unraisablehook", unraisable.append)
+            reply.close()
+            del reply
+            gc.collect()
+    assert unraisable == []
+    assert (await answered(server.start([], "part.set")))["result"] == 1
+
+
+@pytest.mark.parametrize("cancelled", [False, True])
+async def test_a_later_request_does_not_overtake_one_that_waits(
+    module: Path, monkeypatch: pytest.MonkeyPatch, cancelled: bool
+) -> None:
+    """The methods are in the table before the calls that waited for them go on."""
+    server, done = Server(monkeypatch), list[int]()
+    server.go_on.clear()
+    waiting: list[asyncio.Task[Any]] = []
+
+    def ask(number: int) -> None:
+        async def order() -> None:
+            await answered(reply)
+            done.append(number)
+
+        reply = server.start([], "part.set", number)
+        if isinstance(reply, Coroutine):
+            waiting.append(asyncio.create_task(order()))
+        else:
+            done.append(number)
+
+    for number in range(3):
+        ask(number)
+        await asyncio.sleep(0)
+    if cancelled:
+        waiting[1].cancel()
+    server.go_on.set()
+    for number in range(3, 12):  # one in each turn of the loop, before, while and after the first goes on
+        ask(number)
+        await asyncio.sleep(0)
+    await asyncio.gather(*waiting, return_exceptions=True)
+    assert done == [number for number in range(12) if not (cancelled and number == 1)]
+    assert isinstance(server.start([], "part.set"), bytes)
+
+
 async def test_a_module_that_is_broken_is_an_error_of_the_call_alone(
     module: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,9 +189,14 @@ async def test_every_method_is_imported_beside_the_loop(module: Path, monkeypatc
 
 async def test_no_other_may_take_a_name_that_comes_later(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table = Server(monkeypatch).table
-    with pytest.raises(ValueError, match=r"two methods are called part\.mine"):
-        table.add([Method("part.mine", NoParams, lambda calls, _: None)])
+    mine = [Method("part.mine", NoParams, lambda calls, _: None)]
+    with pytest.raises(ValueError, match=r"part\.mine: methods that begin with part are the core's own"):
+        table.add(mine)
     assert "part.mine" not in table and PART.module not in sys.modules
+    table.add_later("part")  # and none after that: what was called before makes no difference
+    with pytest.raises(ValueError, match=r"part\.mine: methods that begin with part are the core's own"):
+        table.add(mine)
+    assert "part.mine" not in table
 
 
 def test_every_part_of_the_daemon_is_as_it_is_declared() -> None:
