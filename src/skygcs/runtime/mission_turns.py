@@ -16,7 +16,7 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.flight_evidence import LandingWatch
+from skygcs.core.vehicle.landing_watch import LandingWatch
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -140,13 +140,18 @@ class MissionTurns:
     async def _is_over(self, actor: VehicleActor, items: Sequence[MissionItem]) -> bool:
         """Wait until its turn is over; False: the turns have ended."""
         mode, landing = actor.vehicle.mode, LandingWatch(self._loop.time())
+        phase, since = None, self._loop.time()
         while True:
             await asyncio.sleep(PERIOD_S)
-            landing.look(actor.vehicle)
+            now = self._loop.time()
+            landing.look(actor.vehicle, now)
             if actor.vehicle.armed is not False:
                 mode = actor.vehicle.mode
             taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
-            decision = next_turn(self._look(actor, items, mode, landing))
+            flown = self._look(actor, items, mode, landing)
+            if flown.phase != phase:
+                phase, since = flown.phase, now
+            decision = next_turn(flown._replace(waited_s=now - since))
             if taken and decision.next != "end":
                 self._report_end(f"{', '.join(taken)} was ordered something else")
                 return False
@@ -175,8 +180,8 @@ class MissionTurns:
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
             at_home=self._is_at_home(vehicle),
-            not_landed=landing.why_not(vehicle),
-            settled=landing.settled(vehicle, now),
+            landed=landing.verdict(vehicle, now),
+            furthest=actor.missions.furthest,
         )
 
     def _is_at_home(self, vehicle: Vehicle) -> bool:
