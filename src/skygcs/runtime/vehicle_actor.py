@@ -117,7 +117,15 @@ class VehicleActor:
         self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
         """Why nothing may be sent to it now, as another site may command it; None: it may."""
         refusal = self._order_refusal
-        self.runner = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, refusal)
+        self.runner = OrderRunner(
+            vehicle,
+            self.commands,
+            services.dialect,
+            services.loop,
+            services.on_event,
+            refusal,
+            time.time_ns() // 1_000_000,
+        )
         self.offboard = self._new_offboard(services)
         self.unattended = self._new_unattended(flown_before)
         after_takeoff = config.control.engage_after_takeoff or "off"
@@ -199,7 +207,8 @@ class VehicleActor:
 
     @property
     def order_number(self) -> int:
-        """Counts the orders that moved it."""
+        """Counts the orders that moved it, from the time (ms) at which this actor began: the numbers of a daemon that
+        ran before name no order of this one."""
         return self.runner.number
 
     @property
