@@ -9,6 +9,7 @@ pilot: nothing starts by itself after a person has taken over.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.landing_watch import LandingWatch
+from skygcs.core.vehicle.flight_evidence import LandingWatch
 from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -29,6 +30,9 @@ PERIOD_S = 0.5
 
 AT_HOME_M = 5.0
 """A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
+
+STANDS_MPS = 0.5
+"""Slower than any rover drives, and more than the noise of its GPS."""
 
 MAX_VEHICLES = 300
 """Vehicles in one round of turns, the most that a fleet has."""
@@ -175,7 +179,7 @@ class MissionTurns:
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=ends_on_ground(items, vehicle.return_end(now)),
+            lands=ends_on_ground(items, vehicle.mission_return_rule.with_mission({item.command for item in items})),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
@@ -190,7 +194,8 @@ class MissionTurns:
         if position is None or home is None or position["lat_deg"] is None:
             return False
         away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
-        return away_m <= vehicle.hold_reach_m(self._loop.time()) + AT_HOME_M
+        stands = vehicle.abilities.circles or math.hypot(*position["vel_enu_mps"][:2]) < STANDS_MPS
+        return stands and away_m <= vehicle.return_reach_m + AT_HOME_M
 
     def _report(self, actor: VehicleActor, text: str) -> None:
         self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))

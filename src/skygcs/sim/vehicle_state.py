@@ -79,6 +79,7 @@ class VehicleState(ABC):
     """Since boot."""
     home_fixed: bool
     """A ground station has set home: arming leaves it."""
+    _home_moved_at: float
     failsafe: bool
     """A failsafe has chosen the mode."""
     setpoint_at: float

@@ -29,8 +29,7 @@ from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionTyp
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
-from skygcs.core.vehicle.flight_evidence import contradiction
-from skygcs.core.vehicle.landing_watch import Landed
+from skygcs.core.vehicle.flight_evidence import Landed, contradiction
 from skygcs.core.vehicle.offboard_entry import ask_parameter
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
@@ -435,7 +434,7 @@ class Turn(NamedTuple):
     at_home: bool = False
     """It is where it holds at the end of a return that does not land."""
     landed: Landed = NOT_LOOKED_AT
-    """The verdict on a landing (`landing_watch.LandingWatch`)."""
+    """The verdict on a landing (`flight_evidence.LandingWatch`)."""
     waited_s: float = 0.0
     """Since the last change of what it waits for (`Turn.phase`)."""
     furthest: int = 0
@@ -443,7 +442,7 @@ class Turn(NamedTuple):
 
     @property
     def phase(self) -> tuple[Phase, int]:
-        """What is waited for; if it changes, the wait begins anew."""
+        """Reason to wait, and how far it is; if it changes, the wait begins anew."""
         if not self.armed:
             return Phase.EVIDENCE, 0
         if not self.flying:
@@ -490,7 +489,7 @@ def next_turn(flown: Turn) -> TurnDecision:
     if not flown.follows:
         return TurnDecision("end", f"{flown.name} was taken over ({flown.mode or 'mode unknown'})")
     if not flown.armed:
-        if not flown.complete and not (flown.lands and flown.ending):
+        if not flown.complete and not (flown.ending and (flown.lands or (flown.returns and flown.at_home))):
             return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
         if flown.landed.landed:
             return TurnDecision("start", f"{flown.name} has landed")
@@ -518,15 +517,13 @@ def last_moving(items: Sequence[MissionItem]) -> int | None:
 
 
 def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
-    """True if the last item that moves the vehicle leaves it on the ground and disarmed. ``return_end``: how its
-    returns end."""
+    """True if the last item that moves the vehicle leaves it on the ground and disarmed, or may. ``return_end``: how
+    its returns end; what is not known is waited for. One that stands at its home need not disarm."""
     last = last_moving(items)
     if last is None:
         return False
     if ends_with_return(items):
-        if return_end is ReturnEnd.BY_MISSION:
-            return any(item.command == mav_cmd.DO_LAND_START for item in items)
-        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.STANDS_DISARMED)
+        return return_end not in (ReturnEnd.CIRCLES, ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED)
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.landing_watch import FALL_S, LandingWatch
+from skygcs.core.vehicle.flight_evidence import FALL_S, LandingWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.vehicles import ARDUPILOT, HOME, Voice, flight_dialect
 

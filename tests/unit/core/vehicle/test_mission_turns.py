@@ -9,7 +9,7 @@ import pytest
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.vehicle.landing_watch import Landed
+from skygcs.core.vehicle.flight_evidence import Landed
 from skygcs.core.vehicle.mission_orders import Phase, Turn, ends_on_ground, last_moving, next_turn
 
 DOWN, CRASHED, UNKNOWN = Landed(True, ""), Landed(False, "it lies"), Landed(None, "no attitude has come")
@@ -107,31 +107,35 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     [
         ("px4", "copter", True),
         ("ardupilot", "copter", True),
-        ("px4", "plane", False),
-        ("ardupilot", "plane", False),
+        ("px4", "plane", True),  # its parameters are not known: it may land
+        ("ardupilot", "plane", True),
         ("px4", "vtol", True),
-        ("ardupilot", "vtol", False),
+        ("ardupilot", "vtol", True),
         ("ardupilot", "rover", False),
-        ("px4", "rover", True),  # it disarms at home
+        ("px4", "rover", False),  # it disarms at home only with RTL_LAND_DELAY and COM_DISARM_LAND
     ],
 )
-def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:
-    end = abilities_of(family, VehicleClass(kind)).return_end_by(lambda name: None)
+def test_a_return_ends_on_the_ground_or_may_by_the_class(family: Family, kind: str, lands: bool) -> None:
+    end = abilities_of(family, VehicleClass(kind)).return_rule(lambda name: None).with_mission({16, 20})
     assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
     assert ends_on_ground([MissionItem(16), MissionItem(21)], end)
 
 
 @pytest.mark.parametrize(
-    ("end", "landing", "lands"),
+    ("end", "lands"),
     [
-        (ReturnEnd.LANDS_ON_ROTORS, False, True),
-        (ReturnEnd.BY_MISSION, True, True),
-        (ReturnEnd.BY_MISSION, False, False),  # without one it circles
-        (ReturnEnd.CIRCLES, True, False),
+        (ReturnEnd.LANDS_ON_ROTORS, True),
+        (ReturnEnd.LANDS_AS_PLANE, True),
+        (ReturnEnd.BY_MISSION, True),
+        (ReturnEnd.NOT_KNOWN, True),  # it is waited for
+        (ReturnEnd.CIRCLES, False),
     ],
 )
-def test_a_planes_return_ends_on_the_ground_by_its_parameters_and_its_mission(
-    end: ReturnEnd, landing: bool, lands: bool
-) -> None:
-    down = [MissionItem(189), MissionItem(16), MissionItem(21)] if landing else []
-    assert ends_on_ground([*down, MissionItem(16), MissionItem(20)], end) is lands
+def test_a_planes_return_ends_on_the_ground_by_its_end(end: ReturnEnd, lands: bool) -> None:
+    assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
+
+
+def test_a_rover_that_has_disarmed_at_its_home_has_come_to_the_end_of_its_mission() -> None:
+    home = ENDING._replace(mode="AUTO.RTL", lands=False, flying=False, armed=False, at_home=True)
+    assert next_turn(home) == ("start", "v1 has landed")
+    assert next_turn(home._replace(at_home=False)).next == "end"
