@@ -26,7 +26,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "state-sources": {
         "core/routing/state_source.py": ("core/routing/test_state_source.py",),
-        "core/vehicle/flight_evidence.py": ("core/vehicle/test_flight_evidence.py",),
+        "core/vehicle/flight_evidence.py": (
+            "core/vehicle/test_flight_evidence.py",
+            "core/vehicle/test_landing_watch.py",
+        ),
     },
     "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
     "order-gate": {"ext/federation/protocol/order_gate.py": ("ext/federation/protocol/test_order_gate.py",)},

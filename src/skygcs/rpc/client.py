@@ -249,8 +249,8 @@ class Client:
         return await self._order("rtl", targets)
 
     async def hold(self, targets: Targets, *, instead_of: int | None = None) -> Outcomes:
-        """Stop, and stay there. ``instead_of``: the order_number of an order that this ends; refused if the vehicle has
-        accepted a newer one that moves it."""
+        """Stop, and stay there. ``instead_of``: the order_number of an order that this ends; refused if a newer one
+        moves the vehicle, or may."""
         return await self._order("hold", targets, **({} if instead_of is None else {"instead_of": instead_of}))
 
     async def mode(self, targets: Targets, mode: str, *, force: bool = False) -> Outcomes:

@@ -159,8 +159,10 @@ class OutcomeResult(Result):
     attempts: int = Field(description="Transmissions of the most repeated step; with wait_s, of all tries together.")
     elapsed_s: float
     status_texts: list[str] = Field(description="Status texts of the vehicle while the order ran.")
-    order_number: int = Field(
-        0, description="Of an order that moves the vehicle and was sent: its number, for vehicles.hold; else left out."
+    order_number: int | None = Field(
+        None,
+        description="Of an order that moves the vehicle and was sent: its number, for vehicles.hold; else left out. "
+        "Numbers of another run of skygcs name no order.",
     )
 
 

@@ -82,8 +82,8 @@ class HoldParams(TargetsParams):
     instead_of: int | None = Field(
         None,
         ge=0,
-        description="The order_number of an order that this ends: refused if the vehicle has accepted a newer order "
-        "that moves it, from whichever client; one that is in progress is awaited. null: it ends whatever moves it.",
+        description="The order_number of an order that this ends: refused if a newer order moves the vehicle, or may, "
+        "from whichever client; one that is in progress is awaited. null: it ends whatever moves it.",
     )
 
 

@@ -408,6 +408,11 @@ class Missions:
         """True if it has reported the last item of the mission that is on board as reached, in this run of it."""
         return self._progress.complete(self.counts.get(MissionType.MISSION))
 
+    @property
+    def furthest(self) -> int:
+        """The highest item that was its current one in this run of its mission; 0: none was."""
+        return self._progress.furthest
+
     def begun(self, item: int | None) -> bool:
         """True if that item of the mission, or a later one, was its current one in this run of it."""
         return item is not None and self._progress.furthest >= item

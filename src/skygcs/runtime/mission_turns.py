@@ -9,6 +9,7 @@ pilot: nothing starts by itself after a person has taken over.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from typing import Any, Literal
 
@@ -29,6 +30,9 @@ PERIOD_S = 0.5
 
 AT_HOME_M = 5.0
 """A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
+
+STANDS_MPS = 0.5
+"""Slower than any rover drives, and more than the noise of its GPS."""
 
 MAX_VEHICLES = 300
 """Vehicles in one round of turns, the most that a fleet has."""
@@ -140,13 +144,18 @@ class MissionTurns:
     async def _is_over(self, actor: VehicleActor, items: Sequence[MissionItem]) -> bool:
         """Wait until its turn is over; False: the turns have ended."""
         mode, landing = actor.vehicle.mode, LandingWatch(self._loop.time())
+        phase, since = None, self._loop.time()
         while True:
             await asyncio.sleep(PERIOD_S)
-            landing.look(actor.vehicle)
+            now = self._loop.time()
+            landing.look(actor.vehicle, now)
             if actor.vehicle.armed is not False:
                 mode = actor.vehicle.mode
             taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
-            decision = next_turn(self._look(actor, items, mode, landing))
+            flown = self._look(actor, items, mode, landing)
+            if flown.phase != phase:
+                phase, since = flown.phase, now
+            decision = next_turn(flown._replace(waited_s=now - since))
             if taken and decision.next != "end":
                 self._report_end(f"{', '.join(taken)} was ordered something else")
                 return False
@@ -170,13 +179,13 @@ class MissionTurns:
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
             ordered=actor.order_number != self._numbers[vehicle.key],
-            lands=ends_on_ground(items, vehicle.return_end(now)),
+            lands=ends_on_ground(items, vehicle.mission_return_rule.with_mission({item.command for item in items})),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
             at_home=self._is_at_home(vehicle),
-            not_landed=landing.why_not(vehicle),
-            settled=landing.settled(vehicle, now),
+            landed=landing.verdict(vehicle, now),
+            furthest=actor.missions.furthest,
         )
 
     def _is_at_home(self, vehicle: Vehicle) -> bool:
@@ -185,7 +194,8 @@ class MissionTurns:
         if position is None or home is None or position["lat_deg"] is None:
             return False
         away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
-        return away_m <= vehicle.hold_reach_m(self._loop.time()) + AT_HOME_M
+        stands = vehicle.abilities.circles or math.hypot(*position["vel_enu_mps"][:2]) < STANDS_MPS
+        return stands and away_m <= vehicle.return_reach_m + AT_HOME_M
 
     def _report(self, actor: VehicleActor, text: str) -> None:
         self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))

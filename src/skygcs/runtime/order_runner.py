@@ -113,10 +113,12 @@ class OrderRunner:
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         order_refusal: Callable[[Plan], str | None] = lambda plan: None,
+        first_number: int = 0,
     ) -> None:
-        """``order_refusal``: why a plan is not executed; None: it may be."""
+        """``order_refusal``: why a plan is not executed; None: it may be. ``first_number``: the numbers follow on this;
+        above those of all runners of this vehicle before, so that a number of one of those names no order here."""
         # state that others read, and callbacks
-        self.number = 0
+        self.number = self._first_number = first_number
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
         self.on_carried_out: Callable[[Plan], None] = lambda plan: None
@@ -124,8 +126,8 @@ class OrderRunner:
         already is none."""
         self.moving = 0
         """Plans in progress that move the vehicle."""
-        self.carried_out = 0
-        """``number`` of the last plan that moves the vehicle and that it has accepted."""
+        self.effective = first_number
+        """``number`` of the last plan that moves the vehicle, or may: it was sent, and not refused by the vehicle."""
         self.sent_before_at = -math.inf
         """Time at which the last setpoint, or the last command of another order than a goto, went out: it may reach the
         vehicle after a goto that was sent later."""
@@ -165,13 +167,17 @@ class OrderRunner:
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
         """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
-        one, by whatever door it came: its end is awaited, and only if the vehicle has not accepted it is this one
-        given."""
+        one, by whatever door it came: its end is awaited, and only if it was not sent, or the vehicle has refused it,
+        is this one given: whose answers were lost, or whose client is gone, may have moved the vehicle."""
+        if not self._first_number <= number <= self.number:
+            unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
+            return self.finish(order, Outcome.refused(unknown))
         while self.moving or self._waiting:
             self._order_ended.clear()
             await self._order_ended.wait()
-        if self.carried_out > number:
-            return self.finish(order, Outcome.refused(f"a newer order moves it (number {self.carried_out})"))
+        if self.effective > number:
+            newer = f"a newer order moves it, or may move it (number {self.effective})"
+            return self.finish(order, Outcome.refused(newer))
         return await self.run(order, planner)
 
     async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
@@ -267,14 +273,15 @@ class OrderRunner:
         self._commands.supersede(_commands(plan))
         number, mode = self.number, self._vehicle.custom_mode
         self.moving += 1
+        ended: Outcome | None = None
         try:
-            outcome = await self._execute(plan, clearance)
+            ended = await self._execute(plan, clearance)
         finally:
             self.moving -= 1
+            if _may_have_effect(ended):
+                self.effective = max(self.effective, number)
             self._order_ended.set()
-        outcome = replace(outcome, order_number=number)
-        if outcome.ok:
-            self.carried_out = max(self.carried_out, number)
+        outcome = replace(ended, order_number=number)
         if outcome.ok and self.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
             self.on_carried_out(plan)
         return outcome
@@ -609,6 +616,13 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
     there = "" if where is None else f" ({where})"
     text = f"two vehicles with system id {vehicle.sysid} are on the air{there}; give one of them another"
     return Outcome(False, "refused", f"refused: {text}")
+
+
+def _may_have_effect(outcome: Outcome | None) -> bool:
+    """True unless an order was not sent, or the vehicle has refused it. None: its caller was cancelled."""
+    if outcome is None or outcome.ok:
+        return True
+    return outcome.attempts > 0 and outcome.result not in REFUSALS | {"refused"}
 
 
 def _commands(plan: Plan) -> list[CommandSpec]:

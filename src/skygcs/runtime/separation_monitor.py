@@ -327,10 +327,14 @@ class SeparationMonitor:
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
         if home is not None:
             base = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
-        run = run._replace(return_end=actor.vehicle.return_end(self._loop.time()))
+        vehicle = actor.vehicle
+        ends = vehicle.mission_return_rule.with_mission({item.command for item in run.items})
+        run = run._replace(return_end=ends)
         if run.returns and run.height == UNKNOWN:
-            run = run._replace(height=known_return_height(actor.vehicle))
-        return mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, mover.circle_m)
+            run = run._replace(height=known_return_height(vehicle))
+        return mission_way(
+            mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m
+        )
 
     def _present_way(self, actor: VehicleActor, track: Track) -> Way:
         """Where a vehicle is, and the way to where skygcs has sent it."""

@@ -116,8 +116,7 @@ class VehicleActor:
         )
         self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
         """Why nothing may be sent to it now, as another site may command it; None: it may."""
-        refusal = self._order_refusal
-        self.runner = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event, refusal)
+        self.runner = self._new_runner(services)
         self.offboard = self._new_offboard(services)
         self.unattended = self._new_unattended(flown_before)
         after_takeoff = config.control.engage_after_takeoff or "off"
@@ -199,7 +198,8 @@ class VehicleActor:
 
     @property
     def order_number(self) -> int:
-        """Counts the orders that moved it."""
+        """Counts the orders that moved it, from the time (ms) at which this actor began: the numbers of a daemon that
+        ran before name no order of this one."""
         return self.runner.number
 
     @property
@@ -210,6 +210,11 @@ class VehicleActor:
 
             self._logs = VehicleLogs(self.vehicle, self.services)
         return self._logs
+
+    def _new_runner(self, services: VehicleServices) -> OrderRunner:
+        dialect, loop, began_ms = services.dialect, services.loop, time.time_ns() // 1_000_000
+        refusal = self._order_refusal
+        return OrderRunner(self.vehicle, self.commands, dialect, loop, services.on_event, refusal, began_ms)
 
     def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | FlightElsewhere:
         """Its flight by setpoints: from here, or from where an extension relays its orders."""

@@ -61,6 +61,15 @@ class Reaction(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class HomeFollows:
+    """Home is moved each ``period_s`` if the vehicle is farther from it, over the ground or in height."""
+
+    period_s: float
+    over_ground_m: float
+    in_height_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Reactions:
     """Reactions to the values of a parameter."""
 
@@ -176,6 +185,8 @@ class Firmware:
     answers: Fact[Answers]
     home_here_is_fixed: Fact[bool]
     """DO_SET_HOME to where it is keeps that home over the next arming, as one elsewhere does on both."""
+    home_follows: Fact[HomeFollows | None]
+    """How it moves home to where it is while it is disarmed; None: it keeps home until it is armed."""
 
     # flight
     spool_up_s: Fact[float]
@@ -285,6 +296,7 @@ COPTER: Final = Firmware(
         True,
         "ArduCopter/commands.cpp: set_home_to_current_location (locks it); AP_Arming.cpp: AP_Arming_Copter::arm",
     ),
+    home_follows=Fact(None, "ArduCopter/commands.cpp: update_home_from_EKF (only while home is not set)"),
     spool_up_s=Fact(
         2.0,
         "libraries/AP_Motors/AP_MotorsMulticopter.cpp: MOT_SPOOL_TIME, and the arming delay (Copter.h: "
@@ -498,6 +510,10 @@ PX4: Final = Firmware(
         "handle_message_command_both (each measured)",
     ),
     home_here_is_fixed=Fact(False, "commander/HomePosition.cpp: setHomePosition (manual_home), setManually"),
+    home_follows=Fact(
+        HomeFollows(0.0, 1.0, 1.5),
+        "commander/HomePosition.cpp: update, hasMovedFromCurrentHomeLocation; Commander.cpp: run (disarmed and landed)",
+    ),
     spool_up_s=Fact(
         2.5,
         "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",

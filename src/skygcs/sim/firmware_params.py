@@ -138,7 +138,7 @@ _PX4_PLANE = _table("""
     FW_AIRSPD_MAX=20.0:f FW_AIRSPD_MIN=10.0:f FW_AIRSPD_TRIM=15.0:f FW_R_LIM=50.0:f FW_T_CLMB_R_SP=3.0:f
     FW_T_SINK_R_SP=2.0:f NAV_LOITER_RAD=80.0:f RWTO_TKOFF=1:i
     COM_DISARM_PRFLT=-1.0:f MAV_TYPE=1:i MIS_TAKEOFF_ALT=25.0:f NAV_ACC_RAD=10.0:f RTL_DESCEND_ALT=100.0:f
-    RTL_LAND_DELAY=-1.0:f RTL_RETURN_ALT=100.0:f RTL_TYPE=1:i SYS_AUTOSTART=10041:i
+    RTL_LAND_DELAY=-1.0:f RTL_LOITER_RAD=80.0:f RTL_RETURN_ALT=100.0:f RTL_TYPE=1:i SYS_AUTOSTART=10041:i
 """)
 """fw_path_navigation_params.c, performance_model_params.c, navigator_params.c, and what init.d/rc.fw_defaults sets."""
 

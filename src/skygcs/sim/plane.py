@@ -16,7 +16,7 @@ from math import radians
 from skygcs.core.mavlink import mav_cmd
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CourseVehicle
-from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
+from skygcs.sim.behaviours import COPTER, Fact, HomeFollows, Reaction, Reactions
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.copter_mission import CopterRun
@@ -71,6 +71,10 @@ PLANE = replace(
     name="ArduPlane",
     modes=Fact(PLANE_RULES, "ArduPlane/mode.h; mode.cpp: Mode::_pre_arm_checks (every fixed wing's mode arms)"),
     idle_disarm=Fact(("", 0.0), "ArduPlane has no DISARM_DELAY: it stays armed on the ground until it has landed"),
+    home_follows=Fact(
+        HomeFollows(5.0, 0.0, 0.0),
+        "ArduPlane/ArduPlane.cpp: one_second_loop; commands.cpp: update_home (HOME_RESET_ALT 0)",
+    ),
     spool_up_s=Fact(0.0, "ArduPlane/servos.cpp: suppress_throttle (a take-off starts by TKOFF_THR_MINACC 0 at once)"),
     landed_after_s=Fact(
         5.0,

@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
+from math import inf
 
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CourseVehicle
-from skygcs.sim.behaviours import COPTER, Fact, Reaction, Reactions
+from skygcs.sim.behaviours import COPTER, Fact, HomeFollows, Reaction, Reactions
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.courses import CoursePlan, Turning
@@ -76,6 +77,10 @@ ROVER = replace(
         "disarmed)",
     ),
     idle_disarm=Fact(("", 0.0), "Rover has no DISARM_DELAY: it stays armed"),
+    home_follows=Fact(
+        HomeFollows(1.0, 0.5, inf),
+        "Rover/Rover.cpp: one_second_loop; commands.cpp: update_home (DISTANCE_HOME_MINCHANGE)",
+    ),
     spool_up_s=Fact(0.0, "Rover/AP_Arming.cpp: AP_Arming_Rover::arm"),
     crash=Fact((0.0, 0.0, 0.0, 0.0), "Rover/crash_check.cpp: FS_CRASH_CHECK 0"),
     gcs=Fact(

@@ -79,6 +79,7 @@ class SimVehicle(VehicleState):
         while self._later and self._later[0][0] <= now:
             self._later.pop(0)[1]()
         self._watch_position(now)
+        self._follow_home(now)
         self.on_tick(now)
         flight.step(self, now, TICK_S)
         requests.step(self, now)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from math import inf, radians
+from math import hypot, inf, radians
 from typing import Any, Final
 
 from skygcs.core.mavlink import ftp_payload
@@ -79,6 +79,7 @@ class VehicleState(ABC):
     """Since boot."""
     home_fixed: bool
     """A ground station has set home: arming leaves it."""
+    _home_moved_at: float
     failsafe: bool
     """A failsafe has chosen the mode."""
     setpoint_at: float
@@ -447,6 +448,19 @@ class VehicleState(ABC):
         if self.position_ok:
             self.set_home(Home(*self.estimated.pos_enu_m))
 
+    def _follow_home(self, now: float) -> None:
+        """Move home to where it stands disarmed, as its firmware does."""
+        follows, home = self.firmware.home_follows.simulated, self.home
+        if self.armed or follows is None or home is None or self.home_fixed:
+            return
+        if not self.landed or not self.position_ok or now < self._home_moved_at + follows.period_s:
+            return
+        here = self.estimated
+        away_m, beside_m = abs(here.up_m - home.up_m), hypot(here.east_m - home.east_m, here.north_m - home.north_m)
+        if away_m > follows.in_height_m or beside_m > follows.over_ground_m:
+            self._home_moved_at = now
+            self.set_home_here()
+
     def set_home(self, home: Home) -> None:
         self.home = home
         self.send_soon("HOME_POSITION")
@@ -495,6 +509,7 @@ class VehicleState(ABC):
         # estimator and calibration
         self.home = None
         self.home_fixed = False
+        self._home_moved_at = now
         self.local_zero = None
         self.vision = ExternalVision(self.autopilot)
         self.calibration: Calibration | None = None

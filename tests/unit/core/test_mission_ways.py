@@ -121,8 +121,9 @@ def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
         assert not meets(returning(UNKNOWN, end), (0.0, 50.0), 30.0)
 
 
-def test_one_that_lands_on_its_rotors_flies_home_as_a_plane_and_comes_down_there() -> None:
-    landing = returning(ReturnHeight(0.0, 30.0), ReturnEnd.LANDS_ON_ROTORS)
+@pytest.mark.parametrize("end", [ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.NOT_KNOWN])
+def test_one_that_lands_at_home_or_may_flies_home_as_a_plane_and_comes_down_there(end: ReturnEnd) -> None:
+    landing = returning(ReturnHeight(0.0, 30.0), end)
     for at, up_m in (((0.0, 50.0), 10.0), ((0.0, 50.0), 30.0), ((0.0, 0.0), 30.0), ((0.0, 0.0), 1.0)):
         assert meets(landing, at, up_m), (at, up_m)
     assert not meets(landing, (0.0, 50.0), 45.0)

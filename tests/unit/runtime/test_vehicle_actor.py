@@ -565,15 +565,56 @@ async def test_a_hold_in_place_of_one_order_waits_while_a_newer_one_is_repeated(
     """Between two of its attempts nothing is in progress."""
     async with Ground() as ground:
         copter, actor = await one(ground, ARDUPILOT)
+        before = actor.order_number
         copter.script = refusing(TAKEOFF, 4)
         taking_off = asyncio.create_task(actor.takeoff(5.0, wait_s=20.0))
         await asyncio.sleep(4.0)
-        held = asyncio.create_task(actor.hold(instead_of=0))
+        held = asyncio.create_task(actor.hold(instead_of=before))
         await asyncio.sleep(4.0)
         assert not held.done()
         copter.script = accept_everything
         assert (await taking_off).ok
         assert (await held).result == "refused"
+
+
+@pytest.mark.parametrize("how", ["answers lost", "client gone", "mode not shown"])
+async def test_a_hold_in_place_of_one_order_is_refused_after_a_newer_one_that_may_move_the_vehicle(how: str) -> None:
+    """The newer one was sent. It was counted only if it was accepted, and the landing was broken off by BRAKE."""
+    async with Ground() as ground:
+        copter, actor = await flying(ground, ARDUPILOT)
+        went = await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)
+
+        def script(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command == LAND and how == "mode not shown":
+                v.reply(sent, 0)
+            elif sent.command != LAND:
+                accept_everything(v, sent)
+
+        copter.script = script
+        landing = asyncio.create_task(actor.land())
+        await asyncio.sleep(0.1)
+        if how == "client gone":
+            landing.cancel()
+        held = await actor.hold(instead_of=went.order_number)
+        assert held.result == "refused" and "or may move it" in held.message
+        if how != "client gone":
+            assert not (await landing).ok
+        assert MODE not in [c for c, _ in copter.commands()]
+        assert (await actor.hold(instead_of=actor.order_number)).ok, "that is the newest one"
+
+
+async def test_a_number_of_another_run_of_skygcs_names_no_order() -> None:
+    async with Ground() as ground:
+        _, actor = await flying(ground, ARDUPILOT)
+        went = await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)
+        assert went.order_number is not None and went.order_number > 1_600_000_000_000, "ms since 1970"
+    async with Ground() as ground:
+        copter, actor = await flying(ground, ARDUPILOT)
+        assert (await actor.goto(lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=10.0)).ok
+        for number in (0, 1, went.order_number - 1, actor.order_number + 1):
+            held = await actor.hold(instead_of=number)
+            assert held.result == "refused" and f"no order {number}" in held.message
+        assert MODE not in [c for c, _ in copter.commands()]
 
 
 async def test_an_order_that_moves_nothing_has_no_number() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import degrees, hypot, isnan, nan
 
 import pytest
@@ -347,6 +348,21 @@ def test_home_is_set_here_or_there_and_told(make: type[SimVehicle]) -> None:
     assert pilot.command(mav.MAV_CMD_GET_HOME_POSITION) == 0
     nowhere = mav.MAV_RESULT_DENIED if make is px4 else mav.MAV_RESULT_ACCEPTED  # ArduCopter: where it is
     assert pilot.command(mav.MAV_CMD_DO_SET_HOME, 0, 0, 0, 0, nan, nan, nan) == nowhere
+
+
+@BOTH
+def test_a_disarmed_px4_moves_home_to_where_it_is_and_an_arducopter_keeps_it(make: type[SimVehicle]) -> None:
+    """HomePosition::update; ArduCopter's update_home_from_EKF only sets one that is not set."""
+    pilot = Pilot(make())
+    pilot.get_ready()
+    vehicle = pilot.vehicles[0]
+    assert vehicle.home is not None
+    vehicle.set_home(replace(vehicle.home, up_m=-1.4))
+    pilot.run(1)
+    assert vehicle.home.up_m == -1.4, "PX4: kMinHomePositionChangeEPV is 1.5 m"
+    vehicle.set_home(replace(vehicle.home, up_m=-6.0))
+    pilot.run(1)
+    assert vehicle.home.up_m == pytest.approx(0.0 if make is px4 else -6.0, abs=0.5)
 
 
 @BOTH

@@ -37,10 +37,11 @@ and PX4 1.16 (navigator: loiter.cpp, takeoff.cpp, land.cpp; fw_pos_control: cont
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, COPTER_TYPES, PLANE_TYPES, Family
 
 
@@ -194,8 +195,10 @@ class ReturnEnd(StrEnum):
 
     LANDS = "it lands and disarms"
     LANDS_ON_ROTORS = "it flies home as a plane, and lands there on its rotors"
-    BY_MISSION = "it lands by the landing of its mission (DO_LAND_START); without one it circles above its home"
+    BY_MISSION = "it lands by the landing of its mission"
     CIRCLES = "it circles above its home"
+    LANDS_AS_PLANE = "it circles above its home, and comes down there as a plane"
+    NOT_KNOWN = "it circles above its home, or lands: that is not known"
     STANDS = "it stops and stays armed"
     STANDS_DISARMED = "it stops at its home and disarms"
     """A PX4 that drives counts as landed there (RoverLandDetector::_get_landed_state), and Commander disarms it after
@@ -206,19 +209,75 @@ HeightParam = tuple[tuple[str, float], ...]
 """A height in metres above home: the names of its parameter in different versions, each with its units per metre."""
 
 Q_RTL_MODE, RTL_AUTOLAND, Q_OPTIONS = "Q_RTL_MODE", "RTL_AUTOLAND", "Q_OPTIONS"
+RTL_TYPE, RTL_LAND_DELAY = "RTL_TYPE", "RTL_LAND_DELAY"
+"""PX4. Of planes by default 1 and -1 (init.d/rc.fw_defaults)."""
 
 
-def plane_return_end(param: Callable[[str], float | None]) -> ReturnEnd:
-    """How RTL of an ArduPlane ends, by its parameters; of one that is not known the firmware's default counts, which is
-    0 of both. ArduPlane/mode_rtl.cpp: _enter, navigate, switch_QRTL."""
-    rotors, landing = int(param(Q_RTL_MODE) or 0), int(param(RTL_AUTOLAND) or 0)
+MISSION_LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnRule:
+    """How returns end by the parameters of a vehicle, for any mission."""
+
+    end: ReturnEnd
+    """Without a landing in its mission."""
+    markers: frozenset[int] = frozenset()
+    """With one of these commands (MAV_CMD) in its mission it lands by that instead; empty: it does not look for one."""
+    known: bool = True
+    """False: a parameter that decides it is not known, and counts as the firmware's default."""
+
+    def __str__(self) -> str:
+        if not self.markers:
+            return str(self.end)
+        named = " or ".join(MARKER_NAMES[marker] for marker in sorted(self.markers))
+        return f"{ReturnEnd.BY_MISSION} ({named}); without one {self.end}"
+
+    def with_mission(self, commands: Collection[int]) -> ReturnEnd:
+        """How the returns of a mission of these commands end. A marker that no landing follows leaves it unknown."""
+        if not self.known:
+            return ReturnEnd.NOT_KNOWN
+        if self.markers.isdisjoint(commands):
+            return self.end
+        return ReturnEnd.NOT_KNOWN if MISSION_LANDINGS.isdisjoint(commands) else ReturnEnd.BY_MISSION
+
+
+MARKER_NAMES = {
+    mav_cmd.NAV_LAND: "NAV_LAND",
+    mav_cmd.NAV_VTOL_LAND: "NAV_VTOL_LAND",
+    mav_cmd.DO_RETURN_PATH_START: "DO_RETURN_PATH_START",
+    mav_cmd.DO_LAND_START: "DO_LAND_START",
+}
+
+
+def plane_return(rotors: int, autoland: int) -> ReturnRule:
+    """Rule of an ArduPlane by Q_RTL_MODE (0 of a fixed wing) and RTL_AUTOLAND. ArduPlane/mode_rtl.cpp: _enter,
+    navigate, switch_QRTL; AP_Mission.cpp: get_landing_sequence_start, jump_to_closest_mission_leg."""
+    lands = ReturnEnd.LANDS_ON_ROTORS
     if rotors in (2, 3):  # VTOL_APPROACH_QRTL, QRTL_ALWAYS: RTL_AUTOLAND is not looked at
-        return ReturnEnd.LANDS_ON_ROTORS
-    if landing in (2, 4):  # RTL_IMMEDIATE_DO_LAND_START, DO_RETURN_PATH_START: before it is near its home
-        return ReturnEnd.BY_MISSION
+        return ReturnRule(lands)
+    # before it is near its home; without the marker it flies on to there
+    end = lands if rotors == 1 else ReturnEnd.CIRCLES
+    if autoland == 2:  # RTL_IMMEDIATE_DO_LAND_START
+        return ReturnRule(end, frozenset({mav_cmd.DO_LAND_START}))
+    if autoland == 4:  # DO_RETURN_PATH_START
+        return ReturnRule(end, frozenset({mav_cmd.DO_RETURN_PATH_START}))
     if rotors == 1:  # SWITCH_QRTL: within RTL_RADIUS, before RTL_THEN_DO_LAND_START
-        return ReturnEnd.LANDS_ON_ROTORS
-    return ReturnEnd.BY_MISSION if landing == 1 else ReturnEnd.CIRCLES
+        return ReturnRule(lands)
+    return ReturnRule(end, frozenset({mav_cmd.DO_LAND_START}) if autoland == 1 else frozenset())
+
+
+def px4_plane_return(rtl_type: int, land_delay_s: float) -> ReturnRule:
+    """Rule of a PX4 fixed wing by RTL_TYPE and RTL_LAND_DELAY (s; below 0: it waits without end). navigator/rtl.cpp:
+    findRtlDestination, init_rtl_mission_type; rtl_direct.cpp: LOITER_HOLD. Rally points are not looked at."""
+    at_home = ReturnEnd.CIRCLES if land_delay_s < 0.0 else ReturnEnd.LANDS_AS_PLANE
+    match rtl_type:
+        case 0:
+            return ReturnRule(at_home)
+        case 1:
+            return ReturnRule(at_home, MISSION_LANDINGS)
+        case _:  # the nearer one, or back along its mission
+            return ReturnRule(ReturnEnd.NOT_KNOWN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +303,11 @@ PX4_HOLD = HoldRadius("NAV_LOITER_RAD", 80.0, 0.0)
 ARDUPLANE_HOLD = HoldRadius("WP_LOITER_RAD", 60.0)
 """ArduPlane/config.h: LOITER_RADIUS_DEFAULT."""
 
+PX4_RETURN = HoldRadius("RTL_LOITER_RAD", 80.0, 0.0)
+"""rtl_params.c."""
+ARDUPLANE_RETURN = HoldRadius("RTL_RADIUS", 0.0)
+"""mode_rtl.cpp: navigate; Plane::update_loiter."""
+
 TAKEOFF_HEIGHT = "TKOFF_ALT"
 """Height (m) above where it stands to which ArduPlane's TAKEOFF mode climbs (mode_takeoff.cpp)."""
 
@@ -267,7 +331,7 @@ class Abilities:
     """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
     return_end: ReturnEnd = ReturnEnd.LANDS
     """PX4: rtl_direct.cpp (a fixed wing loiters); ArduPilot: ModeRTL of each program (an ArduPlane's with its default
-    parameters, see `return_end_by`)."""
+    parameters, see `return_rule`)."""
     return_params: tuple[str, ...] = ()
     """Parameters that change how its return ends."""
     failsafe_params: tuple[str, ...] = ()
@@ -288,6 +352,8 @@ class Abilities:
     """Mode of `Landing.MODE`."""
     hold_radius: HoldRadius | None = None
     """Radius of the hold of what circles."""
+    return_radius: HoldRadius | None = None
+    """Radius of the circle above home, where that is another parameter's; its default 0: that of the hold."""
     brake_mps2: float = 0.0
     """Deceleration on which the monitor counts when it orders a hold, m/s²; 0: it counts on none."""
 
@@ -299,13 +365,22 @@ class Abilities:
     @property
     def asked_params(self) -> tuple[str, ...]:
         """Parameters without which an order or a margin is not known."""
-        circle = () if self.hold_radius is None else (self.hold_radius.param,)
+        circle = tuple(radius.param for radius in (self.hold_radius, self.return_radius) if radius is not None)
         height = (TAKEOFF_HEIGHT,) if self.takeoff is TakeOff.OWN_HEIGHT else ()
         return (*circle, *height, *self.return_params, *self.order_params)
 
-    def return_end_by(self, param: Callable[[str], float | None]) -> ReturnEnd:
-        """How its return ends, by its parameters."""
-        return plane_return_end(param) if self.return_params else self.return_end
+    def return_rule(self, param: Callable[[str], float | None]) -> ReturnRule:
+        """How its return ends, by its parameters; of one that is not known the firmware's default counts. Only those of
+        its class are looked at: a fixed wing may have kept the Q_RTL_MODE of a QuadPlane."""
+        if not self.return_params:
+            return ReturnRule(self.return_end)
+        values = {name: param(name) for name in self.return_params}
+        if RTL_TYPE in values:
+            rtl_type, delay_s = values[RTL_TYPE], values[RTL_LAND_DELAY]
+            rule = px4_plane_return(1 if rtl_type is None else int(rtl_type), -1.0 if delay_s is None else delay_s)
+        else:
+            rule = plane_return(int(values.get(Q_RTL_MODE) or 0), int(values[RTL_AUTOLAND] or 0))
+        return replace(rule, known=None not in values.values())
 
     def may_move(self, in_air: bool | None) -> bool:
         """True unless it is known to stand while its motors may turn: what flies stands while it is on the ground (not
@@ -337,7 +412,13 @@ _PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=Return
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),
     ("px4", _C.PLANE): replace(
-        _PX4, circles=True, takeoff=TakeOff.CLIMB_OUT, hold_radius=PX4_HOLD, return_end=ReturnEnd.CIRCLES
+        _PX4,
+        circles=True,
+        takeoff=TakeOff.CLIMB_OUT,
+        hold_radius=PX4_HOLD,
+        return_radius=PX4_RETURN,
+        return_end=ReturnEnd.CIRCLES,
+        return_params=(RTL_TYPE, RTL_LAND_DELAY),
     ),
     ("px4", _C.VTOL): replace(_PX4, hovers=True, circles=True, takeoff=TakeOff.CLIMB, hold_radius=PX4_HOLD),
     ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
@@ -360,6 +441,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         takeoff=TakeOff.OWN_HEIGHT,
         landing=Landing.MISSION,
         hold_radius=ARDUPLANE_HOLD,
+        return_radius=ARDUPLANE_RETURN,
         return_end=ReturnEnd.CIRCLES,
         return_params=(RTL_AUTOLAND,),
         return_heights=_PLANE_RETURN,
@@ -374,6 +456,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         landing=Landing.MODE,
         land_mode="QLAND",
         hold_radius=ARDUPLANE_HOLD,
+        return_radius=ARDUPLANE_RETURN,
         return_end=ReturnEnd.CIRCLES,
         return_params=(Q_RTL_MODE, RTL_AUTOLAND),
         failsafe_params=(Q_OPTIONS,),

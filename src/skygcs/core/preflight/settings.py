@@ -51,6 +51,9 @@ ON_ROTORS_FAILSAFE = {1 << 20: "returns as above", 1 << 5: "returns on them (QRT
 """Bits of Q_OPTIONS, the first one that is set counts: FS_RTL and FS_QRTL (ArduPlane/events.cpp:
 failsafe_long_on_event, for the transmitter and the ground station)."""
 
+Q_FAILSAFE_MODES = "QSTABILIZE, QHOVER, QLOITER, QACRO or QAUTOTUNE"
+"""The modes in which those bits count; QLAND and QRTL are flown on (the same function)."""
+
 NEITHER = "neither PX4 nor ArduPilot"
 
 
@@ -204,15 +207,18 @@ def return_end(facts: PreflightFacts, wanted: Expectations) -> Finding:
     for name in (*able.return_params, *able.failsafe_params):
         if facts.value(name) is None:
             return _not_known(facts, name)
-    ends = able.return_end_by(facts.value)
+    ends = able.return_rule(facts.value)
     values = ", ".join(f"{name} {value_text(facts.value(name) or 0)}" for name in able.return_params)
     text = f"at home {ends} ({values})"
     if Q_OPTIONS not in able.failsafe_params:
         return passed(text)
     options = int(facts.value(Q_OPTIONS) or 0)
     does = next((does for bit, does in ON_ROTORS_FAILSAFE.items() if options & bit), "lands where it is (QLAND)")
-    text += f"; on its rotors it {does} if it loses its link ({Q_OPTIONS} {options})"
-    if ends is ReturnEnd.CIRCLES:
+    text += (
+        f"; if it loses its link in {Q_FAILSAFE_MODES} it {does} ({Q_OPTIONS} {options}), "
+        "in GUIDED and AUTO FS_LONG_ACTN decides"
+    )
+    if ends.end is ReturnEnd.CIRCLES and not ends.markers:
         return failed(text, f"set {Q_RTL_MODE} to 1 if it is to land there on its rotors", severity=Severity.NOTE)
     return passed(text)
 

@@ -71,7 +71,7 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
   (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
   QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms).
 - What RTL of an ArduPlane does at its home, RTL_AUTOLAND and of a QuadPlane Q_RTL_MODE say
-  (`vehicle_class.plane_return_end`); the outcome of the order says it.
+  (`vehicle_class.plane_return`); the outcome of the order says it.
 - HOLD of a boat stops its motors, so that it drifts; LOITER keeps it where it is.
 - Blimp accepts DO_REPOSITION and does nothing; ArduSub's NAV_LAND is its SURFACE (GCS_MAVLINK_Sub).
 """
@@ -233,8 +233,8 @@ def rtl(vehicle: Vehicle, now: float) -> Plan:
     able = vehicle.abilities_now(now)
     if not able.returns:
         raise RefusedError(_why_not(vehicle, "return"))
-    ends = vehicle.return_end(now)
-    then = "" if ends is ReturnEnd.LANDS or vehicle.family == "generic" else f"; {ends}"
+    ends = vehicle.return_rule(now)
+    then = "" if ends.end is ReturnEnd.LANDS or vehicle.family == "generic" else f"; {ends}"
     if able.return_mode:
         step = _named_mode(vehicle, able.return_mode)
         return Plan("rtl", (step,), f"returning in {able.return_mode}{then}", despite_duplicate=True)

@@ -5,22 +5,29 @@ ground within two seconds (EXTENDED_SYS_STATE of ArduCopter and PX4), stands sti
 telemetry contradicts that, control by setpoints orders a hold before it ends, and orders that would be dangerous in the
 air need `force`.
 
-Nor is a disarmed vehicle on the ground one that has landed: every firmware reports itself there once it is disarmed,
+A disarmed vehicle on the ground is not one that has landed: every firmware reports itself there once it is disarmed,
 wherever that was (ArduCopter: AP_Arming_Copter::disarm sets land_complete; PX4: MulticopterLandDetector).
 
     it has not landed if                                                         as shown by
     --------------------------------------------------------------------------   ---------------------------------------
     its autopilot says that it has crashed, or has been switched off             STATUSTEXT (`NOT_LANDED_TEXTS`)
     it leans by more than `LEANS_DEG` where it lies (a VTOL may stand so)        ATTITUDE, since it was disarmed
-    it was `FELL_M` higher when it was last seen armed                           GLOBAL_POSITION_INT
+    it was `FELL_M` higher when it was last seen armed                           GLOBAL_POSITION_INT: altitude
+    it came to the ground faster than any landing                                the same, while it was armed
 
-A text may be lost, and a crash may end upright: each of them alone is enough.
+A text may be lost, and a crash may end upright: each of them alone is enough, and what was seen once counts until the
+watch ends. It has landed if none of them is there although position and attitude have come since the time in which it
+would have fallen (`FALL_S`), and nothing shows it moving. Until then it is not known: silence is no evidence.
+
+Heights are altitudes above sea level. Those above home do not do: both firmwares move home to where the vehicle is
+when it is disarmed (PX4: HomePosition::update; ArduPlane: Plane::update_home), and a fall is gone then.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.vehicle.state import AIRBORNE
@@ -47,15 +54,34 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
     not fly."""
     if not vehicle.abilities.flies:
         return None
+    if (state := _airborne_state(vehicle, now)) is not None:
+        return state
+    return height_evidence(vehicle, now) or motion_evidence(vehicle, now)
+
+
+def _airborne_state(vehicle: Vehicle, now: float) -> str | None:
     state, at = vehicle.landed_state()
     if state in AIRBORNE and now - at <= FRESH_S:
         return f"it reports itself {'in the air' if state == 'in_air' else 'in ' + state}"
-    position, position_at = vehicle.timed_telemetry("position")
-    if position is not None and position_at is not None and now - position_at <= FRESH_S:
+    return None
+
+
+def height_evidence(vehicle: Vehicle, now: float) -> str | None:
+    """Its height above home, where that shows it flying. Where the ground is higher than home it is none."""
+    position, at = vehicle.timed_telemetry("position")
+    if position is None or at is None or now - at > FRESH_S or position["lat_deg"] is None:
+        return None
+    return f"it is {position['alt_rel_m']:.0f} m above its home" if position["alt_rel_m"] > HEIGHT_M else None
+
+
+def motion_evidence(vehicle: Vehicle, now: float) -> str | None:
+    """Its landed state, its speed or its throttle, where one of them shows it flying; None: none does."""
+    if (state := _airborne_state(vehicle, now)) is not None:
+        return state
+    position, at = vehicle.timed_telemetry("position")
+    if position is not None and at is not None and now - at <= FRESH_S:
         east, north, up = position["vel_enu_mps"]
         speed = math.hypot(east, north)
-        if position["alt_rel_m"] > HEIGHT_M and position["lat_deg"] is not None:
-            return f"it is {position['alt_rel_m']:.0f} m above its home"
         if abs(up) > CLIMB_MPS:
             return f"it {'climbs' if up > 0 else 'sinks'} at {abs(up):.1f} m/s"
         if speed > SPEED_MPS:
@@ -106,7 +132,8 @@ NOT_LANDED_TEXTS = (
     "crash detected",  # ArduPlane/is_flying.cpp
     "hard landing detected",  # the same, near the place of the landing
     "parachute: released",  # AP_Parachute.cpp
-    "disarmed by kill-switch",  # PX4, Commander.cpp: arm_disarm_reason_str
+    "kill engaged",  # PX4, Commander.cpp: executeActionRequest; it stays armed for COM_KILL_DISARM
+    "disarmed by kill-switch",  # arm_disarm_reason_str
     "disarmed by lockdown",
     "disarmed by failure detector",
 )
@@ -123,39 +150,112 @@ and more after the touch-down."""
 LOOKED_BACK_S = 2.0
 """Before it was last seen armed: a heartbeat comes each second and may be late, and then it was disarmed before."""
 
-SETTLED_S = 3.0
-"""From when it was last seen armed: texts, attitude and landed state, of which the slowest is sent each two seconds,
-have come by then."""
+LOW_M = 3.0
+"""Above where it lies: there every landing is slow (LAND_ALT_LOW is 10 m, MPC_LAND_ALT2 5 m, LAND_FLARE_ALT 3 m)."""
+
+FALLS_MPS, GLIDES_DOWN_MPS = 3.0, 6.0
+"""Faster than what hovers, and what flies on wings, comes down for a landing: LAND_SPEED is at most 2 m/s; a fall from
+1 m ends at 4.4 m/s, and an approach of 10 degrees at 20 m/s sinks at 3.5 m/s."""
+
+LEAST_APART_S = 0.2
+"""Between two heights that give a speed: an error of 0.3 m makes 1.5 m/s then."""
+
+LOW_KEPT_S = 60.0
+"""From the touch-down until it is disarmed: PX4 may stand killed for COM_KILL_DISARM, at most 30 s."""
+
+FALL_S = 5.0
+"""A fall from 100 m takes 4.5 s, without the drag of the air."""
+
+MAX_HEIGHTS = 400
+"""More than `MissionTurns` notes in `LOW_KEPT_S`, and in the time without a heartbeat after which it is not heard."""
+
+
+class Landed(NamedTuple):
+    """``landed``: None: not known yet. ``why``: the evidence against it, or what is missing."""
+
+    landed: bool | None
+    why: str
+
+
+class _Height(NamedTuple):
+    at: float
+    boot_s: float
+    """By its own clock: positions that a radio delays come together."""
+    alt_amsl_m: float
+    sink_mps: float
 
 
 class LandingWatch:
-    """One flight's end: `look` some times a second from its start on, then `why_not` and `settled`."""
+    """One flight's end: `look` some times a second from its start on, then `verdict`."""
 
     def __init__(self, now: float) -> None:
         self._began_at = now
-        self._heights: deque[tuple[float, float]] = deque()
-        """Times and heights (m, above home) of the last positions while it was armed, of `LOOKED_BACK_S`."""
+        self._heights: deque[_Height] = deque(maxlen=MAX_HEIGHTS)
+        """Its positions while its heartbeats showed it armed, of `LOW_KEPT_S`."""
+        self._disarmed_at: float | None = None
+        """The first heartbeat that showed it disarmed, or one that came soon after."""
+        self._against: str | None = None
+        """The first evidence that it has not landed."""
 
-    def look(self, vehicle: Vehicle) -> None:
-        """Note its height while it is armed."""
+    def look(self, vehicle: Vehicle, now: float) -> None:
+        """Note what it shows."""
+        silence_s = vehicle.silence_s(now)
+        if vehicle.armed or silence_s is None:
+            self._disarmed_at = None
+            self._note_height(vehicle)
+        elif self._disarmed_at is None:
+            self._disarmed_at = now - silence_s
+        self._against = self._against or self._evidence(vehicle)
+
+    def verdict(self, vehicle: Vehicle, now: float) -> Landed:
+        """Verdict by all that `look` has noted. While it is armed none is known, unless its autopilot has reported a
+        crash."""
+        if self._against is not None:
+            return Landed(False, self._against)
+        if self._disarmed_at is None or vehicle.armed:
+            return Landed(None, "it is armed")
+        if vehicle.duplicate_beside:
+            return Landed(None, "two vehicles send with its ids on one link")
+        since = self._disarmed_at + FALL_S
+        for name in ("position", "attitude"):
+            shown, at = vehicle.timed_telemetry(name)
+            if shown is None or at is None or at < since:
+                return Landed(None, f"no {name} has come since it was disarmed")
+        if vehicle.abilities.flies and (moves := self._moves(vehicle, now)) is not None:
+            return Landed(None, f"it is disarmed, but {moves}")
+        return Landed(True, "")
+
+    # -- internal
+
+    def _moves(self, vehicle: Vehicle, now: float) -> str | None:
+        """Why it may be in the air although it is disarmed. Its height above home counts only while it does not report
+        itself on the ground: that may be higher than home, which ArduCopter keeps until it is armed again."""
+        state, at = vehicle.landed_state()
+        on_ground = state == "on_ground" and at > vehicle.armed_at
+        return motion_evidence(vehicle, now) or (None if on_ground else height_evidence(vehicle, now))
+
+    def _note_height(self, vehicle: Vehicle) -> None:
         position, at = vehicle.timed_telemetry("position")
-        if not vehicle.armed or position is None or at is None:
+        if position is None or at is None:
             return
-        if not self._heights or at > self._heights[-1][0]:
-            self._heights.append((at, position["alt_rel_m"]))
-        while len(self._heights) > 1 and self._heights[0][0] < self._heights[-1][0] - LOOKED_BACK_S:
-            self._heights.popleft()
+        heights, alt_m = self._heights, position["alt_amsl_m"]
+        if not heights or at > heights[-1].at:
+            sink_mps = -float(position["vel_enu_mps"][2])
+            boot_s = float(position["time_boot_s"])
+            if heights and (took_s := boot_s - heights[-1].boot_s) >= LEAST_APART_S:
+                sink_mps = max(sink_mps, (heights[-1].alt_amsl_m - alt_m) / took_s)
+            heights.append(_Height(at, boot_s, alt_m, sink_mps))
+        # nothing is dropped that may be of the end of its flight: its heartbeats may be lost meanwhile
+        kept_from = min(heights[-1].at - LOW_KEPT_S, vehicle.armed_at - LOOKED_BACK_S)
+        while len(heights) > 1 and heights[1].at < kept_from:
+            heights.popleft()
 
-    def settled(self, vehicle: Vehicle, now: float) -> bool:
-        """True if it has been disarmed long enough for what shows a crash to have come."""
-        return not vehicle.armed and now - vehicle.armed_at >= SETTLED_S
-
-    def why_not(self, vehicle: Vehicle) -> str | None:
-        """Why it has not landed, although it may be on the ground and disarmed; None: nothing shows that."""
+    def _evidence(self, vehicle: Vehicle) -> str | None:
+        """Evidence of now that it has not landed; None: there is none."""
         for text in vehicle.texts:
             if text.at >= self._began_at and text.text.lower().startswith(NOT_LANDED_TEXTS):
                 return f"its autopilot reports {text.text!r}"
-        if vehicle.armed:
+        if self._disarmed_at is None:
             return None
         attitude, at = vehicle.timed_telemetry("attitude")
         stands_level = vehicle.kind is not VehicleClass.VTOL  # a tail-sitter's pitch may be given either way
@@ -163,9 +263,20 @@ class LandingWatch:
             upright = math.cos(math.radians(attitude["roll_deg"])) * math.cos(math.radians(attitude["pitch_deg"]))
             if (lean_deg := math.degrees(math.acos(upright))) > LEANS_DEG:
                 return f"it lies on its side (it leans by {lean_deg:.0f} degrees)"
+        return self._fall(vehicle) if vehicle.abilities.flies else None
+
+    def _fall(self, vehicle: Vehicle) -> str | None:
+        """The fall that its positions show since shortly before it was last seen armed."""
         position, at = vehicle.timed_telemetry("position")
-        if position is not None and at is not None and at > vehicle.armed_at and self._heights:
-            fell_m = max(height_m for _, height_m in self._heights) - position["alt_rel_m"]
-            if fell_m > FELL_M:
-                return f"it was {fell_m:.0f} m higher when it was last seen armed"
+        if position is None or at is None or at <= vehicle.armed_at or not self._heights:
+            return None
+        lies_m = position["alt_amsl_m"]
+        last = [height for height in self._heights if height.at >= vehicle.armed_at - LOOKED_BACK_S]
+        fell_m = max(height.alt_amsl_m for height in last or [self._heights[-1]]) - lies_m
+        if fell_m > FELL_M:
+            return f"it was {fell_m:.0f} m higher when it was last seen armed"
+        most_mps = GLIDES_DOWN_MPS if vehicle.abilities.circles else FALLS_MPS
+        low = (height.sink_mps for height in self._heights if height.alt_amsl_m <= lies_m + LOW_M)
+        if (sank_mps := max(low, default=0.0)) > most_mps:
+            return f"it came to the ground at {sank_mps:.1f} m/s"
         return None

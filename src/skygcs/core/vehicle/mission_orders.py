@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.mavlink import mav_cmd, modes
@@ -28,7 +29,7 @@ from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionTyp
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
-from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.flight_evidence import Landed, contradiction
 from skygcs.core.vehicle.offboard_entry import ask_parameter
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
@@ -395,6 +396,22 @@ MISSION_OVER_MODES = frozenset({"AUTO.LOITER"})
 """Modes to which a PX4 changes when its mission has ended (Commander.cpp, checkForMissionUpdate)."""
 
 
+class Phase(Enum):
+    """A reason to wait: in words, and the longest wait, s."""
+
+    EVIDENCE = "it is disarmed, and whether it has landed is not known", 60.0
+    """Position and attitude come each two seconds from the slowest profile."""
+    ON_GROUND = "it stands armed on the ground", 300.0
+    """Before its take-off or after its landing: each firmware disarms by then, if it does so at all."""
+    NEXT_ITEM = "it has come to no further item of its mission", 7200.0
+    """A leg of 100 km at 14 m/s."""
+    LAST_ITEM = "it has neither landed nor reached the end of its mission", 3600.0
+    """Most have landed by then; one that circles for ever is found out."""
+
+
+NOT_LOOKED_AT = Landed(None, "it was not looked at")
+
+
 class Turn(NamedTuple):
     """The vehicle whose turn it is, now. ``complete``: it has reported the last item as reached."""
 
@@ -416,10 +433,21 @@ class Turn(NamedTuple):
     """That item is a return."""
     at_home: bool = False
     """It is where it holds at the end of a return that does not land."""
-    not_landed: str | None = None
-    """Evidence that it has crashed, or was disarmed in the air (`flight_evidence.LandingWatch`)."""
-    settled: bool = True
-    """It has been disarmed long enough for that to be known."""
+    landed: Landed = NOT_LOOKED_AT
+    """The verdict on a landing (`flight_evidence.LandingWatch`)."""
+    waited_s: float = 0.0
+    """Since the last change of what it waits for (`Turn.phase`)."""
+    furthest: int = 0
+    """The highest item of this run that was current."""
+
+    @property
+    def phase(self) -> tuple[Phase, int]:
+        """Reason to wait, and how far it is; if it changes, the wait begins anew."""
+        if not self.armed:
+            return Phase.EVIDENCE, 0
+        if not self.flying:
+            return Phase.ON_GROUND, 0
+        return (Phase.LAST_ITEM if self.ending or self.complete else Phase.NEXT_ITEM), self.furthest
 
     @property
     def follows(self) -> bool:
@@ -427,7 +455,7 @@ class Turn(NamedTuple):
         if self.mode in MISSION_RETURN_MODES:
             return self.complete or (self.ending and self.returns)
         if self.mode in MISSION_OVER_MODES:
-            return self.complete or (self.ending and not self.flying)
+            return self.complete or (self.ending and not (self.flying and self.armed))
         return self.mode in MISSION_MODES
 
 
@@ -441,10 +469,11 @@ def next_turn(flown: Turn) -> TurnDecision:
 
     the one that flies                                  what follows
     --------------------------------------------------  ---------------------------------------------------------------
-    is on its mission, or on its way down from it       wait
+    is on its mission, or on its way down from it       wait; end after the longest time of its `Phase`
+    is disarmed, and may have landed                    wait for the evidence; end after the same
     has reached the last item, where it holds           the next one may start
     has returned, and circles or stands at its home     the next one may start
-    is on the ground and disarmed, by its last item     the next one may start
+    has landed and is disarmed, by its last item        the next one may start
     is in a mode that is not its mission's, came down   end: what comes next is a person's decision
     before its last item, has crashed or fallen, has
     another order, a failsafe, or is not heard
@@ -455,19 +484,31 @@ def next_turn(flown: Turn) -> TurnDecision:
         return TurnDecision("end", f"{flown.name} is not heard")
     if flown.failsafe:
         return TurnDecision("end", f"{flown.name} is in failsafe")
-    if flown.not_landed is not None:
-        return TurnDecision("end", f"{flown.name} has not landed: {flown.not_landed}")
+    if flown.landed.landed is False:
+        return TurnDecision("end", f"{flown.name} has not landed: {flown.landed.why}")
     if not flown.follows:
         return TurnDecision("end", f"{flown.name} was taken over ({flown.mode or 'mode unknown'})")
-    if not flown.flying and not flown.armed:
-        if flown.complete or (flown.lands and flown.ending):
-            return TurnDecision("start", f"{flown.name} has landed") if flown.settled else TurnDecision("wait", "")
-        return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
+    if not flown.armed:
+        if not flown.complete and not (flown.ending and (flown.lands or (flown.returns and flown.at_home))):
+            return TurnDecision("end", f"{flown.name} is on the ground before the last item of its mission")
+        if flown.landed.landed:
+            return TurnDecision("start", f"{flown.name} has landed")
+        return _wait(flown)
     if flown.complete and not flown.lands:
         return TurnDecision("start", f"{flown.name} has flown its mission")
     if flown.ending and flown.returns and flown.at_home and not flown.lands:
         return TurnDecision("start", f"{flown.name} has returned")
-    return TurnDecision("wait", "")
+    return _wait(flown)
+
+
+def _wait(flown: Turn) -> TurnDecision:
+    """Wait on, but not without end."""
+    phase, _ = flown.phase
+    why, longest_s = phase.value
+    if flown.waited_s <= longest_s:
+        return TurnDecision("wait", "")
+    missing = f" ({flown.landed.why})" if phase is Phase.EVIDENCE else ""
+    return TurnDecision("end", f"{flown.name}: {why}{missing}, for {longest_s:.0f} s")
 
 
 def last_moving(items: Sequence[MissionItem]) -> int | None:
@@ -476,15 +517,13 @@ def last_moving(items: Sequence[MissionItem]) -> int | None:
 
 
 def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
-    """True if the last item that moves the vehicle leaves it on the ground and disarmed. ``return_end``: how its
-    returns end."""
+    """True if the last item that moves the vehicle leaves it on the ground and disarmed, or may. ``return_end``: how
+    its returns end; what is not known is waited for. One that stands at its home need not disarm."""
     last = last_moving(items)
     if last is None:
         return False
     if ends_with_return(items):
-        if return_end is ReturnEnd.BY_MISSION:
-            return any(item.command == mav_cmd.DO_LAND_START for item in items)
-        return return_end in (ReturnEnd.LANDS, ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.STANDS_DISARMED)
+        return return_end not in (ReturnEnd.CIRCLES, ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED)
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

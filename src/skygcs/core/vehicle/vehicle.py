@@ -18,7 +18,7 @@ from skygcs.core.mavlink.vehicle_class import (
     Q_MODES,
     Abilities,
     Program,
-    ReturnEnd,
+    ReturnRule,
     VehicleClass,
     abilities_of,
     mode_type,
@@ -286,9 +286,31 @@ class Vehicle:
         """Abilities of its class now: a VTOL on its rotors stops, on its wing it does not."""
         return abilities_of(self.family, self.kind, hovers=self.hovers(now))
 
-    def return_end(self, now: float) -> ReturnEnd:
-        """How a return that is ordered now ends; while its parameters are not known, as by the firmware's defaults."""
-        return self.abilities_now(now).return_end_by(self.param)
+    def return_rule(self, now: float) -> ReturnRule:
+        """How a return that is ordered now ends."""
+        return self.abilities_now(now).return_rule(self.param)
+
+    @property
+    def mission_return_rule(self) -> ReturnRule:
+        """How the returns of its missions end, which are flown later: however it flies, or stands, now."""
+        return self.abilities.return_rule(self.param)
+
+    @property
+    def return_reach_m(self) -> float:
+        """How far from its home it may be on the circle at the end of its mission's return, m; 0 for what stops."""
+        hold, home = self.abilities.hold_radius, self.abilities.return_radius
+        if not self.abilities.circles or hold is None:
+            return 0.0
+        radius_m = 0.0 if home is None else home.value_m(self.param(home.param))
+        return HOLD_REACH * (radius_m or hold.value_m(self.param(hold.param)))
+
+    @property
+    def mission_reach_m(self) -> float:
+        """The wider of the circles that it flies on its missions, m; 0 for what stops."""
+        hold = self.abilities.hold_radius
+        if not self.abilities.circles or hold is None:
+            return 0.0
+        return max(HOLD_REACH * hold.value_m(self.param(hold.param)), self.return_reach_m)
 
     def hold_radius_m(self, now: float) -> float:
         """Radius of the circle that it flies to hold, m; 0 for what stops."""

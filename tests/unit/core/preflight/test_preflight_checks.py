@@ -362,15 +362,21 @@ def test_planes_of_one_fleet_are_offered_return_heights_by_their_own_parameters(
     ("able", "answers", "verdict", "text"),
     [
         (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "at home it circles above its home (RTL_AUTOLAND 0)"),
-        (PLANE, {"RTL_AUTOLAND": 1}, Verdict.PASS, "the landing of its mission"),
+        (
+            PLANE,
+            {"RTL_AUTOLAND": 1},
+            Verdict.PASS,
+            "the landing of its mission (DO_LAND_START); without one it circles",
+        ),
+        (QUADPLANE, {"Q_RTL_MODE": 0, "Q_OPTIONS": 0}, Verdict.FAIL, "in GUIDED and AUTO FS_LONG_ACTN decides"),
         (
             QUADPLANE,
             {"Q_RTL_MODE": 0, "Q_OPTIONS": 0},
             Verdict.FAIL,
-            "it lands where it is (QLAND) if it loses its link",
+            "if it loses its link in QSTABILIZE, QHOVER, QLOITER, QACRO or QAUTOTUNE it lands where it is (QLAND)",
         ),
-        (QUADPLANE, {"Q_RTL_MODE": 1, "Q_OPTIONS": 32}, Verdict.PASS, "on its rotors it returns on them (QRTL) if"),
-        (QUADPLANE, {"Q_RTL_MODE": 3, "Q_OPTIONS": (1 << 20) + 32}, Verdict.PASS, "it returns as above if it loses"),
+        (QUADPLANE, {"Q_RTL_MODE": 1, "Q_OPTIONS": 32}, Verdict.PASS, "QAUTOTUNE it returns on them (QRTL)"),
+        (QUADPLANE, {"Q_RTL_MODE": 3, "Q_OPTIONS": (1 << 20) + 32}, Verdict.PASS, "QAUTOTUNE it returns as above"),
     ],
 )
 def test_how_a_return_ends_is_shown_where_parameters_decide_it(

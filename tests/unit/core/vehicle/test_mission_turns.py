@@ -9,9 +9,11 @@ import pytest
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, last_moving, next_turn
+from skygcs.core.vehicle.flight_evidence import Landed
+from skygcs.core.vehicle.mission_orders import Phase, Turn, ends_on_ground, last_moving, next_turn
 
-ON_ITS_WAY = Turn("v1", True, True, True, False, False, False, True)
+DOWN, CRASHED, UNKNOWN = Landed(True, ""), Landed(False, "it lies"), Landed(None, "no attitude has come")
+ON_ITS_WAY = Turn("v1", True, True, True, False, False, False, True, landed=DOWN)
 ENDING = ON_ITS_WAY._replace(ending=True, returns=True)
 EARLY = "v1 is on the ground before the last item of its mission"
 
@@ -34,9 +36,13 @@ EARLY = "v1 is on the ground before the last item of its mission"
         (ENDING._replace(mode="RTL", at_home=True), "wait", ""),
         (ON_ITS_WAY._replace(lands=False, at_home=True), "wait", ""),
         # a crash that disarms, and whoever else flies it
-        (ENDING._replace(flying=False, armed=False, not_landed="it lies"), "end", "v1 has not landed: it lies"),
-        (ENDING._replace(not_landed="it lies"), "end", "v1 has not landed: it lies"),
-        (ENDING._replace(flying=False, armed=False, settled=False), "wait", ""),  # what shows a crash may still come
+        (ENDING._replace(flying=False, armed=False, landed=CRASHED), "end", "v1 has not landed: it lies"),
+        (ENDING._replace(landed=CRASHED), "end", "v1 has not landed: it lies"),
+        (ENDING._replace(flying=False, armed=False, landed=UNKNOWN), "wait", ""),  # what shows a crash may still come
+        # high ground, or a forged heartbeat: flying counts no more once it is disarmed
+        (ENDING._replace(flying=True, armed=False), "start", "v1 has landed"),
+        (ENDING._replace(flying=True, armed=False, landed=UNKNOWN), "wait", ""),
+        (ENDING._replace(mode="AUTO.LOITER", flying=True, armed=False), "start", "v1 has landed"),
         (ON_ITS_WAY._replace(flying=False, armed=False), "end", EARLY),
         (ON_ITS_WAY._replace(lands=False, ending=True, flying=False, armed=False), "end", EARLY),
         (ON_ITS_WAY._replace(mode="POSCTL"), "end", "v1 was taken over (POSCTL)"),
@@ -56,13 +62,37 @@ def test_each_row_of_the_table(flown: Turn, next_: str, why: str) -> None:
 def test_nobody_starts_while_the_one_before_is_taken_over_in_trouble_or_in_the_air_with_its_way_before_it() -> None:
     modes = ("AUTO.MISSION", "AUTO", "AUTO.RTL", "AUTO.LOITER", "AUTO.LAND", "POSCTL", "LAND", "GUIDED", "")
     for mode, *flags in itertools.product(modes, *([False, True],) * 10):
-        flown = Turn("v1", *flags[:7], mode, *flags[7:])  # type: ignore[arg-type]
-        assert next_turn(flown._replace(not_landed="it lies")).next == "end"
+        flown = Turn("v1", *flags[:7], mode, *flags[7:], landed=DOWN)  # type: ignore[arg-type]
+        assert next_turn(flown._replace(landed=CRASHED)).next == "end"
+        assert flown.armed or next_turn(flown._replace(landed=UNKNOWN)).next != "start"
+        assert next_turn(flown._replace(landed=UNKNOWN, waited_s=1e9)).next != "wait"
         if next_turn(flown).next == "start":
             assert flown.heard and not flown.failsafe and not flown.ordered
             over = flown.complete or (flown.ending and flown.returns and flown.at_home)
-            assert not flown.flying or (over and not flown.lands)
+            assert not flown.armed or (over and not flown.lands)
             assert mode in modes[:4] and (over or (flown.lands and flown.ending))
+
+
+@pytest.mark.parametrize(
+    ("flown", "phase"),
+    [
+        (ON_ITS_WAY, Phase.NEXT_ITEM),
+        (ON_ITS_WAY._replace(flying=False), Phase.ON_GROUND),
+        (ENDING, Phase.LAST_ITEM),
+        (ENDING._replace(armed=False, landed=UNKNOWN), Phase.EVIDENCE),
+    ],
+)
+def test_no_wait_is_without_end_and_the_end_names_what_was_missing(flown: Turn, phase: Phase) -> None:
+    why, longest_s = phase.value
+    assert flown.phase == (phase, 0)
+    assert next_turn(flown._replace(waited_s=longest_s)).next == "wait"
+    ended = next_turn(flown._replace(waited_s=longest_s + 1.0))
+    assert ended.next == "end" and why in ended.why
+    assert ("no attitude has come" in ended.why) == (phase is Phase.EVIDENCE)
+
+
+def test_a_further_item_begins_the_wait_anew() -> None:
+    assert ON_ITS_WAY._replace(furthest=2).phase != ON_ITS_WAY._replace(furthest=3).phase
 
 
 def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
@@ -77,31 +107,35 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     [
         ("px4", "copter", True),
         ("ardupilot", "copter", True),
-        ("px4", "plane", False),
-        ("ardupilot", "plane", False),
+        ("px4", "plane", True),  # its parameters are not known: it may land
+        ("ardupilot", "plane", True),
         ("px4", "vtol", True),
-        ("ardupilot", "vtol", False),
+        ("ardupilot", "vtol", True),
         ("ardupilot", "rover", False),
-        ("px4", "rover", True),  # it disarms at home
+        ("px4", "rover", False),  # it disarms at home only with RTL_LAND_DELAY and COM_DISARM_LAND
     ],
 )
-def test_a_return_ends_on_the_ground_or_not_by_the_class(family: Family, kind: str, lands: bool) -> None:
-    end = abilities_of(family, VehicleClass(kind)).return_end_by(lambda name: None)
+def test_a_return_ends_on_the_ground_or_may_by_the_class(family: Family, kind: str, lands: bool) -> None:
+    end = abilities_of(family, VehicleClass(kind)).return_rule(lambda name: None).with_mission({16, 20})
     assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
     assert ends_on_ground([MissionItem(16), MissionItem(21)], end)
 
 
 @pytest.mark.parametrize(
-    ("end", "landing", "lands"),
+    ("end", "lands"),
     [
-        (ReturnEnd.LANDS_ON_ROTORS, False, True),
-        (ReturnEnd.BY_MISSION, True, True),
-        (ReturnEnd.BY_MISSION, False, False),  # without one it circles
-        (ReturnEnd.CIRCLES, True, False),
+        (ReturnEnd.LANDS_ON_ROTORS, True),
+        (ReturnEnd.LANDS_AS_PLANE, True),
+        (ReturnEnd.BY_MISSION, True),
+        (ReturnEnd.NOT_KNOWN, True),  # it is waited for
+        (ReturnEnd.CIRCLES, False),
     ],
 )
-def test_a_planes_return_ends_on_the_ground_by_its_parameters_and_its_mission(
-    end: ReturnEnd, landing: bool, lands: bool
-) -> None:
-    down = [MissionItem(189), MissionItem(16), MissionItem(21)] if landing else []
-    assert ends_on_ground([*down, MissionItem(16), MissionItem(20)], end) is lands
+def test_a_planes_return_ends_on_the_ground_by_its_end(end: ReturnEnd, lands: bool) -> None:
+    assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
+
+
+def test_a_rover_that_has_disarmed_at_its_home_has_come_to_the_end_of_its_mission() -> None:
+    home = ENDING._replace(mode="AUTO.RTL", lands=False, flying=False, armed=False, at_home=True)
+    assert next_turn(home) == ("start", "v1 has landed")
+    assert next_turn(home._replace(at_home=False)).next == "end"

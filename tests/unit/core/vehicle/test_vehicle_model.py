@@ -183,37 +183,99 @@ def test_a_plane_is_sent_off_along_the_ground_once_it_has_shown_that_it_is_no_qu
     assert commands(orders.takeoff(vehicle, NOW, 50.0))[-1] == (mav.MAV_CMD_NAV_TAKEOFF, 0.0)
 
 
+NAV_LAND, RETURN_PATH, LAND_START = 21, 188, 189
+
+
 @pytest.mark.parametrize(
-    ("rotors", "landing", "end"),
+    ("rotors", "landing", "marker", "end"),
     [
         # ArduPlane/mode_rtl.cpp. Q_RTL_MODE 0: navigate comes to RTL_AUTOLAND
-        (0, 0, ReturnEnd.CIRCLES),
-        (0, 1, ReturnEnd.BY_MISSION),
-        (0, 2, ReturnEnd.BY_MISSION),
-        (0, 3, ReturnEnd.CIRCLES),  # OnlyForGoAround
-        (0, 4, ReturnEnd.BY_MISSION),
+        (0, 0, None, ReturnEnd.CIRCLES),
+        (0, 1, LAND_START, ReturnEnd.CIRCLES),
+        (0, 2, LAND_START, ReturnEnd.CIRCLES),
+        (0, 3, None, ReturnEnd.CIRCLES),  # OnlyForGoAround
+        (0, 4, RETURN_PATH, ReturnEnd.CIRCLES),
         # 1: switch_QRTL is asked 1 s after the mode change, and near its home; 2 and 4 jump before
-        (1, 0, ReturnEnd.LANDS_ON_ROTORS),
-        (1, 1, ReturnEnd.LANDS_ON_ROTORS),
-        (1, 2, ReturnEnd.BY_MISSION),
-        (1, 4, ReturnEnd.BY_MISSION),
+        (1, 0, None, ReturnEnd.LANDS_ON_ROTORS),
+        (1, 1, None, ReturnEnd.LANDS_ON_ROTORS),
+        (1, 2, LAND_START, ReturnEnd.LANDS_ON_ROTORS),
+        (1, 4, RETURN_PATH, ReturnEnd.LANDS_ON_ROTORS),
         # 2 and 3: navigate returns before it, or the mode is QRTL
-        *((rotors, landing, ReturnEnd.LANDS_ON_ROTORS) for rotors in (2, 3) for landing in range(5)),
+        *((rotors, landing, None, ReturnEnd.LANDS_ON_ROTORS) for rotors in (2, 3) for landing in range(5)),
     ],
 )
-def test_a_quadplanes_return_ends_as_its_parameters_say(rotors: int, landing: int, end: ReturnEnd) -> None:
+def test_a_quadplanes_return_ends_by_its_parameters_and_its_mission(
+    rotors: int, landing: int, marker: int | None, end: ReturnEnd
+) -> None:
+    """The end is that without a landing in its mission, and with the marker of the other firmware option."""
     params = {"Q_ENABLE": 1.0, "Q_RTL_MODE": float(rotors), "RTL_AUTOLAND": float(landing)}
     winged = Shown(ARDUPILOT, PLANE, 12, **params)
-    assert winged.vehicle.return_end(NOW) is end
-    assert orders.rtl(winged.vehicle, NOW).done == f"returning to launch; {end}"
+    rule = winged.vehicle.return_rule(NOW)
+    assert rule.end is end and rule.markers == ({marker} if marker else set())
+    assert rule.with_mission({16, 20, NAV_LAND}) is end
+    for other in (RETURN_PATH, LAND_START):
+        wanted = ReturnEnd.BY_MISSION if other == marker else end
+        assert rule.with_mission({16, 20, other, NAV_LAND}) is wanted
+    if marker:
+        assert rule.with_mission({16, 20, marker}) is ReturnEnd.NOT_KNOWN, "no landing follows"
+    assert orders.rtl(winged.vehicle, NOW).done == f"returning to launch; {rule}"
     hovering = Shown(ARDUPILOT, PLANE, 19, **params)
     assert orders.rtl(hovering.vehicle, NOW).done == "returning in QRTL"  # which lands, whatever they are
+
+
+@pytest.mark.parametrize("mode", [0, 10, 17, 19])
+def test_the_return_of_a_mission_ends_as_its_class_does_however_it_stands_now(mode: int) -> None:
+    """On the ground in QLOITER it counted as landing at the end of a mission that circles."""
+    vehicle = Shown(ARDUPILOT, PLANE, mode, Q_ENABLE=1.0, Q_RTL_MODE=0.0, RTL_AUTOLAND=0.0, WP_LOITER_RAD=80.0).vehicle
+    assert vehicle.mission_return_rule.with_mission({16, 20}) is ReturnEnd.CIRCLES
+    assert vehicle.mission_reach_m == vehicle.return_reach_m == 100.0
+
+
+def test_a_fixed_wing_that_has_kept_the_parameters_of_a_quadplane_circles() -> None:
+    vehicle = Shown(ARDUPILOT, PLANE, 10, Q_ENABLE=0.0, Q_RTL_MODE=1.0, RTL_AUTOLAND=0.0).vehicle
+    assert vehicle.return_rule(NOW).end is ReturnEnd.CIRCLES
+
+
+@pytest.mark.parametrize(
+    ("rtl_type", "delay_s", "end", "with_landing"),
+    [
+        # init.d/rc.fw_defaults; navigator/rtl.cpp: findRtlDestination
+        (1, -1, ReturnEnd.CIRCLES, ReturnEnd.BY_MISSION),
+        (1, 0, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.BY_MISSION),
+        (0, -1, ReturnEnd.CIRCLES, ReturnEnd.CIRCLES),
+        (0, 30, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.LANDS_AS_PLANE),
+        *((kind, -1, ReturnEnd.NOT_KNOWN, ReturnEnd.NOT_KNOWN) for kind in (2, 3, 4)),
+    ],
+)
+def test_a_px4_planes_return_ends_by_its_parameters_and_its_mission(
+    rtl_type: int, delay_s: int, end: ReturnEnd, with_landing: ReturnEnd
+) -> None:
+    vehicle = Shown(PX4, PLANE, 4 << 16, RTL_TYPE=float(rtl_type), RTL_LAND_DELAY=float(delay_s)).vehicle
+    assert vehicle.return_rule(NOW).end is end
+    assert vehicle.mission_return_rule.with_mission({16, 20}) is end
+    assert vehicle.mission_return_rule.with_mission({16, 20, NAV_LAND}) is with_landing
+
+
+@pytest.mark.parametrize(("firmware", "known"), [(PX4, {"RTL_TYPE": 1.0}), (ARDUPILOT, {"Q_ENABLE": 0.0})])
+def test_a_missions_return_is_not_known_while_a_parameter_is_not(firmware: int, known: dict[str, float]) -> None:
+    vehicle = Shown(firmware, PLANE, 10, **known).vehicle
+    assert vehicle.mission_return_rule.with_mission({16, 20}) is ReturnEnd.NOT_KNOWN
+
+
+def test_the_circle_at_home_has_a_radius_of_its_own() -> None:
+    plane = {"Q_ENABLE": 0.0, "WP_LOITER_RAD": 60.0}
+    assert Shown(ARDUPILOT, PLANE, 10, **plane, RTL_RADIUS=0.0).vehicle.return_reach_m == 75.0
+    own = Shown(ARDUPILOT, PLANE, 10, **plane, RTL_RADIUS=-200.0).vehicle
+    assert (own.return_reach_m, own.mission_reach_m, own.hold_radius_m(NOW)) == (250.0, 250.0, 60.0)
+    px4 = Shown(PX4, PLANE, 4 << 16, NAV_LOITER_RAD=80.0, RTL_LOITER_RAD=40.0).vehicle
+    assert (px4.return_reach_m, px4.mission_reach_m) == (50.0, 100.0)
+    assert Shown(ARDUPILOT, QUADROTOR, 5).vehicle.mission_reach_m == 0.0
 
 
 def test_what_a_return_does_is_in_the_answer_of_what_does_not_land() -> None:
     assert orders.rtl(Shown(ARDUPILOT, QUADROTOR, 5).vehicle, NOW).done == "returning to launch"
     assert orders.rtl(Shown(PX4, VTOL, 4 << 16).vehicle, NOW).done == "returning to launch"
-    assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; it circles above its home")
+    assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; without one it circles above its home")
     assert orders.rtl(Shown(ARDUPILOT, ROVER, 15).vehicle, NOW).done.endswith("; it stops and stays armed")
     landing = Shown(ARDUPILOT, PLANE, 12, Q_ENABLE=0.0, RTL_AUTOLAND=2.0).vehicle
     assert "it lands by the landing of its mission" in orders.rtl(landing, NOW).done
