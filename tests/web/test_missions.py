@@ -69,6 +69,9 @@ def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> Non
     select(page, "v2")
     side(page, "Missions")
     page.get_by_role("tab", name="Waypoints", exact=True).click()
+    # the view is fitted anew with each further vehicle that has a place: a point would be elsewhere on the screen then
+    until(page, "skygcs.view.scene.bodies.length === 3")
+    page.wait_for_timeout(500)
     page.get_by_role("button", name="Fit").click()
     click_view(page, (0.3, 0.35), (0.6, 0.35), (0.6, 0.6))
     expect(page.get_by_role("list", name="Points").locator("li")).to_have_count(3)
