@@ -6,7 +6,7 @@ import json
 import re
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import WebSocketRoute, expect
 
 from support.browser import until
 from support.page_steps import click_view, drop, fits, hold, select, side
@@ -69,6 +69,9 @@ def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> Non
     select(page, "v2")
     side(page, "Missions")
     page.get_by_role("tab", name="Waypoints", exact=True).click()
+    # the view is fitted anew with each further vehicle that has a place: a point would be elsewhere on the screen then
+    until(page, "skygcs.view.scene.bodies.length === 3")
+    page.wait_for_timeout(500)
     page.get_by_role("button", name="Fit").click()
     click_view(page, (0.3, 0.35), (0.6, 0.35), (0.6, 0.6))
     expect(page.get_by_role("list", name="Points").locator("li")).to_have_count(3)
@@ -119,6 +122,59 @@ def test_drawn_waypoints_keep_their_places_on_earth_in_another_frame(station, op
     finally:
         station.call("origin.set", **kept)
     assert not page.errors
+
+
+def test_nothing_is_drawn_or_uploaded_in_another_frame_while_the_new_origin_is_refused(station, open_page) -> None:
+    """The positions are metres of the new frame at once; the page knows where they are when origin.get is answered."""
+    page = open_page(station)
+    refused: list[int] = []
+    refusing = False
+
+    def between(socket: WebSocketRoute) -> None:
+        server = socket.connect_to_server()
+
+        def to_server(message: str | bytes) -> None:
+            request = json.loads(message)
+            if refusing and request.get("method") == "origin.get":
+                refused.append(request["id"])
+                error = {"code": -32003, "message": "too many requests"}
+                socket.send(json.dumps({"jsonrpc": "2.0", "id": request["id"], "error": error}))
+            else:
+                server.send(message)
+
+        socket.on_message(to_server)
+
+    page.route_web_socket(re.compile("/ws$"), between)
+    page.reload()
+    select(page, "v2")
+    side(page, "Missions")
+    page.get_by_role("tab", name="Waypoints", exact=True).click()
+    page.get_by_role("button", name="Fit").click()
+    click_view(page, (0.35, 0.35), (0.6, 0.55))
+    check = page.get_by_role("region", name="Check of drawn.plan")
+    expect(check).to_contain_text("can be flown")
+    drawn = "skygcs.view.overlays.get('mission').shapes[0].points"
+    places = page.evaluate(f"{drawn}.map(([x, y]) => Object.values(skygcs.view.geodeticOf(x, y)))")
+    note = page.locator(".missionpanel > .note[role=status]")
+    origin = station.call("origin.get")["origin"]
+    kept = {key: origin[key] for key in ("lat_deg", "lon_deg", "alt_amsl_m", "x_heading_deg")}
+    refusing = True
+    try:
+        station.call("origin.set", **(kept | {"lat_deg": kept["lat_deg"] + 1e-3}))
+        expect(note).to_contain_text("no place can be chosen, drawn or uploaded")
+        expect(check).to_have_count(0)
+        click_view(page, (0.5, 0.5))
+        expect(page.get_by_role("list", name="Points")).to_have_count(0)
+        assert page.evaluate("skygcs.view.geodeticOf(1, 2)") is None
+        refusing = False
+        expect(note).to_contain_text("kept its places on earth")
+        expect(check).to_contain_text("can be flown")
+        carried = page.evaluate(f"{drawn}.map(([x, y]) => Object.values(skygcs.view.geodeticOf(x, y)))")
+        assert carried == [pytest.approx(place, abs=1e-8) for place in places]  # a millimetre
+        assert 1 <= len(refused) <= 60
+        page.get_by_role("button", name="Clear the drawing").click()
+    finally:
+        station.call("origin.set", **kept)
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
