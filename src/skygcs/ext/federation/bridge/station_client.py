@@ -104,7 +104,7 @@ class StationClient(ClientPeer):
     """One client of the station, with its connection to the daemon. The context of the station's own methods."""
 
     def __init__(self, station: Station) -> None:
-        super().__init__(station.counters)
+        super().__init__(station.counters, "client of the station")
         self.station = station
         self.services = station.services
         self.restricted = False
