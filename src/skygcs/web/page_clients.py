@@ -31,8 +31,7 @@ from skygcs.rpc.error_codes import (
 )
 from skygcs.rpc.json_lines import EVENT_START, notification
 from skygcs.rpc.order_reports import REPORT
-from skygcs.rpc.replies import encode, error_reply, reply_of
-from skygcs.rpc.request_lines import parse
+from skygcs.rpc.replies import encode, error_reply, parse, reply_of
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
