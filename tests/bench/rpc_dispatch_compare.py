@@ -17,7 +17,7 @@ from pjrpc.server.validators.pydantic import PydanticValidatorFactory
 
 from skygcs.rpc.dispatch import Dispatcher, Method
 from skygcs.rpc.models import TargetParams
-from skygcs.rpc.request_lines import parse
+from skygcs.rpc.replies import parse
 
 CALLS, ROUNDS = 20_000, 5
 TEXT = '{"jsonrpc":"2.0","id":1,"method":"vehicles.get","params":{"target":"alpha"}}'

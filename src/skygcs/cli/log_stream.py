@@ -194,7 +194,7 @@ class LogStream(io.TextIOBase):
             self._torn = self._torn or begun
 
     def _owed(self) -> bytes:
-        """What stands before the next text: the end of a torn line, and the count of lines that are missing."""
+        """The end of a torn line and the count of lines that are missing, to stand before the next text."""
         note = f"({self._lost} lines of this log could not be written)\n" if self._lost else ""
         return ("\n" if self._torn else "").encode() + note.encode()
 

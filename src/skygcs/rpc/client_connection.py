@@ -185,7 +185,7 @@ class ClientConnection(asyncio.Protocol):
             raise self._lost
         number = self._last_number = self._last_number + 1
         request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
-        line = json.dumps(request, allow_nan=False).encode()
+        line = _encoded(request)
         if len(line) > MAX_LINE_BYTES:  # its refusal names no request, which would wait for its answer for ever
             text = f"{method[:40]}: {len(line)} bytes; the daemon takes {MAX_LINE_BYTES} in one request"
             raise RpcError(INVALID_PARAMS, text)
@@ -194,9 +194,9 @@ class ClientConnection(asyncio.Protocol):
         return number
 
     def notify(self, method: str, params: dict[str, Any]) -> None:
-        """Send what has no answer; nothing if the connection has ended."""
+        """Send what has no answer; nothing if the connection has ended. Raises ValueError for what JSON lacks."""
         if self._lost is None:
-            self.transport.write(notification(method, json.dumps(params).encode()) + b"\n")
+            self.transport.write(notification(method, _encoded(params)) + b"\n")
 
     async def close(self) -> None:
         """Close; requests and iterations still waiting end with DaemonUnreachable."""
@@ -219,14 +219,14 @@ class ClientConnection(asyncio.Protocol):
         self._heard = True
         self._lines.feed(data)
         lines = self._lines.take_whole().split(b"\n")
-        if len(self._lines) > MAX_REPLY_BYTES:
-            self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
         for line in lines:
             if line and self._lost is None and not self._on_encoded(line) and not self._on_encoded_result(line):
                 try:
                     self._on_answer(json.loads(line))
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
                     self._give_up(f"it sent what is no answer of skygcs ({type(error).__name__})")
+        if len(self._lines) > MAX_REPLY_BYTES:  # after the whole lines that came before it
+            self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
 
     def _give_up(self, reason: str) -> None:
         """Close the connection because of what came."""
@@ -300,6 +300,11 @@ class ClientConnection(asyncio.Protocol):
         call = self._calls.pop(number, None)
         if call is not None:
             call.on_answer(answer.get("result"), failure)
+
+
+def _encoded(value: object) -> bytes:
+    """The one encoder of what a client sends. Raises ValueError for NaN and Infinity, which JSON lacks."""
+    return json.dumps(value, allow_nan=False).encode()
 
 
 def _report_to(future: asyncio.Future[Any], on_report: OnReport, method: str, params: dict[str, Any]) -> None:

@@ -45,10 +45,11 @@ class Credentials(NamedTuple):
 class ClientPeer(asyncio.Protocol):
     """One connection. Its owner reads with `next_line` after `received`, and forgets the client in `end`."""
 
-    def __init__(self, counters: Counter[str]) -> None:
-        """``counters``: those of its socket: lines_too_long, closed_unread."""
+    def __init__(self, counters: Counter[str], name: str = "rpc client") -> None:
+        """``counters``: those of its socket: lines_too_long, closed_unread. ``name``: of such a client, in the log."""
         self.writable = True
         self._counters = counters
+        self._name = name
         self._transport: asyncio.Transport | None = None
         """None: it was not admitted yet, or has ended."""
         self._lines = LineBuffer()
@@ -99,7 +100,7 @@ class ClientPeer(asyncio.Protocol):
         transport.write(data)
         if transport.get_write_buffer_size() > MAX_OUTPUT_BYTES:
             self._counters["closed_unread"] += 1
-            _log.warning("rpc client closed: it does not read its replies", unread_bytes=MAX_OUTPUT_BYTES)
+            _log.warning(f"{self._name} closed: it does not read its replies", unread_bytes=MAX_OUTPUT_BYTES)
             transport.abort()
             self.end()
 

@@ -267,7 +267,7 @@ class Dispatcher(Generic[C]):
     ) -> Reply:
         """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent.
 
-        ``key_twice``: `request_lines.key_twice` of the line that the request came in; called where the method needs it.
+        ``key_twice``: `replies.key_twice` of the line that the request came in; called where the method needs it.
         ``admit`` is asked before an import, and again before the handler: much time may pass between.
         """
         if type(request) is not dict:

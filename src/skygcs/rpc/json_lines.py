@@ -8,6 +8,7 @@ https://www.jsonrpc.org/specification
 from __future__ import annotations
 
 import json
+import re
 
 MAX_LINE_BYTES = 1 << 20
 """Longest line that a daemon or a station takes. A request is a few hundred bytes, a full batch of the largest messages
@@ -18,6 +19,8 @@ MAX_REPLY_BYTES = 32 << 20
 
 ANSWER = b'{"jsonrpc":"2.0","id":'
 """How a reply begins that is written here."""
+
+_BLANK_LINES = re.compile(rb"[ \t\r\n\v\f]*\n")
 
 Id = str | int | float | None
 
@@ -79,6 +82,8 @@ class LineBuffer:
                 self._skipping = False
             elif line.strip():
                 return line
+            elif (blank := _BLANK_LINES.match(buffer, 0, limit_bytes + 1)) is not None:
+                del buffer[: blank.end()]
 
     def take_whole(self) -> bytes:
         """All complete lines with their newlines, in one piece."""

@@ -30,8 +30,7 @@ from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
-from skygcs.rpc.replies import error_reply
-from skygcs.rpc.request_lines import key_twice, parse
+from skygcs.rpc.replies import error_reply, key_twice, parse
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 

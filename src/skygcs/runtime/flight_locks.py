@@ -33,8 +33,18 @@ class _Held:
     """A lock and whether its flight is under way; ``in_doubt``: the last time that was asked, its code failed."""
 
     lock: FlightLock
+    """The flight's own object, by which it is known."""
     under_way: Callable[[], bool]
     in_doubt: bool = False
+    taken_out: frozenset[str] = frozenset()
+    """Names of members that a later flight has."""
+
+    @property
+    def present(self) -> FlightLock:
+        """The lock of the members that it still holds."""
+        if not self.taken_out:
+            return self.lock
+        return self.lock.of(frozenset(member.name for member in self.lock.members) - self.taken_out)
 
 
 class FlightLocks:
@@ -68,20 +78,20 @@ class FlightLocks:
         taken = frozenset(member.name for member in lock.members)
         for held in self._under_way():
             if held.in_doubt and held.lock.holder is lock.holder:
-                held.lock = held.lock.of(frozenset(member.name for member in held.lock.members) - taken)
-        self._held = [held for held in self._held if held.lock.members or not held.in_doubt]
+                held.taken_out |= taken
+        self._held = [held for held in self._held if held.present.members or not held.in_doubt]
         self._held.append(_Held(lock, under_way))
         return lock
 
     def held(self) -> list[FlightLock]:
         """The locks of the flights under way, plans first."""
-        return [held.lock for held in self._under_way()]
+        return [held.present for held in self._under_way()]
 
     def refusal(self, change: Change, *, own: FlightLock | None = None) -> str | None:
         """Why a change has to wait for a flight; None if it may be made now. ``own``: the lock of the flight that makes
         it for itself."""
         for held in self._under_way():
-            if held.lock is not own and (why := held.lock.refusal(change)) is not None:
+            if held.lock is not own and (why := held.present.refusal(change)) is not None:
                 return why + IN_DOUBT if held.in_doubt else why
         return None
 

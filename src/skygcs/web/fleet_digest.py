@@ -16,11 +16,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic_core import from_json, to_json
+from pydantic_core import from_json
 
 from skygcs.errors import RpcError
 from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.rpc.replies import encode
 
 LARGE_FLEET = 200
 """More vehicles are shown by site, and in full only where a person looks."""
@@ -94,7 +95,7 @@ def digest_of(name: str, body: bytes, at: float) -> Digest:
     """Digest of a state as the daemon, or a station's bridge, encoded it. Never raises for what is in it: what cannot
     be read is not known."""
     try:
-        state = from_json(body)
+        state = from_json(body)  # not `parse`: of a state with an infinite number the rest is known (`_number`)
     except ValueError:
         state = {}
     return _digest(name, state if isinstance(state, dict) else {}, at)
@@ -155,7 +156,7 @@ def _digest(name: str, state: Mapping[str, Any], at: float) -> Digest:
         connected=connected,
         silence_s=silence_s,
         at=at,
-        row=to_json(row, inf_nan_mode="null"),
+        row=encode(row),
     )
 
 

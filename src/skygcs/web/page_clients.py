@@ -14,7 +14,6 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Any, Protocol
 
 import structlog
-from pydantic_core import from_json, to_json
 
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.client_connection import OnReport
@@ -32,7 +31,7 @@ from skygcs.rpc.error_codes import (
 )
 from skygcs.rpc.json_lines import EVENT_START, notification
 from skygcs.rpc.order_reports import REPORT
-from skygcs.rpc.replies import error_reply, reply_of
+from skygcs.rpc.replies import encode, error_reply, parse, reply_of
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
@@ -353,7 +352,7 @@ class PageClient:
         # parse; a malformed message is refused
         received_at = self._loop.time()
         try:
-            request = from_json(text, allow_inf_nan=False)
+            request = parse(text.encode() if isinstance(text, str) else text)
         except ValueError as error:
             self._refuse(None, PARSE_ERROR, f"not JSON: {error}")
             return
@@ -509,4 +508,4 @@ def _is_id(value: object) -> bool:
 
 
 def _encode(value: object) -> bytes:
-    return to_json(value, inf_nan_mode="null", serialize_unknown=True)
+    return encode(value, serialize_unknown=True)

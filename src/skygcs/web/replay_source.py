@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, overload
 
 import structlog
-from pydantic_core import to_json
 
 from skygcs import __version__
 from skygcs.config.files import open_regular
@@ -27,6 +26,7 @@ from skygcs.events import Event
 from skygcs.number_text import is_number
 from skygcs.rpc.client_connection import OnReport
 from skygcs.rpc.error_codes import INVALID_PARAMS, REFUSED, TARGET_ERROR
+from skygcs.rpc.replies import encode
 from skygcs.tlog.files import FileWindow, LogFile
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind
 from skygcs.tlog.reading import LogReader
@@ -211,7 +211,7 @@ class ReplaySource:
         on_report: OnReport | None = None,
     ) -> bytes:
         """Return what a recording can answer, encoded. Raises RpcError."""
-        return to_json(self._result(method, params), inf_nan_mode="null", serialize_unknown=True)
+        return encode(self._result(method, params), serialize_unknown=True)
 
     def _result(self, method: str, params: dict[str, Any]) -> Any:
         match method:
@@ -393,7 +393,7 @@ class ReplaySource:
         for vehicle in self.fleet.vehicles.values():
             state = self.fleet.state(vehicle, self.position_s)
             light = {key: state[key] for key in ("name", "sysid", *STATE_KEYS)}
-            self._states.put(vehicle.name, to_json(light, inf_nan_mode="null"), now)
+            self._states.put(vehicle.name, encode(light), now)
         if not self._states.complete and not self.fleet.vehicles:
             self._states.settle()  # nothing was heard yet at this time of the recording
             pages.wake_all()

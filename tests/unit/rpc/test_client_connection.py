@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import os
 import pwd
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -137,6 +139,29 @@ async def test_what_is_no_answer_ends_the_connection_and_nothing_else(sent: byte
     async with lied_to(tmp_path / "s", sent) as connection:
         with pytest.raises(DaemonUnreachable, match="no answer of skygcs"):
             await connection.request("daemon.info", {})
+
+
+def test_the_whole_lines_before_one_without_end_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_connection, "MAX_REPLY_BYTES", 100)
+    connection = ClientConnection("a socket")
+    connection.transport = Mock()
+    answers: list[Any] = []
+    for number in (1, 2, 3):
+        connection._calls[number] = _Call(lambda result, error: answers.append(result or error), "daemon.info", {})
+    line = b'{"jsonrpc":"2.0","id":%d,"result":"%d"}\n'
+    connection.data_received(line % (1, 1) + line % (2, 2) + b"x" * 101)
+    assert answers[:2] == ["1", "2"] and isinstance(answers[2], DaemonUnreachable)
+    assert not connection.is_open and len(connection._lines) == 0
+
+
+def test_what_json_cannot_carry_is_not_sent() -> None:
+    connection = ClientConnection("a socket")
+    connection.transport = Mock()
+    for send in (lambda p: connection.notify("x", p), lambda p: connection.start("x", p, lambda result, error: None)):
+        with pytest.raises(ValueError, match="JSON"):
+            send({"height_m": math.nan})
+    connection.transport.write.assert_not_called()
+    assert not connection._calls
 
 
 async def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any, cast
 
 import pytest
+from structlog.testing import capture_logs
 
 from skygcs.rpc import client_peer
 from skygcs.rpc.client_peer import ClientPeer
@@ -56,8 +57,8 @@ class Transport:
 class Client(ClientPeer):
     """Takes every line at once, unless it ``waits``."""
 
-    def __init__(self, transport: Transport) -> None:
-        super().__init__(Counter())
+    def __init__(self, transport: Transport, name: str = "rpc client") -> None:
+        super().__init__(Counter(), name)
         self.lines: list[bytes] = []
         self.waits = False
         self.ends = 0
@@ -124,6 +125,16 @@ def test_one_that_does_not_read_gets_no_notification_and_is_not_read_from(
     client.data_received(b"b\n")
     assert json.loads(transport.written) == {"jsonrpc": "2.0", "method": "event", "params": {"kind": "mode"}}
     assert transport.reading
+
+
+def test_the_log_names_the_socket_of_one_that_is_closed(
+    sockets: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_peer, "MAX_OUTPUT_BYTES", 10)
+    client = Client(Transport(sockets[0]), "client of the station")
+    with capture_logs() as logs:
+        client.reply(b"r" * 99)
+    assert [log["event"] for log in logs] == ["client of the station closed: it does not read its replies"]
 
 
 def test_its_owner_may_put_lines_off(sockets: tuple[socket.socket, socket.socket]) -> None:

@@ -59,6 +59,26 @@ def test_whole_lines_together_lose_nothing(pieces: list[bytes]) -> None:
     assert len(buffer) == len(stream) - len(found)
 
 
+@each("blank", [b"\n", b"\r\n", b" \t\n", b"\v\f\n"])
+def test_a_flood_of_blank_lines_is_taken_in_one_step(blank: bytes) -> None:
+    """256 KiB of newlines held the loop for 150 ms."""
+    buffer, counted = LineBuffer(), Counted()
+    buffer._bytes = counted
+    flood = blank * (100_000 // len(blank))
+    buffer.feed(flood + b"next\n" + flood)
+    assert buffer.take(1 << 20) == b"next" and buffer.take(1 << 20) is None
+    assert counted.searches <= 5 and not buffer
+
+
+@each("limit", [1, 10, 1000])
+def test_blank_lines_are_taken_within_the_limit(limit: int) -> None:
+    buffer = LineBuffer()
+    buffer.feed(b"\n" * 5000 + b" " * (limit + 1) + b"\n" + b"\n" * 5000 + b"x\n")
+    with pytest.raises(LineTooLong):
+        buffer.take(limit)
+    assert buffer.take(limit) == b"x"
+
+
 def test_what_is_skipped_is_not_kept() -> None:
     buffer = LineBuffer()
     buffer.feed(b"x" * (LIMIT + 1))
@@ -73,9 +93,10 @@ def test_what_is_skipped_is_not_kept() -> None:
 class Counted(bytearray):
     """A buffer that counts the bytes in which a newline was looked for."""
 
-    searched = 0
+    searched = searches = 0
 
     def find(self, sub: Any, start: Any = 0, end: Any = None) -> int:
+        self.searches += 1
         self.searched += len(self) - start
         return super().find(sub, start)
 

@@ -23,7 +23,7 @@ from skygcs.rpc.dispatch import (
     deadline_refusal,
 )
 from skygcs.rpc.models import MethodParams, NoParams
-from skygcs.rpc.request_lines import key_twice, parse
+from skygcs.rpc.replies import key_twice, parse
 from support.table import each
 
 

@@ -17,13 +17,12 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 import skygcs.rpc
-from skygcs.rpc import request_lines
+from skygcs.rpc import replies
 from skygcs.rpc.dispatch import Dispatcher, Method
 from skygcs.rpc.error_codes import INTERNAL_ERROR
 from skygcs.rpc.json_lines import id_of
 from skygcs.rpc.models import MethodParams, NoParams
-from skygcs.rpc.replies import NotJsonError, encode, error_reply, reply_of
-from skygcs.rpc.request_lines import parse
+from skygcs.rpc.replies import NotJsonError, encode, error_reply, parse, reply_of
 from support.asked import asked
 from support.loops import on_every_loop
 
@@ -158,7 +157,7 @@ def test_a_text_with_the_word_beside_a_number_is_told_from_the_number(depth: int
 def test_a_line_of_text_or_of_numbers_is_not_read_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line of 1 MiB held the loop for 60 ms and more; the second look is made where a number may be too large."""
     looked = list[object]()
-    monkeypatch.setattr(request_lines, "_has_infinity", lambda value: looked.append(value) or False)
+    monkeypatch.setattr(replies, "_has_infinity", lambda value: looked.append(value) or False)
     for line in (b'"%b"' % (b"a" * 1000), b"[%b1.5]" % (b"1.5," * 1000), b"[%b]" % (b"9" * 308)):
         parse(line)
     assert looked == []
@@ -178,7 +177,7 @@ def test_an_id_is_text_or_a_number() -> None:
 
 
 def test_there_is_one_encoder_of_what_leaves_the_daemon() -> None:
-    own = {"replies.py", "request_lines.py", "json_lines.py", "client.py", "client_connection.py", "client_inbox.py"}
+    own = {"replies.py", "json_lines.py", "client.py", "client_connection.py", "client_inbox.py"}
     found = [
         path.name
         for path in Path(skygcs.rpc.__file__).parent.glob("*.py")

@@ -199,6 +199,8 @@ async def test_an_error_is_answered_with_its_code(bench: Bench, method: str, cod
         ("", -32700),
         ("{", -32700),
         ("NaN", -32700),
+        ('{"id":1,"method":"vehicles.goto","params":{"lat_deg":1e999}}', -32700),
+        ("\ud800", -32700),
         ("[" * 100_000, -32700),
         ("[]", -32600),
         ("3", -32600),

@@ -300,7 +300,7 @@ class GroundOrders:
         key, part, parts = str(given.get("key"))[:32], given.get("part"), given.get("parts")
         pieces = self._parts.take(key, part, parts, given.get("pieces"))
         if pieces is None:
-            return Outcome(True, "accepted", "a part; others are still to come")
+            return Outcome(True, "accepted", f"part {given['part'] + 1} of {parts}; others are still to come")
         whole = Trajectory(pieces)
         name = str(given.get("name") or "trajectory")[:64]
         if len(whole.pieces) < LARGE_PIECES:

@@ -141,6 +141,25 @@ def test_a_flight_whose_code_fails_holds_its_lock_and_stops_no_order_path() -> N
     assert locks.held() == []
 
 
+def test_a_flight_that_recovers_may_still_change_what_it_holds_itself() -> None:
+    fails = True
+
+    def under_way() -> bool:
+        if fails:
+            raise ValueError("broken")
+        return True
+
+    locks = FlightLocks()
+    own = locks.take(lock(), under_way)
+    later = locks.take(lock(Holder.PLAN, member("alpha", ALPHA)), lambda: True)
+    fails = False
+    assert [[m.name for m in one.members] for one in locks.held()] == [["bravo"], ["alpha"]]
+    assert locks.refusal(Renumbering(BRAVO), own=own) is None, "the flight has its own lock, whoever took members of it"
+    assert locks.refusal(Renumbering(BRAVO)) is not None
+    assert locks.refusal(Renumbering(ALPHA), own=own) is not None
+    assert locks.refusal(Renumbering(ALPHA), own=later) is None
+
+
 def test_flights_that_fail_leave_one_lock_per_kind_and_vehicle() -> None:
     def broken() -> bool:
         raise ValueError("broken")

@@ -16,8 +16,7 @@ from skygcs.rpc import error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.json_lines import ANSWER, MAX_REPLY_BYTES, LineBuffer, notification_start
 from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
-from skygcs.rpc.replies import encode
-from skygcs.rpc.request_lines import parse
+from skygcs.rpc.replies import encode, parse
 
 REACH_WITHIN_S = 2.0
 """A daemon that accepts no connection within this time counts as away."""

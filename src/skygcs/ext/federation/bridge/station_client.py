@@ -48,8 +48,7 @@ from skygcs.rpc.dispatch import Dispatcher, Method, failure_reply, result_reply
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.openrpc import document
 from skygcs.rpc.order_reports import OrderReports, wants_reports
-from skygcs.rpc.replies import encode, error_reply
-from skygcs.rpc.request_lines import parse
+from skygcs.rpc.replies import encode, error_reply, parse
 
 MAX_IN_FLIGHT = 64
 """Requests of one client in progress, as at the daemon."""
@@ -104,7 +103,7 @@ class StationClient(ClientPeer):
     """One client of the station, with its connection to the daemon. The context of the station's own methods."""
 
     def __init__(self, station: Station) -> None:
-        super().__init__(station.counters)
+        super().__init__(station.counters, "client of the station")
         self.station = station
         self.services = station.services
         self.restricted = False

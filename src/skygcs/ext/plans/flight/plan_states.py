@@ -28,7 +28,6 @@ class PlanState(StrEnum):
 
 OVER = frozenset({PlanState.FINISHED, PlanState.ABORTED, PlanState.LANDED})
 STEPPING = frozenset({PlanState.TO_STARTS, PlanState.RETURNING, PlanState.FLYING})
-BEFORE_FLIGHT = frozenset({PlanState.ARMING, PlanState.TAKEOFF, PlanState.ENGAGING})
 
 STATE_OF = {
     StepKind.WAY_THERE: PlanState.TO_STARTS,
