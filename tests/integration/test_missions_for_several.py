@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +226,34 @@ async def test_nobody_starts_after_the_one_that_flies_has_fallen_on_its_last_way
         assert not gcs.sim("v2").armed
         (ended,) = [t.text for t in gcs.told if t.kind == "mission" and "ended" in t.data]
         assert "v1 has not landed: " in ended and "v2 does not start" in ended
+
+
+async def test_the_next_one_starts_though_the_ground_lies_above_home(tmp_path: Path) -> None:
+    """An ArduCopter keeps home until it is armed: 6 m above it a disarmed one counted as flying, without end."""
+    async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="land"))
+        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold"))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        home = gcs.sim("v1").home
+        assert home is not None
+        gcs.sim("v1").set_home(replace(home, up_m=home.up_m - 6.0))
+        await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
+        assert not gcs.sim("v1").armed
+
+
+async def test_without_evidence_of_a_landing_nobody_starts_and_an_event_says_why(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH, end="land"))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        sim = gcs.sim("v1")
+        sim.builders = {name: build for name, build in sim.builders.items() if name != "ATTITUDE"}
+        await landed(gcs, "v1")
+        await asyncio.sleep(80.0)
+        assert not gcs.sim("v2").armed
+        (ended,) = [t.text for t in gcs.told if t.kind == "mission" and "ended" in t.data]
+        assert "no attitude has come since it was disarmed" in ended and "v2 does not start" in ended
 
 
 async def test_the_same_order_given_again_waits_for_the_first_one_again(tmp_path: Path) -> None:

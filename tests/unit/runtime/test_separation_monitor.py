@@ -175,6 +175,30 @@ async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unkn
     sky.fleet.close()
 
 
+@pytest.mark.parametrize(("beside_m", "meets"), [(60.0, True), (100.0, False)])
+async def test_the_mission_of_a_quadplane_circles_though_it_stands_in_a_mode_of_its_rotors(
+    beside_m: float, meets: bool
+) -> None:
+    """In QLOITER it hovers now; its mission is flown as a plane, with circles of 60 m by default."""
+    sky = Sky(2)
+    quadplane, copter = sky.vehicles
+    for _ in range(4):
+        now = sky.loop.time()
+        quadplane.heartbeat(now, kind=1, mode=19)
+        quadplane.position(now, (0.0, 0.0, 0.0))
+        copter.heartbeat(now)
+        copter.position(now, (400.0, beside_m, 50.0))
+        await sky.monitor.evaluate()
+        await asyncio.sleep(0.5)
+    lat_deg, lon_deg, _ = quadplane.geodetic_of(400.0, 0.0, 0.0)
+    alt_amsl_m = quadplane.geodetic_of(0.0, 0.0, 50.0)[2]
+    there = MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, lat_deg, lon_deg, alt_amsl_m), True)
+    actor = sky.fleet.find("v1")
+    refused = await sky.monitor.mission_refusals({actor: MissionRun([there])})
+    assert (actor in refused) is meets, refused
+    sky.fleet.close()
+
+
 async def test_off_ends_at_once_and_every_order_passes() -> None:
     sky = Sky(2, "off")
     await asyncio.wait_for(sky.monitor.run(), 1.0)
