@@ -217,7 +217,8 @@ class Bridge:
         """A task of its own: by it the places of setpoints are those of the fleet's frame."""
         while True:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._origin_is_old.wait(), ORIGIN_S)
+                async with asyncio.timeout(ORIGIN_S):
+                    await self._origin_is_old.wait()
             await self._read_origin(gcs)
             await asyncio.sleep(ORIGIN_AGAIN_S)
 
