@@ -132,6 +132,7 @@ def test_fifty_vehicles_only_the_rows_that_are_seen_exist(
 ) -> None:
     page = open_page(make_station((30, 20)))
     until(page, "skygcs.store.state.names.length === 50")
+    until(page, "[...skygcs.store.state.vehicles.values()].every(v => v.position?.lat_deg != null)")
     assert page.locator("tr.row").count() < 40
     page.locator(".tablebox").focus()
     page.keyboard.press("End")
