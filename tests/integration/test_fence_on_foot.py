@@ -153,10 +153,11 @@ async def test_a_test_that_is_cancelled_leaves_the_fence_as_it_was(tmp_path: Pat
 async def test_a_vehicle_beyond_the_fence_or_in_the_air_is_not_tested(tmp_path: Path, name: str) -> None:
     async with on_the_ground(tmp_path) as gcs:
         before = held(gcs, name)
-        gcs.sim(name).motion.north_m = 6.0
-        await asyncio.sleep(3)
-        reported = await begin(gcs, name)
-        assert reported["result"] == "refused" and "set home where it stands" in reported["message"]
+        if name == "v2":  # a PX4 moves its home while it is disarmed
+            gcs.sim(name).motion.north_m = 6.0
+            await asyncio.sleep(3)
+            reported = await begin(gcs, name)
+            assert reported["result"] == "refused" and "set home where it stands" in reported["message"]
         await gcs.done("vehicles.takeoff", targets=name, height_m=5.0, wait_s=60.0)
         await asyncio.sleep(10)
         reported = await begin(gcs, name)

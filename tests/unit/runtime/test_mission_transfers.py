@@ -398,7 +398,9 @@ async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str
         await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:3]), kinds=(MISSION,))
         for seq in (0, 1, 2):
             storing.current(seq)
+            await asyncio.sleep(0.1)  # asyncio's heap of timers does not keep the order of equal times
             storing.reached(seq)
+            await asyncio.sleep(0.1)
         await asyncio.sleep(0.2)
         assert actor.missions.complete and actor.missions.status()["reached"] == 3
         storing.vehicle.mode, storing.vehicle.armed = PX4_LOITER, True
@@ -418,7 +420,9 @@ async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str
             assert not actor.missions.complete and actor.missions.status()["reached"] is None
         for seq in (0, 1, 2):
             storing.current(seq)
+            await asyncio.sleep(0.1)  # asyncio's heap of timers does not keep the order of equal times
             storing.reached(seq)
+            await asyncio.sleep(0.1)
         await asyncio.sleep(0.2)
         assert actor.missions.complete
         task.cancel()

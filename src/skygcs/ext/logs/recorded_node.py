@@ -224,7 +224,7 @@ class RecordedNode:
         vehicle.connected = False
         vehicle.memory = vehicle.memory.after_loss()
         if vehicle.px4 is not None:
-            vehicle.px4 = Px4Memory(vehicle.px4.sysid, vehicle.px4.clock)
+            vehicle.px4 = vehicle.px4.after_loss()
         lost_ns = vehicle.heard_ns + round(DEFAULT_LOST_S * 1e9)
         self._chosen = self._chooses(HEARTBEAT, vehicle.key)
         self._publish(vehicle, disconnected(lost_ns), lost_ns)
