@@ -35,7 +35,7 @@ def rounded(value: float, decimals: int = 1) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text of ours. Raises ValueError for what is none or cannot be: it is nested too deeply, a
+    """The tables of a TOML text of ours. Raises ValueError for what is not TOML, or not readable: nested too deeply, a
     number has more than 4300 digits, or a key more than `MAX_DOTS` dots (tomllib needs 1.6 GB for 20,000)."""
     if (long := _LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, long.start()) + 1

@@ -1,7 +1,7 @@
 """JSON-RPC 2.0 as lines of bytes, for both sides of every socket: lines within a limit, and how messages begin. No I/O,
 and no pydantic, for which a command of the shell would wait.
 
-A line ends with a newline. Blank lines are none, and a line beyond the limit is skipped to its end.
+A line ends with a newline. Blank lines are ignored, and a line beyond the limit is skipped to its end.
 https://www.jsonrpc.org/specification
 """
 

@@ -1,5 +1,5 @@
 """Notes of all vehicles' flights: kept in the journal while they fly, taken back by a daemon that begins anew or a
-computer that has slept; and the consumption of their batteries, for whoever plans the next flight."""
+computer that has slept; and the consumption of their batteries, for the next plan."""
 
 from __future__ import annotations
 

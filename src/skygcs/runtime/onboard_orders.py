@@ -71,8 +71,8 @@ async def start_mission(actor: VehicleActor, *, first: int = 1, arm: bool = True
 
 
 async def resume_mission(actor: VehicleActor, *, force: bool = False) -> Outcome:
-    """Go on with the current item; `VehicleActor.hold` pauses a mission. ``force``: whoever is in the way, which the
-    fleet knows."""
+    """Go on with the current item; `VehicleActor.hold` pauses a mission. ``force``: also if another
+    vehicle is in the way, which the fleet checks."""
     planner = _new_run(actor, lambda now: mission_orders.resume(actor.vehicle, now))
     return await actor.runner.run("mission", planner)
 

@@ -44,7 +44,7 @@ RADIO_DBM = 1.9, 127.0
 LOG_LEVELS = dict(enumerate((40, 40, 40, 40, 30, 30, 20, 10)))
 LOG_WARN = 30
 """rcl_interfaces' Log level of each MAV_SEVERITY, by the classes in which MAVROS logs (process_statustext_normal of
-its plugin sys_status): from emergency on errors, a notice is a warning, and so is a severity that is none."""
+its plugin sys_status): from emergency on errors, a notice is a warning, and so is an unknown severity."""
 
 
 def heartbeat(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:

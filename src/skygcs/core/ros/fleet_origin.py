@@ -21,5 +21,5 @@ class FleetOrigin(NamedTuple):
         return cls(None if origin is None else Origin(**origin), status["generation"])
 
     def is_of(self, position: Mapping[str, Any] | None) -> bool:
-        """True if a state's ``position`` is in this frame, or if there is none that names another."""
+        """True if a state's ``position`` is in this frame, or names no frame."""
         return position is None or position.get("origin_generation") == self.generation

@@ -32,10 +32,10 @@ MISSION_TYPES = frozenset({0, 255})
 class MissionList:
     """A message of the topic when MAVROS publishes one: the list is another, or another item is current
     (handle_mission_ack, handle_mission_item_int and handle_mission_current of its mission_protocol_base.cpp). Before
-    the first list there is none: an empty one would say that the vehicle has no mission."""
+    the first list nothing is published: an empty one would say that the vehicle has no mission."""
 
     def __init__(self) -> None:
-        self.foreign_transfers = 0
+        self.third_party_transfers = 0
         """Number of transfers that ended and were no node's own."""
         self._waypoints: list[Fields] | None = None
         self._lengths: frozenset[int] = frozenset()
@@ -78,7 +78,7 @@ class MissionList:
         if at <= self._own_until:
             self._own_acks += 1
             return
-        self.foreign_transfers += 1
+        self.third_party_transfers += 1
         self.forget()
 
     def on_state(self, mission: Fields | None) -> None:

@@ -44,7 +44,7 @@ ORDERS = {20: "vehicles.rtl", 21: "vehicles.land"}
 """MAV_CMD: COMPONENT_ARM_DISARM, NAV_RETURN_TO_LAUNCH, NAV_LAND."""
 
 MODE_NUMBER = re.compile(r"0|[1-9][0-9]{0,19}|0X[0-9A-F]{1,19}")
-"""A number with a 0 before it is none: MAVROS reads it to the base of 8, which few mean."""
+"""A decimal number with a leading 0 is refused: MAVROS reads it as octal, which few mean."""
 LARGEST_MODE = 0xFFFFFFFF
 """HEARTBEAT.custom_mode has 32 bits."""
 

@@ -67,7 +67,7 @@ def _airborne_state(vehicle: Vehicle, now: float) -> str | None:
 
 
 def height_evidence(vehicle: Vehicle, now: float) -> str | None:
-    """Its height above home, where that shows it flying. Where the ground is higher than home it is none."""
+    """Its height above home, where that shows it flying. Where the ground is higher than home it proves nothing."""
     position, at = vehicle.timed_telemetry("position")
     if position is None or at is None or now - at > FRESH_S or position["lat_deg"] is None:
         return None
@@ -251,7 +251,7 @@ class LandingWatch:
             heights.popleft()
 
     def _evidence(self, vehicle: Vehicle) -> str | None:
-        """Evidence of now that it has not landed; None: there is none."""
+        """Present evidence that it has not landed; None: nothing shows it."""
         for text in vehicle.texts:
             if text.at >= self._began_at and text.text.lower().startswith(NOT_LANDED_TEXTS):
                 return f"its autopilot reports {text.text!r}"

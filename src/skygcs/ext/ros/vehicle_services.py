@@ -259,12 +259,12 @@ class VehicleServices:
                 "the vehicle's home is not known, with which an ArduPilot's list begins: "
                 "call home_position/req_update, then pull again"
             )
-        before = self._mission.foreign_transfers
+        before = self._mission.third_party_transfers
         answer = await self._call("missions.download", target=self._vehicle.name, lists=["mission"])
         if not answer["outcome"]["ok"]:
             self._log(ERROR, f"missions.download: {answer['outcome']['message']}")
             return {}
-        if self._mission.foreign_transfers != before:
+        if self._mission.third_party_transfers != before:
             raise RequestError("somebody replaced the mission while it was pulled: pull again")
         mission = self._vehicle.state.get("mission") or {}
         listed = services.waypoint_messages(answer["mission"], mission.get("seq"), home if home_first else None)

@@ -105,7 +105,7 @@ def test_a_list_is_forgotten_when_somebody_else_replaces_it() -> None:
     for mission_type, is_forgotten in ((0, True), (255, True), (1, False), (2, False)):
         mission = listed(3)
         mission.on_transfer_ended(mission_type, 20.0)
-        assert known(mission) is not is_forgotten and mission.foreign_transfers == is_forgotten
+        assert known(mission) is not is_forgotten and mission.third_party_transfers == is_forgotten
     repeated = listed(3)
     repeated.on_transfer_ended(0, 10.9)
     assert known(repeated)

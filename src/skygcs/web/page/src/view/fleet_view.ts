@@ -34,7 +34,7 @@ const SLOW_DRAW_MS = 10;
 const AGES_EVERY_MS = 1000;
 /** A state is drawn with the frame that is due so soon. */
 const SOON_MS = 50;
-/** A pause that is shorter than a frame of the screen is none. */
+/** A pause shorter than a frame of the screen is left out. */
 const SCREEN_FRAME_MS = 17;
 
 /** More vehicles at once are dots, and have no label but those that need a person. */
