@@ -1,8 +1,8 @@
 """Load of the page's main thread while vehicles fly circles and nobody touches the page.
 
-CPU time of the thread itself (5.7 ms a frame at a load of 6, 8.4 at 12: measure on a quiet machine), and the own times of
-the page's functions from Chromium's sampling profiler. The built page has short names: `minify: false` in build.mjs gives
-them in full.
+CPU time of the thread itself (5.7 ms a frame at a load of 6, 8.4 at 12: measure on a quiet machine), and the own times
+of the page's functions from Chromium's sampling profiler. The built page has short names: `minify: false` in build.mjs
+gives them in full.
 """
 
 from __future__ import annotations
